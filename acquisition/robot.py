@@ -1,4 +1,4 @@
-"""What the robot is: joints, motors, the matrix between them, drive gains, controller, limits. `robot.toml` in, `Robot` out.
+"""What the robot is: joints, motors, the matrix between them, gains, limits. `robot.toml` in, `Robot` out.
 
 The file's layout is the layout of the `RobotFile` structure below; the README explains every key. Angles are degrees in
 the file and radians in `Robot`; everything else is SI in both.
@@ -32,8 +32,8 @@ class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tr
     """A table of robot.toml: unknown keys are refused."""
 
 
-class DH(_Table):
-    """Modified Denavit-Hartenberg row of Khalil and Kleinfinger: Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
+class DH(_Table, frozen=True):
+    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
 
     alpha_deg: float
     d_m: float
@@ -41,7 +41,7 @@ class DH(_Table):
     r_m: float
 
 
-class Joint(_Table):
+class Joint(_Table, frozen=True):
     """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
 
     name: Name
@@ -77,7 +77,7 @@ class Joint(_Table):
         return None if value is None else math.radians(value)
 
 
-class Motor(_Table):
+class Motor(_Table, frozen=True):
     """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
 
     name: Name
@@ -98,7 +98,7 @@ class Motor(_Table):
         return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
 
 
-class Controller(_Table):
+class Controller(_Table, frozen=True):
     """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares."""
 
     bandwidth_hz: Positive
@@ -110,7 +110,7 @@ class Controller(_Table):
     velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] = "backward_difference"
 
 
-class Identification(_Table):
+class Identification(_Table, frozen=True):
     """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
 
     cutoff_hz: Positive | None = None
@@ -120,7 +120,7 @@ class Identification(_Table):
     cut_end_samples: Rows | None = None
 
 
-class RobotFile(_Table):
+class RobotFile(_Table, frozen=True):
     """`robot.toml` as it stands in the file."""
 
     name: Name
@@ -307,7 +307,9 @@ def _check(f: RobotFile, place: str) -> None:
     for i, joint in enumerate(f.joint):
         key = f"joint[{i}]"
         if (joint.dh is None) == (f.urdf is None):
-            refuse(f"{key}.dh", joint.dh, "a dh row for every joint, or else a urdf for the whole robot (one of the two)")
+            refuse(
+                f"{key}.dh", joint.dh, "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+            )
         other = "m" if joint.type == "revolute" else "deg"
         for field in msgspec.structs.fields(joint):
             if f"_{other}" in field.name and getattr(joint, field.name) is not None:
