@@ -5,6 +5,7 @@ the file and radians in `Robot`; everything else is SI in both.
 """
 
 import math
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
+import msgspec.inspect
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,9 +22,13 @@ from . import AcquisitionError
 Vector = NDArray[np.float64]
 T = TypeVar("T")
 
+# The parser's memory grows with the square of a dotted key's length, and recordings carry descriptions from elsewhere.
+LARGEST_TOML = 256 * 1024  # bytes
+LONGEST_LINE = 2000
+
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 Rows = Annotated[int, msgspec.Meta(ge=0)]
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9_.\- ]+$")]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 EffortUnit = Literal["A", "V", "N m", "N"]
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
@@ -211,8 +217,9 @@ def load_robot(path: Path) -> Robot:
         urdf_path = path.parent / document.urdf
         try:
             files["robot.urdf"] = urdf_path.read_bytes()
-        except OSError as error:
-            raise AcquisitionError(f"{path}: urdf = {document.urdf!r}: cannot be read: {error.strerror}") from error
+        except (OSError, ValueError) as error:  # the latter for a zero character in the name
+            told = error.strerror if isinstance(error, OSError) else error
+            raise AcquisitionError(f"{path}: urdf = {document.urdf!r}: cannot be read: {told}") from error
     return robot_from_files(files, str(path))
 
 
@@ -257,18 +264,38 @@ def _parse(text: bytes, place: str) -> RobotFile:
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; every error is one line with `place`, key, value and what was expected."""
+    longest = max(map(len, text.splitlines()), default=0)
+    if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
+        told = f"{len(text)} bytes, a line of {longest}"
+        raise AcquisitionError(f"{place}: {told}: expected {LARGEST_TOML} and {LONGEST_LINE} at most")
     try:
         data = tomllib.loads(text.decode("utf-8"))
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        _refuse_nonfinite(data, "", place)
+    except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
         raise AcquisitionError(f"{place}: not valid TOML: {error}") from error
-    _refuse_nonfinite(data, "", place)
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        message, _, where = str(error).partition(" - at `$")
-        key, value = where.strip("`").lstrip("."), _value_at(data, where.strip("`"))
-        found = "" if value is None or isinstance(value, dict | list) else f" = {value!r}"
-        raise AcquisitionError(f"{place}: {key or 'top level'}{found}: {message}") from error
+        message, _, where = str(error).rpartition(" - at `$")
+        message, path = (message, where[:-1]) if message else (str(error), "")
+        value = _value_at(data, path)
+        found = "" if value is None or isinstance(value, dict | list) else f" = {value!r}"[:80]
+        if message.startswith("Invalid enum value"):
+            message = f"expected one of {', '.join(map(repr, _choices(kind, path)))}"
+        raise AcquisitionError(f"{place}: {path.lstrip('.') or 'top level'}{found}: {message}") from error
+
+
+def _choices(kind: Any, path: str) -> tuple[Any, ...]:
+    """The words that `kind` allows at `path`."""
+    at = msgspec.inspect.type_info(kind)
+    for step in re.findall(r"\w+", re.sub(r"\[[^]]*\]", "", path)):
+        if isinstance(at, msgspec.inspect.StructType):
+            at = next(field.type for field in at.fields if field.encode_name == step)
+        if isinstance(at, msgspec.inspect.UnionType):
+            at = next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+        if isinstance(at, msgspec.inspect.VarTupleType):
+            at = at.item_type
+    return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()
 
 
 def _value_at(data: Any, path: str) -> Any:
@@ -317,7 +344,8 @@ def _check(f: RobotFile, place: str) -> None:
                 refuse(f"{key}.{field.name}", getattr(joint, field.name), f"a key in {unit} for a {joint.type} joint")
         limits = joint.si("position")
         if limits is not None and not limits[0] < limits[1]:
-            refuse(f"{key}.position_{'deg' if other == 'm' else 'm'}", limits, "[lowest, highest]")
+            unit = "deg" if other == "m" else "m"
+            refuse(f"{key}.position_{unit}", getattr(joint, f"position_{unit}"), "[lowest, highest]")
     for i, motor in enumerate(f.motor):
         key = f"motor[{i}]"
         if (motor.drive_gain is None) != (motor.drive_gain_unit is None):
