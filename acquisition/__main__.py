@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from . import AcquisitionError
+from . import AcquisitionError, one_line
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -20,7 +20,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments.run(arguments)
         sys.stdout.flush()
     except AcquisitionError as error:
-        print(f"robot-acquire: {_line(str(error))}", file=sys.stderr)
+        print(f"robot-acquire: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print("robot-acquire: interrupted", file=sys.stderr)
@@ -68,7 +68,7 @@ def _import(arguments: argparse.Namespace) -> None:
     units = ", ".join(dict.fromkeys(result.effort_units))
     reference = ", with reference" if result.has_reference else ""
     rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
-    print(_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{reference}"))
+    print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{reference}"))
 
 
 def _info(arguments: argparse.Namespace) -> None:
@@ -98,7 +98,7 @@ def _recover(arguments: argparse.Namespace) -> None:
     samples = 0 if found.samples is None else len(found.samples)
     frames = sum(len(block) for block in found.frames.values())
     held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
-    print(_line(f"{arguments.output}: {found.robot.name}, {held}"))
+    print(one_line(f"{arguments.output}: {found.robot.name}, {held}"))
 
 
 @contextmanager
@@ -111,11 +111,6 @@ def _working(what: str) -> Iterator[None]:
 
     with Console(stderr=True).status(what):
         yield
-
-
-def _line(text: str) -> str:
-    """One line, whatever file names and file contents it quotes."""
-    return "".join(c if c.isprintable() else "�" for c in " ".join(text.split()))
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
+from . import one_line
 from .blocks import SENT, Gap, gaps
 from .recording import Event, Health, Recording
 
@@ -151,10 +152,9 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
 
 
 def _table(*columns: str) -> Table:
-    table = Table(*columns, box=box.SIMPLE_HEAD if columns else None, show_header=bool(columns))
-    return table
+    return Table(*columns, box=box.SIMPLE_HEAD if columns else None, show_header=bool(columns))
 
 
 def _plain(text: str) -> Text:
     """Text of the file as it stands: no markup, and nothing that moves a terminal's cursor."""
-    return Text("".join(c if c.isprintable() else "�" for c in text))
+    return Text(one_line(text))
