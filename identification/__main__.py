@@ -1,0 +1,269 @@
+"""The command `robot-identify`: parse, one library call, print."""
+
+import argparse
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from acquisition import AcquisitionError
+
+from . import IdentificationError
+
+if TYPE_CHECKING:
+    from rich.status import Status
+
+    from .plan import Overrides
+    from .signals import Signals
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command; 0 on success, 1 after one line on stderr that says what is wrong."""
+    options = _parser().parse_args(arguments)
+    try:
+        options.run(options)
+        sys.stdout.flush()
+    except (AcquisitionError, IdentificationError) as error:
+        print(f"robot-identify: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("robot-identify: interrupted; nothing was written", file=sys.stderr)
+        return 130
+    except BrokenPipeError:  # the reader of a pipe has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="robot-identify", description="Identify the dynamic parameters of a robot from a recording."
+    )
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+
+    fit = commands.add_parser("fit", help="base parameters from a recording, by least squares")
+    fit.add_argument("recording", type=Path, metavar="LOG.mcap")
+    fit.add_argument(
+        "--method", choices=["ols", "wls"], default="wls", help="rows alike, or weighted joint by joint (default)"
+    )
+    fit.add_argument("--essential", action="store_true", help="keep only the parameters the recording determines well")
+    _add_plan_options(fit)
+    fit.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
+    fit.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
+    fit.set_defaults(run=_fit)
+
+    validate = commands.add_parser("validate", help="apply a fit to another recording")
+    validate.add_argument("fit", type=Path, metavar="FIT.json")
+    validate.add_argument("recording", type=Path, metavar="LOG.mcap")
+    _add_plan_options(validate)
+    validate.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    validate.set_defaults(run=_validate)
+
+    base = commands.add_parser("base", help="base parameters of a robot, with their expressions")
+    base.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    base.add_argument("--json", type=Path, metavar="FILE", help="write them as JSON")
+    base.set_defaults(run=_base)
+
+    simulate = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
+    simulate.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    simulate.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap")
+    simulate.add_argument("--duration-s", type=_above_zero, default=10.0, metavar="S", help="length (default 10)")
+    simulate.add_argument("--rate-hz", type=_above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
+    simulate.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
+    simulate.add_argument("--encoder-step", type=float, default=0.0, metavar="Q", help="rad or m per count (default 0)")
+    simulate.add_argument("--position-noise", type=float, default=0.0, metavar="Q", help="rad or m, rms (default 0)")
+    simulate.add_argument("--effort-noise-percent", type=float, default=0.0, metavar="P", help="of each torque's rms")
+    simulate.set_defaults(run=_simulate)
+
+    demo = commands.add_parser("demo", help="fit the simulated recording that comes with the project")
+    demo.add_argument(
+        "--out", type=Path, default=Path("session"), metavar="DIR", help="folder for results (default: session)"
+    )
+    demo.set_defaults(run=_demo)
+    return parser
+
+
+def _add_plan_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
+    )
+    parser.add_argument(
+        "--cutoff-hz",
+        type=_cutoff,
+        metavar="F",
+        help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
+    )
+    parser.add_argument("--decimate", type=_positive, metavar="N", help="samples per decimated row")
+    parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
+
+
+def _cutoff(text: str) -> float:
+    return 0.0 if text == "none" else _above_zero(text)
+
+
+def _above_zero(text: str) -> float:
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise ValueError
+    return value
+
+
+def _positive(text: str) -> int:
+    value = int(text)
+    if value < 1:
+        raise ValueError
+    return value
+
+
+def _overrides(options: argparse.Namespace) -> "Overrides":
+    from .plan import Overrides
+
+    return Overrides(
+        cutoff_hz=options.cutoff_hz, decimation=options.decimate, span="all" if options.all_samples else None
+    )
+
+
+def _load(options: argparse.Namespace) -> "Signals":
+    from acquisition.robot import load_robot
+
+    from .signals import load_signals
+
+    return load_signals(options.recording, load_robot(options.robot) if options.robot else None)
+
+
+def _fit(options: argparse.Namespace) -> None:
+    _refuse_clash(options.recording, options.json, options.rrd)
+    with _progress() as status:
+        from .idim import identify_ls
+        from .report import fit_json, fit_tables, write_json
+
+        status.update("reading")
+        signals = _load(options)
+        status.update("fitting")
+        fit = identify_ls(
+            signals, _overrides(options), method=options.method, essential=options.essential, say=status.update
+        )
+    _print(fit_tables(signals, fit))
+    if options.json:
+        write_json(options.json, fit_json(signals, fit))
+    if options.rrd:
+        with _progress() as status:
+            status.update("writing the Rerun file")
+            from .viewer import write_fit_rrd
+
+            write_fit_rrd(options.rrd, signals, fit)
+
+
+def _validate(options: argparse.Namespace) -> None:
+    _refuse_clash(options.recording, options.json)
+    with _progress() as status:
+        from .idim import validate
+        from .report import errors_json, errors_table, plan_json, plan_lines, provenance, read_fit, write_json
+
+        status.update("reading")
+        stored, signals = read_fit(options.fit), _load(options)
+        status.update("predicting")
+        plan, errors = validate(signals, _overrides(options), lambda base: stored.beta(base, str(options.fit)))
+    units = signals.robot.effort_units
+    _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in plan.warnings))
+    if options.json:
+        content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
+        write_json(options.json, {**content, "warnings": list(plan.warnings), "provenance": provenance(signals)})
+
+
+def _base(options: argparse.Namespace) -> None:
+    with _progress() as status:
+        from acquisition.robot import load_robot
+
+        from .base_parameters import base_parameters
+        from .dynamics import Dynamics
+        from .report import base_json, base_table, write_json
+
+        status.update("base parameters")
+        robot = load_robot(options.robot)
+        base = base_parameters(Dynamics(robot))
+    _print(base_table(base, robot.name))
+    if options.json:
+        write_json(options.json, {"robot": robot.name, "parameters": base_json(base)})
+
+
+def _simulate(options: argparse.Namespace) -> None:
+    with _progress() as status:
+        from acquisition.robot import load_robot
+
+        from .synthetic import Noise, write_synthetic
+
+        status.update("simulating")
+        noise = Noise(
+            encoder_step=options.encoder_step,
+            position=options.position_noise,
+            effort_percent=options.effort_noise_percent,
+        )
+        write_synthetic(
+            options.out,
+            load_robot(options.robot),
+            duration_s=options.duration_s,
+            sample_rate_hz=options.rate_hz,
+            seed=options.seed,
+            noise=noise,
+        )
+    _print(f"{options.out}: simulated, {options.duration_s:g} s at {options.rate_hz:g} Hz")
+
+
+def _demo(options: argparse.Namespace) -> None:
+    with _progress() as status:
+        from .dynamics import Dynamics
+        from .idim import identify_ls
+        from .plan import Overrides
+        from .report import fit_json, fit_tables, truth_table, write_json
+        from .signals import load_signals
+        from .synthetic import truth
+        from .viewer import write_fit_rrd
+
+        recording = Path(__file__).parents[1] / "replay_data" / "scara" / "session.mcap"
+        signals = load_signals(recording)
+        status.update("fitting")
+        fit = identify_ls(signals, Overrides())
+        values = truth(Dynamics(signals.robot), fit.base)
+        options.out.mkdir(parents=True, exist_ok=True)
+        write_json(options.out / "ls.json", fit_json(signals, fit))
+        write_fit_rrd(options.out / "demo.rrd", signals, fit)
+    _print(fit_tables(signals, fit), truth_table(fit, values))
+    _print(f"look at it: rerun --bind 127.0.0.1 {options.out / 'demo.rrd'}")
+
+
+def _refuse_clash(recording: Path, *outputs: Path | None) -> None:
+    """No output may take the place of the recording or of another output, or name a folder that is not there."""
+    seen = {recording.resolve()}
+    for output in outputs:
+        if output is None:
+            continue
+        if output.resolve() in seen:
+            raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
+        if not output.absolute().parent.is_dir():
+            raise IdentificationError(f"{output}: no folder {output.parent}")
+        seen.add(output.resolve())
+
+
+@contextmanager
+def _progress() -> Iterator["Status"]:
+    """A line on stderr, on a terminal only, that says what is being done."""
+    from rich.console import Console
+
+    with Console(stderr=True).status("starting") as status:
+        yield status
+
+
+def _print(*items: Any) -> None:
+    from rich.console import Console
+
+    console = Console()
+    if not console.is_terminal:  # a pipe or file gets whole lines, however long
+        console = Console(width=160)
+    for item in items:
+        console.print(item)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

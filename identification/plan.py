@@ -1,0 +1,123 @@
+"""What a fit does with a recording: which samples, which cut-off, which decimation; the rules of the method and overrides."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from . import IdentificationError
+from .filtering import LARGEST_PASS, decimation_passes, motion_between
+from .signals import Signals
+
+Span = Literal["motion", "all"]
+
+CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
+DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
+CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
+MOVING = 0.01  # of a joint's peak speed: below, it stands
+_BLOCK = 200_000  # samples looked through at a time for the span of motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overrides:
+    """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
+
+    `cutoff_hz` 0 means no filter.
+    """
+
+    cutoff_hz: float | None = None
+    decimation: int | None = None
+    span: Span | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A fit's settings, resolved.
+
+    Attributes:
+        cutoff_hz: low-pass of the position in Hz (one direction), None without.
+        decimation: samples per decimated row, n_d.
+        start, stop: range of the samples used.
+        span: what that range is, in words.
+        warnings: rules of the method that the settings leave.
+    """
+
+    cutoff_hz: float | None
+    decimation: int
+    start: int
+    stop: int
+    span: str
+    warnings: tuple[str, ...]
+
+
+def make_plan(signals: Signals, overrides: Overrides) -> Plan:
+    """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
+
+    Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
+    first and last motion, or the recording's tracking phase; borders of 5 periods of the cut-off cut.
+    """
+    fs, stored = signals.sample_rate_hz, signals.robot.identification
+    bandwidth_hz = signals.robot.controller.bandwidth_hz
+    warnings = []
+    cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
+    for choice in (stored.cutoff_hz, overrides.cutoff_hz):
+        cutoff_hz = cutoff_hz if choice is None else choice
+    cutoff_hz = cutoff_hz or None
+    if cutoff_hz is not None and cutoff_hz >= fs / 2:
+        if overrides.cutoff_hz is not None or stored.cutoff_hz is not None:
+            raise IdentificationError(
+                f"cut-off {cutoff_hz:g} Hz: expected below {fs / 2:g} Hz, half the rate of {signals.recording}"
+            )
+        warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, beyond half the rate, {fs / 2:g} Hz")
+        cutoff_hz = None
+    if cutoff_hz is not None and cutoff_hz < CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 - 1e-9):
+        warnings.append(
+            f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
+            "accelerations, and the estimates with them"
+        )
+    decimation = overrides.decimation or stored.decimation or decimation_rule(fs, bandwidth_hz)
+    if 0.8 * fs / (2 * decimation) < bandwidth_hz:
+        warnings.append(
+            f"decimation by {decimation} keeps {0.8 * fs / (2 * decimation):g} Hz, less than the bandwidth of "
+            f"{bandwidth_hz:g} Hz"
+        )
+    start, stop, span = _span(signals, cutoff_hz, overrides.span or stored.span)
+    border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
+    N = len(signals.q)
+    start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
+    stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
+    if stop - start < 30 * decimation:
+        raise IdentificationError(
+            f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
+            f"expected at least {30 * decimation}, 30 decimated rows"
+        )
+    return Plan(cutoff_hz=cutoff_hz, decimation=decimation, start=start, stop=stop, span=span, warnings=tuple(warnings))
+
+
+def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
+    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; the next lower number that small factors make up."""
+    n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
+    while any(r > LARGEST_PASS for r in decimation_passes(n_d)):
+        n_d -= 1
+    return n_d
+
+
+def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int, int, str]:
+    N, fs = len(signals.q), signals.sample_rate_hz
+    if wanted == "all":
+        return 0, N, "all samples"
+    if signals.track is not None:
+        return *signals.track, "the recording's tracking phase"
+    if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
+        cutoff_hz = min(CUTOFF_PER_BANDWIDTH * signals.robot.controller.bandwidth_hz, 0.4 * fs)
+    speed = np.empty(signals.q.shape, dtype=np.float32)
+    for a in range(0, N, _BLOCK):
+        b = min(N, a + _BLOCK)
+        motion = motion_between(signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=a, stop=b)
+        speed[a:b] = np.abs(motion.dq)
+    peak = speed.max(axis=0)
+    if not peak.any():
+        raise IdentificationError(f"{signals.recording}: no joint moves; expected an exciting trajectory")
+    moving = np.flatnonzero((speed > MOVING * peak).any(axis=1))
+    return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion"

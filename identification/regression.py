@@ -1,0 +1,202 @@
+"""W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .base_parameters import BaseParameters
+from .dynamics import Dynamics
+from .filtering import Motion, decimate, decimation_reach, motion_between
+from .plan import Plan
+from .signals import Signals
+
+Vector = NDArray[np.float64]
+
+_SERIES_BLOCK = 16_000_000  # numbers of a block's regressor: 128 MB
+_NUMBERS_IN_MEMORY = 25_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
+_GROUP = 8  # series filtered at a time: they stay in the cache
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Regression:
+    """The over-determined system Y = W beta + rho, rows stacked joint by joint.
+
+    Attributes:
+        W: (r, b) regressor of the base parameters.
+        Y: (r,) torques.
+        joint_of_row: (r,) joint index of each row, ascending.
+        rows: (n,) decimated samples per joint. A long recording is held reduced: per joint the b + 1 rows of the QR
+            factor of [W Y], which have the same normal equations; `rows` still counts the samples.
+        tau: (rows, n) decimated torques; never reduced.
+        speed: (rows, n) joint speeds at the same instants.
+        base: the base parameters.
+    """
+
+    W: Vector
+    Y: Vector
+    joint_of_row: NDArray[np.intp]
+    rows: NDArray[np.intp]
+    tau: Vector
+    speed: Vector
+    base: BaseParameters
+
+    def __post_init__(self) -> None:
+        r, b = self.W.shape
+        if self.Y.shape != (r,) or self.joint_of_row.shape != (r,) or b != self.base.b:
+            raise ValueError(f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {self.base.b} parameters")
+
+    @property
+    def reduced(self) -> bool:
+        """Whether rows are QR factors rather than samples."""
+        return int(self.rows.sum()) != len(self.Y)
+
+
+def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: int = 1) -> Regression:
+    """W and Y of a motion held in memory, at most a block long; `decimation` 1 keeps every sample."""
+    return _stacked([_block(motion, slice(None), dynamics, base, decimation)], base)
+
+
+def regression_of_recording(
+    signals: Signals,
+    plan: Plan,
+    dynamics: Dynamics,
+    base: BaseParameters,
+    say: Callable[[str], None] = lambda text: None,
+) -> Regression:
+    """W and Y of a recording, block by block, so that the whole undecimated W is never held."""
+    blocks: list[_Block] = []
+    reduced: Regression | None = None
+    for motion, inside, done in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
+        blocks.append(_block(motion, inside, dynamics, base, plan.decimation))
+        say(f"regressor: {done:.0%}")
+        if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
+            reduced = _reduce(_stacked(blocks, base), reduced)
+            blocks = []
+    if not blocks and reduced is not None:
+        return reduced
+    last = _stacked(blocks, base)
+    return last if reduced is None else _reduce(last, reduced)
+
+
+def torque_of_recording(
+    signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParameters, beta: Vector
+) -> tuple[Vector, Vector, Vector]:
+    """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
+    parts: list[tuple[Vector, Vector, Vector]] = []
+    for motion, inside, _ in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
+        predicted = predicted_torque(motion, dynamics, base, beta)
+        measured, modelled = (decimate(tau.T, plan.decimation)[:, inside].T for tau in (motion.tau, predicted))
+        parts.append((measured, modelled, _kept(motion.dq, plan.decimation)[inside]))
+    tau, tau_predicted, speed = ([part[i] for part in parts] for i in range(3))
+    return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
+
+
+def predicted_torque(motion: Motion, dynamics: Dynamics, base: BaseParameters, beta: Vector) -> Vector:
+    """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta."""
+    entries = dynamics.entries(base.columns)
+    tau = np.zeros(motion.q.shape)
+    step = max(1, _SERIES_BLOCK // (4 * len(entries)))
+    for k in range(0, len(tau), step):
+        part = slice(k, k + step)
+        series = dynamics.series(motion.q[part], motion.dq[part], motion.ddq[part], base.columns)
+        for j in range(tau.shape[1]):
+            mine = entries[:, 0] == j
+            tau[part, j] = beta[entries[mine, 1]] @ series[mine]
+    return tau
+
+
+def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: int) -> Vector:
+    """Regressor (n, b, rows) of the base parameters along a motion, every column decimated."""
+    entries = dynamics.entries(base.columns)
+    series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
+    W = np.zeros((motion.q.shape[1], base.b, -(-len(motion.q) // decimation)))
+    for k in range(0, len(entries), _GROUP):
+        group = slice(k, k + _GROUP)
+        W[entries[group, 0], entries[group, 1]] = decimate(series[group], decimation)
+    return W
+
+
+def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[Motion, slice, float]]:
+    """Cut the plan's span into blocks: each block's motion, which of its decimated rows count, and the share done.
+
+    A block reaches beyond the rows that count as far as the decimation filter does, so blocks give what one pass
+    would. Blocks are counted from the end, where decimation keeps its last sample.
+    """
+    n_d, start, stop = plan.decimation, plan.start, plan.stop
+    margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
+    rows = -(-(stop - start) // n_d)
+    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
+    for first in range(0, rows, size):
+        last = min(rows, first + size)
+        if rows - last < margin:
+            last = rows  # no block shorter than the filter's reach
+        low, high = max(0, first - margin), min(rows, last + margin)
+        motion = motion_between(
+            signals.q,
+            signals.effort,
+            cutoff_hz=plan.cutoff_hz,
+            sample_rate_hz=signals.sample_rate_hz,
+            start=start if low == 0 else stop - (rows - low) * n_d,
+            stop=stop - (rows - high) * n_d,
+        )
+        yield motion, slice(first - low, last - low), last / rows
+        if last == rows:
+            return
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Block:
+    """The decimated rows of a block that count: W (n, b, rows), Y (n, rows), speed (rows, n)."""
+
+    W: Vector
+    Y: Vector
+    speed: Vector
+
+
+def _block(motion: Motion, inside: slice, dynamics: Dynamics, base: BaseParameters, decimation: int) -> _Block:
+    return _Block(
+        W=decimated_regressor(motion, dynamics, base, decimation)[..., inside],
+        Y=decimate(motion.tau.T, decimation)[:, inside],
+        speed=_kept(motion.dq, decimation)[inside],
+    )
+
+
+def _kept(x: Vector, decimation: int) -> Vector:
+    """The samples (rows, n) of x (N, n) at the instants that decimation keeps."""
+    return x[(len(x) - 1) % decimation :: decimation]
+
+
+def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
+    """Blocks as one system, rows joint by joint."""
+    W, Y = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y"))
+    n, rows = Y.shape
+    return Regression(
+        W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
+        Y=Y.reshape(-1),
+        joint_of_row=np.repeat(np.arange(n), rows),
+        rows=np.full(n, rows),
+        tau=Y.T,
+        speed=np.concatenate([block.speed for block in blocks]),
+        base=base,
+    )
+
+
+def _reduce(new: Regression, before: Regression | None) -> Regression:
+    """Per joint the QR factor of the rows so far: b + 1 rows with the same normal equations."""
+    n = len(new.rows)
+    factors = []
+    for j in range(n):
+        parts = [np.c_[r.W, r.Y][r.joint_of_row == j] for r in (before, new) if r is not None]
+        factors.append(np.linalg.qr(np.concatenate(parts), mode="r"))
+    stack = np.concatenate(factors)
+    return Regression(
+        W=np.ascontiguousarray(stack[:, :-1]),
+        Y=np.ascontiguousarray(stack[:, -1]),
+        joint_of_row=np.repeat(np.arange(n), [len(f) for f in factors]),
+        rows=new.rows + (before.rows if before is not None else 0),
+        tau=new.tau if before is None else np.concatenate([before.tau, new.tau]),
+        speed=new.speed if before is None else np.concatenate([before.speed, new.speed]),
+        base=new.base,
+    )

@@ -1,0 +1,114 @@
+"""Recording → `Signals`: SI units, a uniform grid, float seconds. The only reader of recordings on this side."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.recording import Recording, read_recording
+from acquisition.robot import Robot
+
+from . import IdentificationError
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signals:
+    """What was measured, on a uniform grid.
+
+    Attributes:
+        t_s: (N,) time from the first sample, s.
+        q: (N, n) measured joint positions, rad or m.
+        q_ref: (N, n) reference positions, or None where the recording has none.
+        effort: (N, n) joint torques in N m, forces in N; in A or V where the drive gain is not known.
+        sample_rate_hz: rate of the grid.
+        track: (start, stop) sample range of the recorded tracking phase, or None.
+        robot: the robot's description.
+        recording: file name of the recording.
+        sha256: digest of the recording.
+    """
+
+    t_s: Vector
+    q: Vector
+    q_ref: Vector | None
+    effort: Vector
+    sample_rate_hz: float
+    track: tuple[int, int] | None
+    robot: Robot
+    recording: str
+    sha256: str
+
+    def __post_init__(self) -> None:
+        N, n = self.q.shape
+        for name, part, shape in (("t_s", self.t_s, (N,)), ("effort", self.effort, (N, n))):
+            if part.shape != shape:
+                raise IdentificationError(f"{self.recording}: {name} has shape {part.shape}; expected {shape}")
+        if n != self.robot.n:
+            raise IdentificationError(f"{self.recording}: {n} joints recorded; the robot has {self.robot.n}")
+        for array in (self.t_s, self.q, self.q_ref, self.effort):
+            if array is not None:
+                array.flags.writeable = False
+
+
+def load_signals(path: Path, robot: Robot | None = None) -> Signals:
+    """Read a recording; `robot` takes the place of the description stored in it.
+
+    Raises `AcquisitionError` when the file cannot be read and `IdentificationError` when its samples do not form one
+    uniform grid; both are one line.
+    """
+    recording = read_recording(path)
+    if recording.cut:
+        raise IdentificationError(
+            f"{path}: is cut: it has no proper end; `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
+        )
+    robot = robot or recording.robot
+    samples = recording.samples
+    if samples is None or len(samples) == 0:
+        raise IdentificationError(f"{path}: holds no joint samples; expected the channel /samples")
+    stamps = samples["stamp_ns"]
+    rate_hz = _uniform_rate(stamps, path)
+    for field in ("position", "effort", "reference"):
+        if field in (samples.dtype.names or ()) and not np.isfinite(samples[field]).all():
+            k, j = np.argwhere(~np.isfinite(samples[field]))[0]
+            raise IdentificationError(f"{path}: {field} of joint {j + 1} in sample {k} is not a finite number")
+    return Signals(
+        t_s=(stamps - stamps[0]) * 1e-9,
+        q=samples["position"],
+        q_ref=samples["reference"] if "reference" in (samples.dtype.names or ()) else None,
+        effort=samples["effort"],
+        sample_rate_hz=rate_hz,
+        track=_phase(recording, "track", stamps),
+        robot=robot,
+        recording=path.name,
+        sha256=recording.sha256,
+    )
+
+
+def _uniform_rate(stamps: NDArray[np.int64], path: Path) -> float:
+    """Rate of the grid in Hz; refuses gaps, duplicates and time that runs backwards."""
+    if len(stamps) < 2:
+        raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
+    steps = np.diff(stamps)
+    period_ns = float(np.median(steps))
+    bad = np.flatnonzero(np.abs(steps - period_ns) > 0.5 * period_ns) if period_ns > 0 else np.flatnonzero(steps <= 0)
+    if bad.size:
+        k = int(bad[0])
+        raise IdentificationError(
+            f"{path}: {bad.size} gap(s) in the samples, the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of "
+            f"{steps[k] * 1e-6:.3f} ms; expected {period_ns * 1e-6:.3f} ms throughout"
+        )
+    rate_hz = 1e9 * (len(stamps) - 1) / float(stamps[-1] - stamps[0])
+    return round(rate_hz, 6)
+
+
+def _phase(recording: Recording, name: str, stamps: NDArray[np.int64]) -> tuple[int, int] | None:
+    """Sample range of a session phase: from the event that begins it to the next phase's event."""
+    phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
+    for k, (begin_ns, phase) in enumerate(phases):
+        if phase == name:
+            end_ns = phases[k + 1][0] if k + 1 < len(phases) else int(stamps[-1]) + 1
+            start, stop = np.searchsorted(stamps, [begin_ns, end_ns])
+            return (int(start), int(stop)) if stop > start else None
+    return None
