@@ -5,8 +5,8 @@ The flow::
     robot.toml ──robot──> Robot ──┐
     tables (CSV, MAT) ──tables────┴──> recording.mcap (raw data, robot description, health)
 
-``robot`` says what the robot is, ``recording`` owns the file format with ``blocks``, its rows, and ``mcap_content``, the
-container; ``tables`` imports recordings made elsewhere through ``table_files``; ``overview`` sums a recording up;
+``robot`` says what the robot is, ``recording`` owns the file format with ``blocks``, its rows, and ``mcap_content``,
+the container; ``tables`` imports recordings made elsewhere through ``table_files``; ``overview`` sums a recording up;
 ``whole_file`` keeps output files from being half written.
 """
 

@@ -4,6 +4,7 @@ Parse, one library call, print. Libraries are imported by the commands that use 
 """
 
 import argparse
+import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -15,6 +16,9 @@ from . import AcquisitionError, one_line
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line. Exit status: 0, 1 after an error told in one line, 2 for wrong usage, 130 on Ctrl-C."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? where it has no sign
     arguments = _parser().parse_args(argv)
     try:
         arguments.run(arguments)
@@ -28,7 +32,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:
         # The reader of the output went away; Python would complain once more when it flushes at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except OSError as error:
+        print(f"robot-acquire: standard output: cannot be written: {error.strerror}", file=sys.stderr)
+        return 1
     return 0
 
 

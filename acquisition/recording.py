@@ -18,7 +18,8 @@ import math
 import os
 import platform
 import re
-from collections.abc import Mapping
+import zlib
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib import metadata as packages
@@ -110,6 +111,12 @@ class RecordingWriter:
         attachments: Mapping[str, bytes] | None = None,
     ) -> None:
         """`notes` are further metadata (bus, bitrate); `attachments` go beside the robot's own files, by name."""
+        from rosbags.typesys import (
+            Stores,
+            get_typestore,
+        )  # slow to import: needed for writing only, and not while it goes on
+
+        self._types = get_typestore(Stores.ROS2_JAZZY)
         self._robot, self._place = robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
@@ -119,22 +126,20 @@ class RecordingWriter:
         self._file = path.open("wb")
         self._writer = Writer(self._file, enable_data_crcs=True)
         self._writer.start(profile="", library="robot-idim")
-        self._writer.add_metadata(
-            "recording",
-            {
-                "created": datetime.now(UTC).isoformat(timespec="seconds"),
-                "software": _software(),
-                **(notes or {}),
-                "schema_version": str(SCHEMA_VERSION),
-                "source": source,
-                "sample_rate_hz": repr(float(sample_rate_hz)),
-                "robot": robot.name,
-                "joints": json.dumps([j.name for j in robot.joints]),
-                "position_unit": json.dumps([j.position_unit for j in robot.joints]),
-                "effort_unit": json.dumps(robot.effort_units),
-                "effort_provenance": effort_provenance,
-            },
-        )
+        description = {
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software": _software(),
+            **(notes or {}),
+            "schema_version": str(SCHEMA_VERSION),
+            "source": source,
+            "sample_rate_hz": repr(float(sample_rate_hz)),
+            "robot": robot.name,
+            "joints": json.dumps([j.name for j in robot.joints]),
+            "position_unit": json.dumps([j.position_unit for j in robot.joints]),
+            "effort_unit": json.dumps(robot.effort_units),
+            "effort_provenance": effort_provenance,
+        }
+        self._writer.add_metadata("recording", description | {"crc32": _crc(description)})
         for name, content in {**(attachments or {}), **robot.files}.items():
             self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
         self.flush()
@@ -146,7 +151,7 @@ class RecordingWriter:
         self.close()
 
     def samples(self, block: Block) -> None:
-        """Add rows of `sample_dtype`, at best 1000 to 5000 at once, and their JointState messages."""
+        """Add rows of `sample_dtype` and their JointState messages."""
         n, place = self._robot.n, f"{self._place}: /samples"
         if block.dtype not in (sample_dtype(n, reference=False), sample_dtype(n, reference=True)):
             raise AcquisitionError(f"{place}: rows of {block.dtype}: expected sample_dtype of {n} joints")
@@ -156,15 +161,16 @@ class RecordingWriter:
             return
         check_samples(block, self._last_stamp_ns, place)
         self._layout, self._last_stamp_ns = block.dtype, int(block["stamp_ns"][-1])
-        self._block("/samples", "robot_idim/samples", block, int(block["stamp_ns"][0]))
-        shown = block[self._until_joint_state :: self._step]
-        self._until_joint_state = (self._until_joint_state - len(block)) % self._step
-        self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
-        if "reference" in (block.dtype.names or ()):
-            self._joint_states("/joint_states/reference", shown, "reference", False)
+        for part in _parts(block):
+            self._block("/samples", "robot_idim/samples", part, int(part["stamp_ns"][0]))
+            shown = part[self._until_joint_state :: self._step]
+            self._until_joint_state = (self._until_joint_state - len(part)) % self._step
+            self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
+            if "reference" in (part.dtype.names or ()):
+                self._joint_states("/joint_states/reference", shown, "reference", False)
 
     def frames(self, channel: str, block: Block) -> None:
-        """Add rows of `FRAME` of one CAN channel, at most 100 ms of them, so that a cut costs little."""
+        """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
         if not _FRAMES_TOPIC.fullmatch(topic):
             raise AcquisitionError(f"{self._place}: CAN channel {channel!r}: expected letters, digits and _ . - only")
@@ -172,7 +178,9 @@ class RecordingWriter:
             raise AcquisitionError(f"{self._place}: {topic}: rows of {block.dtype}: expected {FRAME}")
         if len(block):
             check_frames(block, f"{self._place}: {topic}")
-            self._block(topic, "robot_idim/frames", block, int(block["time_ns"][0]))
+            tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
+            for part in (part for tenth in np.split(block, tenths) for part in _parts(tenth)):
+                self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Note what happened at `stamp_ns`."""
@@ -208,13 +216,13 @@ class RecordingWriter:
         self._writer.add_message(channel, stamp_ns, block.tobytes(), stamp_ns)
 
     def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
+        if stamp_ns < 0:
+            raise AcquisitionError(f"{self._place}: {topic}: stamp_ns = {stamp_ns}: expected a time from 0")
         channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        from rosbags.typesys import Stores, get_typestore  # slow to import; reading does not need it
-
-        store, kind = get_typestore(Stores.ROS2_JAZZY), "sensor_msgs/msg/JointState"
+        store, kind = self._types, "sensor_msgs/msg/JointState"
         text = store.generate_msgdef(kind, ros_version=2)[0]
         channel = self._channel(topic, "cdr", kind, "ros2msg", text)
         header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
@@ -234,7 +242,7 @@ def read_recording(path: Path) -> Recording:
     or holds blocks that do not fit their layout.
     """
     place = str(path)
-    content = read_content(path, "recording", _check_version, _is_read)
+    content = read_content(path, "recording", _check_metadata, _is_read)
     metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
     told = " (the file is cut before its description)" if cut else ""
     if metadata is None:
@@ -300,16 +308,19 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
         ) as writer,
     ):
         if recording.samples is not None:
-            for k in range(0, len(recording.samples), 2000):
-                writer.samples(recording.samples[k : k + 2000])
+            writer.samples(recording.samples)
         for channel, frames in recording.frames.items():
-            for block in np.split(frames, np.flatnonzero(np.diff(frames["time_ns"] // 100_000_000)) + 1):
-                writer.frames(channel, block)
+            writer.frames(channel, frames)
         for event in recording.events:
             writer.event(event.stamp_ns, event.kind, event.text)
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
     return recording
+
+
+def _parts(block: Block) -> Iterator[Block]:
+    """Pieces small enough for a chunk of about a mebibyte."""
+    return (block[k : k + 2000] for k in range(0, len(block), 2000))
 
 
 def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
@@ -342,7 +353,7 @@ def _is_read(topic: str) -> bool:
     return topic in ("/samples", "/events", "/health") or _FRAMES_TOPIC.fullmatch(topic) is not None
 
 
-def _check_version(metadata: Mapping[str, str], place: str) -> None:
+def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
     text = metadata.get("schema_version", "")
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
         raise AcquisitionError(f"{place}: schema_version = {text!r}: expected a whole number from 1")
@@ -350,6 +361,14 @@ def _check_version(metadata: Mapping[str, str], place: str) -> None:
         raise AcquisitionError(
             f"{place}: schema_version = {text}: expected {SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
         )
+    if metadata.get("crc32") != _crc(metadata):
+        raise AcquisitionError(f"{place}: metadata: crc32 = {metadata.get('crc32')!r}: expected {_crc(metadata)!r}")
+
+
+def _crc(metadata: Mapping[str, str]) -> str:
+    """Of all entries but itself. MCAP guards its metadata only by the CRC at the end, which a cut file has lost."""
+    entries = sorted((key, value) for key, value in metadata.items() if key != "crc32")
+    return f"{zlib.crc32(json.dumps(entries).encode()):08x}"
 
 
 def _rate(metadata: Mapping[str, str], place: str) -> float:

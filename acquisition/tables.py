@@ -130,8 +130,7 @@ def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float,
         whole_file(out) as partial,
         RecordingWriter(partial, robot, source=source, sample_rate_hz=rate_hz, effort_provenance=provenance) as writer,
     ):
-        for k in range(0, len(samples), 2000):
-            writer.samples(samples[k : k + 2000])
+        writer.samples(samples)
 
 
 def _values(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Matrix:
