@@ -1,0 +1,81 @@
+"""Recordings made up for tests, and what it means that two hold the same."""
+
+from pathlib import Path
+
+import numpy as np
+
+from acquisition import AcquisitionError
+from acquisition.blocks import EXTENDED, FRAME, SENT, Block, sample_dtype
+from acquisition.recording import Recording, RecordingWriter, read_recording
+from acquisition.robot import Robot
+
+
+def some_samples(count: int, *, n: int = 2, reference: bool = True, rate_hz: float = 1000.0, first: int = 0) -> Block:
+    samples = np.zeros(count, sample_dtype(n, reference=reference))
+    rng = np.random.default_rng(first)
+    samples["stamp_ns"] = np.rint((first + np.arange(count)) * 1e9 / rate_hz)
+    for field in (samples.dtype.names or ())[1:]:
+        samples[field] = rng.normal(size=(count, n))
+    return samples
+
+
+def some_frames(count: int) -> Block:
+    frames = np.zeros(count, FRAME)
+    rng = np.random.default_rng(1)
+    frames["time_ns"] = np.arange(count) * 1_000_000
+    frames["can_id"] = rng.integers(0, 0x7FF, count)
+    frames["length"] = 8
+    frames["flags"] = rng.choice([0, SENT, EXTENDED | SENT], count)
+    frames["data"] = rng.integers(0, 256, (count, 8))
+    return frames
+
+
+def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40) -> None:
+    """A small recording with something of everything, in as many chunks as there are blocks."""
+    with RecordingWriter(
+        path,
+        robot,
+        source="a test",
+        sample_rate_hz=1000.0,
+        effort_provenance="made up",
+        notes={"bitrate": "1000000"},
+        attachments={"../../etc/drive.eds": b"[FileInfo]\n"},
+    ) as writer:
+        samples, frames = some_samples(blocks * rows), some_frames(blocks * rows)
+        writer.event(0, "phase", "track")
+        for k in range(0, len(samples), rows):
+            writer.samples(samples[k : k + rows])
+            writer.frames("can0", frames[k : k + rows])
+            writer.health(k, {"kernel_drops": k, "jitter_s": 1e-5})
+            writer.flush()
+        writer.event(len(samples), "phase", "stop")
+
+
+def same(a: Recording, b: Recording) -> bool:
+    """Equal data; the file's digest and its end set apart."""
+    return (
+        is_prefix(a, b)
+        and is_prefix(b, a)
+        and (a.metadata, a.attachments, a.robot.name) == (b.metadata, b.attachments, b.robot.name)
+    )
+
+
+def is_prefix(a: Recording, b: Recording) -> bool:
+    """All that `a` holds stands at the beginning of what `b` holds, byte for byte."""
+    pairs = [(a.samples, b.samples), *((block, b.frames.get(name)) for name, block in a.frames.items())]
+    return (
+        all(x is None or (y is not None and y.tobytes().startswith(x.tobytes())) for x, y in pairs)
+        and a.events == b.events[: len(a.events)]
+        and a.health == b.health[: len(a.health)]
+    )
+
+
+def attempt(path: Path) -> Recording | str:
+    """What the file holds, or the one line that says why not."""
+    try:
+        return read_recording(path)
+    except AcquisitionError as error:
+        text = str(error)
+    assert "\n" not in text
+    assert text.startswith(str(path))
+    return text

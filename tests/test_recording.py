@@ -1,0 +1,197 @@
+"""The recording: what is written is read, and viewers find what they know."""
+
+import json
+import os
+import time
+from pathlib import Path
+
+import mcap.reader
+import numpy as np
+import pytest
+from conftest import robot_named
+from made_up_recordings import some_frames, some_samples, write
+from rosbags.typesys import Stores, get_typestore
+
+from acquisition import AcquisitionError
+from acquisition.blocks import gaps, sample_dtype
+from acquisition.recording import RecordingWriter, read_recording
+from acquisition.robot import Robot, load_robot
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robot_named("scara")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
+    write(path, robot)
+    return path
+
+
+def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
+    recording = read_recording(whole)
+    assert recording.samples is not None
+    assert recording.samples.tobytes() == some_samples(240).tobytes()
+    assert recording.samples.dtype == sample_dtype(2, reference=True)
+    assert not recording.samples.flags.writeable
+    assert list(recording.frames) == ["can0"]
+    assert recording.frames["can0"].tobytes() == some_frames(240).tobytes()
+    assert [(e.stamp_ns, e.kind, e.text) for e in recording.events] == [(0, "phase", "track"), (240, "phase", "stop")]
+    assert [h.counters["kernel_drops"] for h in recording.health] == [0, 40, 80, 120, 160, 200]
+    assert recording.attachments == {"../../etc/drive.eds": b"[FileInfo]\n", **robot.files}
+    assert recording.metadata["bitrate"] == "1000000"
+    assert recording.metadata["effort_provenance"] == "made up"
+    assert json.loads(recording.metadata["effort_unit"]) == ["N m", "N m"]
+    assert recording.robot.name == "SCARA"
+    assert recording.sample_rate_hz == 1000.0
+    assert not recording.cut
+
+
+def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -> None:
+    samples = some_samples(9001, reference=False)
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+        writer.samples(samples)
+        writer.frames("can0", some_frames(301))
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples is not None
+    assert recording.samples.tobytes() == samples.tobytes()
+    with (tmp_path / "a.mcap").open("rb") as file:
+        found = [(c.topic, len(m.data)) for _, c, m in mcap.reader.make_reader(file).iter_messages()]
+    row = samples.dtype.itemsize
+    assert [size // row for topic, size in found if topic == "/samples"] == [2000, 2000, 2000, 2000, 1001]
+    assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
+
+
+def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
+    with whole.open("rb") as file:
+        reader = mcap.reader.make_reader(file, validate_crcs=True)
+        assert [m.name for m in reader.iter_metadata()] == ["recording"]
+        assert {a.name for a in reader.iter_attachments()} == {"../../etc/drive.eds", "robot.toml"}
+        summary = reader.get_summary()
+    assert summary is not None
+    topics = {channel.topic for channel in summary.channels.values()}
+    joint_states = {"/joint_states/measured", "/joint_states/reference"}
+    assert topics == {"/samples", "/can/can0/frames", "/events", "/health"} | joint_states
+
+
+@pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
+def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, rate_hz: float, step: int) -> None:
+    samples = some_samples(500, rate_hz=rate_hz)
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=rate_hz, effort_provenance="") as writer:
+        for k in range(0, 500, 7):  # decimation goes on across blocks
+            writer.samples(samples[k : k + 7])
+    store = get_typestore(Stores.ROS2_JAZZY)
+    for topic, field in (("/joint_states/measured", "position"), ("/joint_states/reference", "reference")):
+        with (tmp_path / "a.mcap").open("rb") as file:
+            found = list(mcap.reader.make_reader(file).iter_messages(topics=[topic]))
+        shown = samples[::step]
+        assert len(found) == len(shown)
+        assert np.diff([m.log_time for _, _, m in found]).min() >= 10_000_000 - 1
+        for (schema, channel, message), row in zip(found, shown, strict=True):
+            assert schema is not None
+            assert (schema.name, schema.encoding) == ("sensor_msgs/msg/JointState", "ros2msg")
+            assert channel.message_encoding == "cdr"
+            state = store.deserialize_cdr(message.data, schema.name)
+            assert state.name == ["shoulder", "elbow"]
+            assert state.position.tolist() == row[field].tolist()
+            assert state.effort.tolist() == (row["effort"].tolist() if field == "position" else [])
+            assert state.header.stamp.sec * 10**9 + state.header.stamp.nanosec == row["stamp_ns"] == message.log_time
+
+
+def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None:
+    toml = robot.files["robot.toml"].replace(b'effort_unit = "N m"', b'effort_unit = "A"')
+    (tmp_path / "robot.toml").write_bytes(toml)
+    in_amperes = load_robot(tmp_path / "robot.toml")
+    write(tmp_path / "a.mcap", in_amperes, blocks=1)
+    with (tmp_path / "a.mcap").open("rb") as file:
+        messages = list(mcap.reader.make_reader(file).iter_messages(topics=["/joint_states/measured"]))
+    store = get_typestore(Stores.ROS2_JAZZY)
+    assert messages
+    assert all(store.deserialize_cdr(m.data, "sensor_msgs/msg/JointState").effort.size == 0 for _, _, m in messages)
+    assert json.loads(read_recording(tmp_path / "a.mcap").metadata["effort_unit"]) == ["A", "A"]
+
+
+def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+        writer.samples(some_samples(10))
+        for bad, message in (
+            (some_samples(10), "row 1: stamp_ns = 0: expected growing"),
+            (some_samples(10, n=3, first=10), "expected sample_dtype of 2 joints"),
+            (some_samples(10, first=10, reference=False), "as in the block before"),
+        ):
+            with pytest.raises(AcquisitionError, match=message):
+                writer.samples(bad)
+        infinite = some_samples(10, first=10)
+        infinite["effort"][3, 1] = np.inf
+        with pytest.raises(AcquisitionError, match="row 4: effort of joint 2 = inf"):
+            writer.samples(infinite)
+        with pytest.raises(AcquisitionError, match=r"CAN channel '\.\./x': expected letters"):
+            writer.frames("../x", some_frames(1))
+        with pytest.raises(AcquisitionError, match="can0/frames: rows of"):
+            writer.frames("can0", some_samples(1))
+        with pytest.raises(AcquisitionError, match="stamp_ns = -1"):
+            writer.event(-1, "phase", "track")
+        writer.samples(some_samples(0, first=10))
+        writer.samples(some_samples(10, first=10))
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples is not None
+    assert len(recording.samples) == 20
+
+
+def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot) -> None:
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1.0, effort_provenance="") as writer:
+        writer.health(3, {"drops": float("nan"), "late": 2})
+    (health,) = read_recording(tmp_path / "a.mcap").health
+    assert np.isnan(health.counters["drops"])
+    assert health.counters["late"] == 2
+
+
+def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robot) -> None:
+    def session() -> None:
+        with RecordingWriter(
+            tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance=""
+        ) as writer:
+            writer.samples(some_samples(10))
+            raise RuntimeError("a drive reports a fault")
+
+    with pytest.raises(RuntimeError):
+        session()
+    recording = read_recording(tmp_path / "a.mcap")
+    assert not recording.cut
+    assert recording.samples is not None
+    assert len(recording.samples) == 10
+
+
+def test_gaps_are_named_and_jitter_is_none() -> None:
+    samples = np.delete(some_samples(100), [10, 11, 50])
+    samples["stamp_ns"][5:] += 200_000  # a fifth of a period late
+    assert [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 1000.0)] == [(9, 9_200_000, 2), (47, 49_200_000, 1)]
+    assert gaps(some_samples(1), 1000.0) == ()
+
+
+def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> None:
+    robot = robot_named("tx40")
+    samples = some_samples(45_000, n=6, rate_hz=5000.0)
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=5000.0, effort_provenance="") as writer:
+        writer.samples(samples)
+    times_s = []
+    for _ in range(3):
+        start_s = time.perf_counter()
+        recording = read_recording(tmp_path / "a.mcap")
+        times_s.append(time.perf_counter() - start_s)
+    assert recording.samples is not None
+    assert recording.samples.tobytes() == samples.tobytes()
+    assert min(times_s) < 0.25  # about 0.03 s; ten times that means rows are read one by one
+
+
+def test_flush_reaches_the_disk(tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+        assert len(synced) == 1  # the description, before any data
+        writer.samples(some_samples(100))
+        writer.flush()
+        assert len(synced) == 2
+        assert synced[1] > synced[0] + 1000

@@ -1,0 +1,255 @@
+"""Recordings cut at any byte, damaged at any bit, or made by someone else."""
+
+import json
+import signal
+import struct
+import subprocess
+import sys
+import zlib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import robot_named
+from made_up_recordings import attempt, is_prefix, same, some_samples, write
+from mcap.writer import Writer
+
+from acquisition import AcquisitionError
+from acquisition.blocks import FRAME, sample_dtype
+from acquisition.recording import read_recording, recover
+from acquisition.robot import Robot
+
+
+@pytest.fixture(scope="module")
+def robot() -> Robot:
+    return robot_named("scara")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
+    write(path, robot)
+    return path
+
+
+def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole: Path, tmp_path: Path) -> None:
+    data, full = whole.read_bytes(), read_recording(whole)
+    rng = np.random.default_rng(2)
+    cuts = sorted({*range(40), *range(len(data) - 40, len(data)), *rng.integers(0, len(data), 1500).tolist()})
+    lengths = []
+    for length in cuts:
+        (tmp_path / "cut.mcap").write_bytes(data[:length])
+        part = attempt(tmp_path / "cut.mcap")
+        if isinstance(part, str):
+            assert not lengths, f"readable before byte {length}, but not there: {part}"
+            continue
+        assert part.cut
+        assert is_prefix(part, full)
+        assert (part.metadata, part.attachments) == (full.metadata, full.attachments)
+        lengths.append(0 if part.samples is None else len(part.samples))
+    assert lengths == sorted(lengths)  # a longer file never tells less
+    assert set(lengths) == {0, 40, 80, 120, 160, 200, 240}  # each flush counts
+
+
+def test_unwritten_disk_space_behind_a_cut_is_a_cut(whole: Path, tmp_path: Path) -> None:
+    data, full = whole.read_bytes(), read_recording(whole)
+    for length in range(3000, len(data) - 600, 997):
+        (tmp_path / "cut.mcap").write_bytes(data[:length] + bytes(4096))
+        part = read_recording(tmp_path / "cut.mcap")
+        assert part.cut
+        assert is_prefix(part, full)
+
+
+def test_what_was_flushed_survives_a_kill(tmp_path: Path) -> None:
+    script = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, sys.argv[2])
+from conftest import robot_named
+from made_up_recordings import RecordingWriter, some_samples
+writer = RecordingWriter(Path(sys.argv[1]), robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance="")
+samples = some_samples(1000)
+for k in range(5):
+    writer.samples(samples[100 * k : 100 * (k + 1)])
+    writer.flush()
+writer.samples(samples[500:600])
+print("ready", flush=True)
+time.sleep(60)
+"""
+    path = tmp_path / "killed.mcap"
+    command = [sys.executable, "-c", script, str(path), str(Path(__file__).parent)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGKILL)
+    recording = read_recording(path)
+    assert recording.cut
+    assert recording.samples is not None
+    assert recording.samples.tobytes() == some_samples(1000)[:500].tobytes()
+
+
+def test_a_flipped_bit_is_an_error_or_changes_nothing(whole: Path, tmp_path: Path) -> None:
+    data, full = bytearray(whole.read_bytes()), read_recording(whole)
+    rng = np.random.default_rng(3)
+    refused = 0
+    places = [*range(60), *range(len(data) - 60, len(data)), *rng.integers(0, len(data), 3000).tolist()]
+    for place in places:
+        bit = 1 << int(rng.integers(8))
+        data[place] ^= bit
+        (tmp_path / "bad.mcap").write_bytes(data)
+        data[place] ^= bit
+        found = attempt(tmp_path / "bad.mcap")
+        refused += isinstance(found, str)
+        assert isinstance(found, str) or same(found, full), f"byte {place} bit {bit}"
+    assert refused > len(places) / 2
+
+
+def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole: Path, tmp_path: Path) -> None:
+    data = bytearray(whole.read_bytes()[: -whole.stat().st_size // 3])
+    full = read_recording(whole)
+    start = data.index(b"robot.toml")
+    for place in (data.index(b"1000.0"), data.index(b"made up"), data.index(b"shoulder"), start, start + 500):
+        data[place] ^= 1
+        (tmp_path / "bad.mcap").write_bytes(data)
+        data[place] ^= 1
+        with pytest.raises(AcquisitionError, match=r"crc32|CRC"):
+            read_recording(tmp_path / "bad.mcap")
+    chunks = data.index(b"zstd")
+    for place in range(chunks + 20, len(data), 251):
+        data[place] ^= 16
+        (tmp_path / "bad.mcap").write_bytes(data)
+        data[place] ^= 16
+        found = attempt(tmp_path / "bad.mcap")
+        assert isinstance(found, str) or is_prefix(found, full), f"byte {place}"
+
+
+def test_recovers_a_cut_file(whole: Path, tmp_path: Path) -> None:
+    data = whole.read_bytes()
+    cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    cut.write_bytes(data[: len(data) * 2 // 3])
+    returned = recover(cut, out)
+    recovered, before = read_recording(out), read_recording(cut)
+    assert not recovered.cut
+    assert before.samples is not None
+    assert len(before.samples) > 0
+    kept = {k: v for k, v in recovered.metadata.items() if k not in ("recovered_from", "crc32")}
+    assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
+    assert recovered.metadata["recovered_from"] == before.sha256 == returned.sha256
+
+
+def test_a_whole_file_needs_no_recovery(whole: Path, tmp_path: Path) -> None:
+    with pytest.raises(AcquisitionError, match="nothing to recover"):
+        recover(whole, tmp_path / "out.mcap")
+    assert not (tmp_path / "out.mcap").exists()
+
+
+def test_a_chunk_that_claims_or_unpacks_to_much_is_refused(tmp_path: Path, robot: Robot) -> None:
+    with (tmp_path / "bomb.mcap").open("wb") as file:
+        writer = Writer(file, chunk_size=2**30)
+        writer.start()
+        writer.add_metadata(
+            "recording", {"crc32": f"{zlib.crc32(json.dumps(sorted(GOOD.items())).encode()):08x}", **GOOD}
+        )
+        writer.add_attachment(0, 0, "robot.toml", "", robot.files["robot.toml"])
+        channel = writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer.add_message(channel, 0, bytes(70 * 2**20), 0)
+        writer.finish()
+    assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
+    with pytest.raises(AcquisitionError, match=r"a chunk of 7.* bytes: expected 67108864"):
+        read_recording(tmp_path / "bomb.mcap")
+
+
+def record(
+    path: Path, metadata: dict[str, str], attachments: dict[str, bytes], messages: list[tuple[str, str, bytes]]
+) -> None:
+    """An MCAP file of our own making, that need not be a recording."""
+    with path.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        if metadata:
+            entries = sorted(metadata.items())
+            crc = f"{zlib.crc32(json.dumps(entries).encode()):08x}"
+            writer.add_metadata("recording", {"crc32": crc, **metadata})
+        for name, content in attachments.items():
+            writer.add_attachment(0, 0, name, "", content)
+        for topic, layout, content in messages:
+            schema = writer.register_schema("x", "numpy", layout.encode())
+            writer.add_message(writer.register_channel(topic, "numpy", schema), 5, content, 5)
+        writer.finish()
+
+
+LAYOUT = repr(sample_dtype(2, reference=False).descr)
+GOOD = {"schema_version": "1", "sample_rate_hz": "1000.0", "effort_unit": '["N m", "N m"]'}
+ROW = np.zeros(1, sample_dtype(2, reference=False)).tobytes()
+NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("metadata", "messages", "message"),
+    [
+        ({}, [], "holds no metadata record 'recording': expected a recording"),
+        ({**GOOD, "schema_version": "2"}, [], "schema_version = 2: expected 1 at most; a newer robot-idim wrote"),
+        ({**GOOD, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 1 at most"),
+        ({**GOOD, "schema_version": "one"}, [], "schema_version = 'one': expected a whole number"),
+        ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
+        ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),
+        ({**GOOD, "sample_rate_hz": "nan"}, [], "sample_rate_hz = 'nan': expected a positive number"),
+        ({**GOOD, "sample_rate_hz": "fast"}, [], "sample_rate_hz = 'fast': expected a positive number"),
+        ({**GOOD, "effort_unit": '["A", "A"]'}, [], r'effort_unit = \["A", "A"\]: expected \["N m", "N m"\]'),
+        (GOOD, [("/samples", "[('a', '<f8')]", b"12345678")], "/samples: layout .*: expected"),
+        (GOOD, [("/samples", "__import__('os').abort()", b"")], "/samples: layout .*: expected"),
+        (GOOD, [("/samples", LAYOUT, ROW[:-1])], "39 bytes: expected blocks of whole rows of 40 bytes"),
+        (GOOD, [("/samples", LAYOUT, ROW[:-1]), ("/samples", LAYOUT, b"1")], "expected blocks of whole rows"),
+        (GOOD, [("/samples", LAYOUT, ROW + ROW)], "row 2: stamp_ns = 0: expected growing stamps"),
+        (GOOD, [("/samples", LAYOUT, b"\xff" * 8 + ROW[8:])], "row 1: stamp_ns = -1: expected growing stamps"),
+        (GOOD, [("/samples", LAYOUT, b"\xff" * 7 + b"\x7f" + ROW[8:])], "row 1: stamp_ns = 9223372036854775807"),
+        (GOOD, [("/samples", LAYOUT, NOT_FINITE)], "row 1: position of joint 2 = nan: expected a finite number"),
+        (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
+        (GOOD, [("/can/a/frames", LAYOUT, ROW)], "/can/a/frames: layout .*: expected"),
+        (GOOD, [("/can/a/frames", repr(FRAME.descr), b"\xff" * 22)], "row 1: length = 255, .* expected 8 bytes"),
+        (GOOD, [("/events", "", b'{"kind": 1}')], "/events: Expected `str`, got `int`"),
+        (GOOD, [("/events", "", b"[" * 5000)], "/events: "),
+        (GOOD, [("/health", "", b'{"drops": "many"}')], "/health: Expected `float | null`"),
+    ],
+)
+def test_files_that_are_no_recording_are_refused_in_one_line(
+    tmp_path: Path,
+    robot: Robot,
+    metadata: dict[str, str],
+    messages: list[tuple[str, str, bytes]],
+    message: str,
+) -> None:
+    path = tmp_path / "odd.mcap"
+    record(path, metadata, dict(robot.files), messages)
+    with pytest.raises(AcquisitionError, match=message.replace("| null", r"\| null")) as caught:
+        read_recording(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_file_that_all_of_these_differ_from_is_read(tmp_path: Path, robot: Robot) -> None:
+    record(tmp_path / "a.mcap", GOOD, dict(robot.files), [("/samples", LAYOUT, ROW), ("/elsewhere", "", b"x")])
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples is not None
+    assert recording.samples.tobytes() == ROW
+
+
+@pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
+def test_what_is_not_mcap_is_refused(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(AcquisitionError, match="expected an MCAP file"):
+        read_recording(tmp_path / "a.mcap")
+
+
+def test_no_file_a_folder_or_no_description(tmp_path: Path) -> None:
+    with pytest.raises(AcquisitionError, match=r"none\.mcap: cannot be read: No such file"):
+        read_recording(tmp_path / "none.mcap")
+    with pytest.raises(AcquisitionError, match="cannot be read: Is a directory"):
+        read_recording(tmp_path)
+    record(tmp_path / "a.mcap", GOOD, {}, [])
+    with pytest.raises(AcquisitionError, match=r"holds no robot.toml: expected the robot's description"):
+        read_recording(tmp_path / "a.mcap")
+    record(tmp_path / "a.mcap", GOOD, {"robot.toml": b"name = 1"}, [])
+    with pytest.raises(AcquisitionError, match=r"a\.mcap: robot.toml: name = 1: Expected `str`"):
+        read_recording(tmp_path / "a.mcap")
