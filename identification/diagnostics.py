@@ -15,7 +15,7 @@ Vector = NDArray[np.float64]
 class TorqueError:
     """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand.
 
-    A row moves where its joint is faster than 1 % of that joint's peak speed. None where there are no such rows or no
+    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no
     torque. `autocorrelation` is that of the residual at a lag of one decimated sample.
     """
 

@@ -15,7 +15,7 @@ Span = Literal["motion", "all"]
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-MOVING = 0.01  # of a joint's peak speed: below, it stands
+MOVING = 0.02  # of a joint's peak speed: below, it stands
 _BLOCK = 200_000  # samples looked through at a time for the span of motion
 
 

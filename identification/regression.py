@@ -84,7 +84,7 @@ def torque_of_recording(
     signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParameters, beta: Vector
 ) -> tuple[Vector, Vector, Vector]:
     """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
-    parts: list[tuple[Vector, Vector, Vector]] = []
+    parts: list[tuple[Vector, ...]] = []
     for motion, inside, _ in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
         predicted = predicted_torque(motion, dynamics, base, beta)
         measured, modelled = (decimate(tau.T, plan.decimation)[:, inside].T for tau in (motion.tau, predicted))

@@ -1,0 +1,42 @@
+"""Robots, recordings and the real data that tests share."""
+
+from pathlib import Path
+
+import pytest
+
+from acquisition.robot import Robot, load_robot
+from acquisition.tables import import_tables
+
+ROOT = Path(__file__).resolve().parents[1]
+REPLAY = ROOT / "replay_data"
+DATA = ROOT.parent / "shared" / "data"
+
+
+def robot_named(name: str) -> Robot:
+    return load_robot(REPLAY / name / "robot.toml")
+
+
+def needs_data(*parts: str) -> Path:
+    path = DATA.joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"real recording not here: ../shared/data/{'/'.join(parts)} (see replay_data/README.md)")
+    return path
+
+
+@pytest.fixture(scope="session")
+def emps(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The real EMPS record as a recording."""
+    out = tmp_path_factory.mktemp("emps") / "emps.mcap"
+    import_tables([needs_data("emps", "DATA_EMPS.mat")], robot_named("emps"), REPLAY / "emps" / "map.toml", out)
+    return out
+
+
+@pytest.fixture(scope="session")
+def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The real TX40 record as a recording."""
+    tables = [needs_data("tx40", name) for name in ("pos_read_data.csv", "curr_data.csv")]
+    out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
+    import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
+    return out
+
+

@@ -1,0 +1,101 @@
+"""The filters against mathematics: gains at stated frequencies, derivatives of sines, no delay."""
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from identification import IdentificationError
+from identification.filtering import (
+    decimate,
+    decimation_passes,
+    differentiate,
+    forward_backward_3db_hz,
+    lowpass,
+    motion_between,
+)
+
+FS = 1000.0
+T = np.arange(8000) / FS
+
+
+def gain_at(f_hz: float, cutoff_hz: float) -> float:
+    y = lowpass(np.sin(2 * np.pi * f_hz * T)[:, None], cutoff_hz, FS)[2000:6000, 0]
+    return float(np.sqrt(2 * np.mean(y**2)))
+
+
+def test_cutoff_is_minus_3_db_in_one_direction_and_minus_6_db_in_both():
+    assert 20 * np.log10(gain_at(40.0, 40.0)) == pytest.approx(-6.02, abs=0.01)
+    sos = signal.butter(4, 40.0, fs=FS, output="sos")
+    _, h = signal.sosfreqz(sos, worN=[40.0], fs=FS)
+    assert 20 * np.log10(np.abs(h[0])) == pytest.approx(-3.01, abs=0.01)
+
+
+@pytest.mark.parametrize("cutoff_hz", [10.0, 40.0, 200.0, 400.0])
+def test_forward_backward_3db_frequency_is_where_the_gain_is_minus_3_db(cutoff_hz):
+    f_hz = forward_backward_3db_hz(cutoff_hz, FS)
+    assert 20 * np.log10(gain_at(f_hz, cutoff_hz)) == pytest.approx(-3.01, abs=0.02)
+
+
+def test_derivatives_of_sines_for_every_joint():
+    w = 2 * np.pi * np.array([0.5, 1.0, 2.0, 3.0, 4.0, 5.0])
+    q = np.sin(np.outer(T, w))
+    motion = motion_between(q, q, cutoff_hz=200.0, sample_rate_hz=FS, start=100, stop=7900)
+    t = T[100:7900, None]
+    np.testing.assert_allclose(motion.dq, w * np.cos(t * w), atol=2e-4 * w.max())
+    np.testing.assert_allclose(motion.ddq, -(w**2) * np.sin(t * w), atol=5e-4 * w.max() ** 2)
+
+
+def test_central_differences_are_exact_for_parabolas():
+    t = np.arange(50) / FS
+    dq = differentiate((t**2)[:, None], FS)
+    np.testing.assert_allclose(dq[1:-1, 0], 2 * t[1:-1], atol=1e-12)
+
+
+def test_filters_do_not_delay():
+    pulse = np.exp(-(((T - 4.0) / 0.1) ** 2))
+    smooth = lowpass(pulse[:, None], 5.0, FS)[:, 0]
+    assert np.sum(T * smooth) / np.sum(smooth) == pytest.approx(4.0, abs=1e-6)
+    kept_t = T[(len(T) - 1) % 20 :: 20]
+    fewer = decimate(pulse, 20)
+    assert np.sum(kept_t * fewer) / np.sum(fewer) == pytest.approx(4.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(1000, 10), (1001, 10), (1009, 10), (1234, 7)])
+def test_decimation_keeps_the_last_sample_and_passes_constants(samples, factor):
+    ramp = np.arange(samples, dtype=float)
+    kept = decimate(ramp, factor)
+    assert len(kept) == -(-samples // factor)
+    # Odd order edges reproduce a straight line, up to the filter's ripple of 0.05 dB each way.
+    expected = ramp[(samples - 1) % factor :: factor]
+    np.testing.assert_allclose(kept, expected, rtol=0.0116, atol=0.0116 * samples)
+    assert expected[-1] == samples - 1
+    np.testing.assert_allclose(decimate(np.ones(samples), factor), 10 ** (-2 * 0.05 / 20), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("factor", "passes"), [(1, ()), (10, (10,)), (13, (13,)), (100, (10, 10)), (20, (4, 5)), (1000, (10, 10, 10)), (17, (17,))]
+)
+def test_large_decimations_go_in_passes(factor, passes):
+    found = decimation_passes(factor)
+    assert sorted(found) == sorted(passes)
+    assert np.prod(found) == factor
+
+
+def test_a_part_of_a_motion_is_the_part_of_the_whole():
+    rng = np.random.default_rng(0)
+    q = np.cumsum(rng.normal(size=(6000, 2)), axis=0)
+    tau = rng.normal(size=(6000, 2))
+    whole = motion_between(q, tau, cutoff_hz=20.0, sample_rate_hz=FS, start=0, stop=6000)
+    part = motion_between(q, tau, cutoff_hz=20.0, sample_rate_hz=FS, start=2500, stop=3100)
+    for name in ("q", "dq", "ddq", "tau"):
+        expected = getattr(whole, name)[2500:3100]
+        np.testing.assert_allclose(getattr(part, name), expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
+    with pytest.raises(IdentificationError, match="cut-off 600 Hz: expected between 0 and 500 Hz"):
+        lowpass(np.zeros((100, 1)), 600.0, FS)
+    with pytest.raises(IdentificationError, match="12 samples are too few for the filter; expected more than 12"):
+        lowpass(np.zeros((12, 1)), 20.0, FS)
+    with pytest.raises(IdentificationError, match="too few to decimate"):
+        decimate(np.zeros(24), 10)
