@@ -1,0 +1,197 @@
+"""robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+
+from acquisition import AcquisitionError, one_line
+from acquisition.robot import LARGEST_TOML, LONGEST_LINE, load_robot, robot_from_files
+from acquisition.whole_file import refuse_input, whole_file
+
+ONE_JOINT = """
+name = "one"
+[[joint]]
+name = "axis"
+type = "revolute"
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[motor]]
+name = "motor"
+ratio = 50
+drive_gain = 0.2
+drive_gain_unit = "N m/A"
+[controller]
+bandwidth_hz = 20
+"""
+DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
+GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
+
+
+def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
+    with pytest.raises(AcquisitionError) as caught:
+        robot_from_files({"robot.toml": text.encode(), **(files or {})}, "here")
+    assert str(caught.value).startswith("here: ")
+    assert "\n" not in str(caught.value)
+    return str(caught.value).removeprefix("here: ")
+
+
+@pytest.mark.parametrize(
+    "path", sorted(REPLAY.glob("*/robot*.toml")), ids=lambda path: f"{path.parent.name}-{path.stem}"
+)
+def test_the_descriptions_in_replay_data_are_valid(path: Path) -> None:
+    robot = load_robot(path)
+    assert robot.n == len(robot.motors) == len(robot.R)
+    assert robot.files["robot.toml"] == path.read_bytes()
+    again = robot_from_files(robot.files, "a recording")
+    assert again.joints == robot.joints
+    assert np.array_equal(again.R, robot.R)
+
+
+def test_wrist_motors_of_the_tx40_are_coupled() -> None:
+    """q = inv(R) q_motor and tau = Rᵀ tau_motor, so tau_5 also gets 32 tau_motor_6 (data sheet of the record)."""
+    robot = robot_named("tx40")
+    q_motor = np.zeros((1, 6))
+    q_motor[0, 4] = 45.0
+    assert robot.joint_position(q_motor)[0].tolist() == pytest.approx([0, 0, 0, 0, 1, -1])
+    tau_motor = np.array([[0, 0, 0, 1.0, 1.0, 2.0]])
+    assert robot.joint_effort(tau_motor)[0].tolist() == pytest.approx([0, 0, 0, -48, 45 + 2 * 32, 2 * 32])
+    assert robot.effort_units == ("N m",) * 6
+
+
+def test_power_is_the_same_on_both_sides() -> None:
+    """dqᵀ tau = dq_motorᵀ tau_motor for any motion, and each rule undoes its inverse."""
+    robot = robot_named("tx40")
+    rng = np.random.default_rng(0)
+    dq, tau_motor = rng.normal(size=(50, 6)), rng.normal(size=(50, 6))
+    dq_motor = robot.motor_position(dq) - robot.motor_position(np.zeros((50, 6)))
+    power = (dq * robot.joint_effort(tau_motor)).sum(axis=1)
+    assert np.allclose(power, (dq_motor * tau_motor).sum(axis=1), rtol=1e-12)
+    assert np.allclose(robot.joint_position(robot.motor_position(dq)), dq, atol=1e-14)
+    assert np.allclose(robot.motor_effort(robot.joint_effort(tau_motor)), tau_motor, atol=1e-13)
+
+
+def test_gain_ratio_and_zero_make_si() -> None:
+    text = ONE_JOINT.replace('type = "revolute"', 'type = "revolute"\nzero_deg = -90\nposition_deg = [-180, 90]')
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[pytest.approx(3.0 * 0.2 * 50)]]
+    assert robot.joint_position(np.array([[100.0]])).tolist() == [[pytest.approx(2.0 - np.pi / 2)]]
+    assert robot.joints[0].si("position") == pytest.approx((-np.pi, np.pi / 2))
+    assert robot.motors[0].recorded_unit == "A"
+    assert not robot.R.flags.writeable
+
+
+def test_without_a_gain_efforts_stay_in_amperes() -> None:
+    robot = robot_from_files({"robot.toml": ONE_JOINT.replace(GAIN, 'effort_unit = "A"').encode()}, "here")
+    assert not robot.gain_known
+    assert robot.effort_units == ("A",)
+    assert robot.joint_effort(np.array([[3.0]])).tolist() == [[150.0]]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('name = "one"', "", "top level: Object missing required field `name`"),
+        ('name = "one"', 'name = "a\\u001b[31m"', "name = 'a\\x1b[31m': Expected `str` matching regex"),
+        ('name = "one"', 'name = "one"\nmass_kg = 3', "top level: Object contains unknown field `mass_kg`"),
+        ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
+        ("ratio = 50", 'ratio = "50"', "motor[0].ratio = '50': Expected `float | null`, got `str`"),
+        ("ratio = 50", "ratio = nan", "motor[0].ratio = nan: expected a finite number"),
+        ("ratio = 50", "ratio = 0", "motor[0].ratio = 0.0: expected a non-zero ratio"),
+        ("ratio = 50", f"ratio = {'9' * 1500}", "motor[0].ratio = 99"),
+        ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
+        ('type = "revolute"', 'type = "spherical"', "'spherical': expected one of 'prismatic', 'revolute'"),
+        ('"N m/A"', '"Nm/A"', "motor[0].drive_gain_unit = 'Nm/A': expected one of 'N m/A', 'N m/V', 'N/A', 'N/V'"),
+        (GAIN, 'effort_unit = "Nm"', "motor[0].effort_unit = 'Nm': expected one of 'A', 'N', 'N m', 'V'"),
+        (GAIN, "", "motor[0].effort_unit = None: expected effort_unit (A, V, N m or N) where no drive gain is given"),
+        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain = 0.2: expected drive_gain and drive_gain_unit together"),
+        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain = -0.2: expected a positive number"),
+        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit = 'V': expected 'A', as drive_gain_unit says"),
+        (DH, "", "joint[0].dh = None: expected a dh row for every joint, or else a urdf"),
+        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg = (90.0, -90.0): expected [lowest, highest]"),
+        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m = (0.0, 1.0): expected a key in deg for a revolute"),
+        (DH, DH + "\nspeed_deg_s = -1", "joint[0].speed_deg_s = -1: Expected `float` > 0.0"),
+        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor = '2 tables': expected one per"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 0", "controller.bandwidth_hz = 0: Expected `float` > 0.0"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain = [1.0, 2.0]: expected 1"),
+        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio = 50.0: expected a non-zero ratio, or motor_"),
+        ("[[joint]]", "[joint]", "joint: Expected `array`, got `object`"),
+        ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
+        ("[[joint]]", f"a{'.a' * LONGEST_LINE} = 1", f"a line of {2 * LONGEST_LINE + 5}: expected {LARGEST_TOML} and"),
+        ("[[joint]]", "#\n" * LARGEST_TOML, "bytes, a line of "),
+        ('name = "one"', 'name = "one"\nurdf = "x.urdf"', "joint[0].dh = DH("),
+    ],
+)  # fmt: skip
+def test_each_mistake_is_told_in_one_line(old: str, new: str, message: str) -> None:
+    assert ONE_JOINT.count(old) == 1
+    assert message in refusal(ONE_JOINT.replace(old, new))
+
+
+def test_a_singular_motor_matrix_and_bytes_that_are_no_text() -> None:
+    text = ONE_JOINT.replace("ratio = 50", "").replace('name = "one"', 'name = "one"\nmotor_matrix = [[0]]')
+    assert "motor_matrix = ((0.0,),): expected an invertible matrix" in refusal(text)
+    assert "motor_matrix = [2]: expected 1 rows of 1 numbers" in refusal(text.replace("[[0]]", "[[1, 2]]"))
+    with pytest.raises(AcquisitionError, match="here: not valid TOML: 'utf-8' codec"):
+        robot_from_files({"robot.toml": b"name = '\xff'"}, "here")
+    with pytest.raises(AcquisitionError, match=r"here: holds no robot\.toml"):
+        robot_from_files({}, "here")
+
+
+def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
+    text = ONE_JOINT.replace(DH, "").replace('name = "one"', 'name = "one"\nurdf = "arm.urdf"')
+    (tmp_path / "robot.toml").write_text(text)
+    with pytest.raises(AcquisitionError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
+        load_robot(tmp_path / "robot.toml")
+    assert "urdf = 'arm.urdf': the URDF is missing beside the description" in refusal(text)
+    (tmp_path / "arm.urdf").write_text("<robot/>")
+    robot = load_robot(tmp_path / "robot.toml")
+    assert robot.urdf == "<robot/>"
+    assert robot_from_files(robot.files, "a recording").urdf == "<robot/>"
+    (tmp_path / "robot.toml").write_text(text.replace("arm.urdf", "arm\\u0000.urdf"))
+    with pytest.raises(AcquisitionError, match="cannot be read: embedded null byte"):
+        load_robot(tmp_path / "robot.toml")
+    with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
+        load_robot(tmp_path / "none.toml")
+
+
+def test_errors_are_one_printable_line() -> None:
+    assert str(AcquisitionError("a\nb\r\n\x1b[2Jc\udcff µ")) == "a b �[2Jc� µ"
+    assert one_line("  two  words ") == "two words"
+
+
+def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) -> None:
+    path = tmp_path / "out"
+    path.write_text("old")
+    with pytest.raises(UnicodeEncodeError), whole_file(path) as partial:
+        partial.write_text("half, then \udcff", encoding="utf-8")
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert path.read_text() == "old"
+    with whole_file(path) as partial:
+        partial.write_text("new")
+        assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    assert path.read_text() == "new"
+
+
+def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    for path, message in (
+        (tmp_path, "expected a file, found a folder or a device"),
+        (Path("/dev/null"), "expected a file, found a folder or a device"),
+        (Path(), "expected the name of a file"),
+        (tmp_path / "none" / "out", "No such file or directory"),
+        (tmp_path / "file" / "out", "Not a directory"),
+        (tmp_path / ("x" * 300), "File name too long"),
+    ):
+        with pytest.raises(AcquisitionError, match=message), whole_file(path) as partial:
+            partial.write_text("new")
+    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None:
+    (tmp_path / "in").write_text("")
+    (tmp_path / "link").symlink_to(tmp_path / "in")
+    for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in"):
+        with pytest.raises(AcquisitionError, match="is an input too"):
+            refuse_input(out, [tmp_path / "missing", tmp_path / "in"])
+    refuse_input(tmp_path / "out", [tmp_path / "in"])
