@@ -1,0 +1,223 @@
+"""robot-acquire: what it prints, how it ends, what it leaves behind."""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from made_up_recordings import some_samples, write
+
+from acquisition.__main__ import main
+from acquisition.recording import RecordingWriter, read_recording
+
+SCARA = REPLAY / "scara" / "robot.toml"
+MAP = """
+sample_rate_hz = 1000
+[position]
+columns = [1, 2]
+unit = "rad"
+[effort]
+columns = [3, 4]
+unit = "N m"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    rng = np.random.default_rng(0)
+    np.savetxt(tmp_path / "a.csv", rng.normal(size=(300, 4)), delimiter=",")
+    (tmp_path / "map.toml").write_text(MAP)
+    return tmp_path
+
+
+def import_command(folder: Path, out: Path) -> list[str]:
+    return ["import", str(folder / "a.csv"), "--robot", str(SCARA), "--map", str(folder / "map.toml"), "-o", str(out)]
+
+
+def run(*arguments: str, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "acquisition", *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False, **options)  # type: ignore[call-overload,no-any-return]
+
+
+def refused(capsys: pytest.CaptureFixture[str], arguments: list[str]) -> str:
+    assert main(arguments) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.count("\n") == 1
+    assert captured.err.startswith("robot-acquire: ")
+    return captured.err
+
+
+def test_import_info_recover(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log, cut, out = folder / "log.mcap", folder / "cut.mcap", folder / "out.mcap"
+    assert main(import_command(folder, log)) == 0
+    assert "log.mcap: SCARA, 300 samples at 1000 Hz, effort in N m\n" in capsys.readouterr().out
+    assert main(["info", str(log), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    samples = read_recording(log).samples
+    assert samples is not None
+    assert (found["robot"], found["samples"], found["sample_rate_hz"], found["cut"]) == ("SCARA", 300, 1000.0, False)
+    assert found["joints"][1]["position"] == [samples["position"][:, 1].min(), samples["position"][:, 1].max()]
+    assert found["attachments"] == {"robot.toml": SCARA.stat().st_size}
+    assert found["sha256"] == read_recording(log).sha256
+    cut.write_bytes(log.read_bytes()[:-300])
+    assert main(["recover", str(cut), "-o", str(out)]) == 0
+    assert "out.mcap: SCARA, 300 samples, 0 CAN frames, 0 events\n" in capsys.readouterr().out
+    recovered = read_recording(out).samples
+    assert recovered is not None
+    assert recovered.tobytes() == samples.tobytes()
+    assert main(["info", str(cut)]) == 0
+    assert "missing: this is what stands before the cut" in capsys.readouterr().out
+
+
+def test_info_tells_everything_and_passes_no_terminal_codes_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "a.mcap", robot_named("scara"))
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    text = capsys.readouterr().out
+    for part in (
+        "SCARA", "a test", "made up", "240 at 1000 Hz", "with reference", "kernel_drops 200", "CAN can0", "240 frames",
+        "../../etc/drive.eds (11 bytes)", "whole", "shoulder", "elbow", "track", "stop", "gaps      none",
+    ):  # fmt: skip
+        assert part in text
+    samples = np.delete(some_samples(100), [50, 51])
+    with RecordingWriter(
+        tmp_path / "b.mcap", robot_named("scara"), source="[bold]x\x1b[2J", sample_rate_hz=1000.0, effort_provenance=""
+    ) as writer:
+        writer.samples(samples)
+        writer.event(0, "phase", "\x1b]0;title\x07 [red]track[/red]")
+    assert main(["info", str(tmp_path / "b.mcap")]) == 0
+    text = capsys.readouterr().out
+    assert "1, 2 samples missing" in text
+    assert "[bold]x" in text
+    assert "[red]track[/red]" in text
+    assert not {c for c in text if ord(c) < 32} - {"\n"}
+
+
+def test_a_recording_without_samples_has_an_overview(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with RecordingWriter(
+        tmp_path / "a.mcap", robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance=""
+    ):
+        pass
+    assert main(["info", str(tmp_path / "a.mcap")]) == 0
+    assert "SCARA" in capsys.readouterr().out
+
+
+def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = sorted(folder.iterdir())
+    good = import_command(folder, folder / "log.mcap")
+    assert "none.csv: cannot be read" in refused(capsys, ["import", str(folder / "none.csv"), *good[2:]])
+    assert "not valid TOML" in refused(capsys, [*good[:3], str(folder / "a.csv"), *good[4:]])
+    assert "No such file" in refused(capsys, import_command(folder, folder / "none" / "log.mcap"))
+    assert "found a folder or a device" in refused(capsys, import_command(folder, folder))
+    assert "expected an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])
+    assert "a b.mcap: cannot be read" in refused(capsys, ["info", str(folder / "a\nb.mcap")])
+    assert "expected an MCAP file" in refused(capsys, ["recover", str(folder / "a.csv"), "-o", str(folder / "out")])
+    assert sorted(folder.iterdir()) == before
+
+
+def test_inputs_are_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    content = (folder / "a.csv").read_bytes()
+    robot = folder / "robot.toml"
+    robot.write_bytes(SCARA.read_bytes())
+    for out in (folder / "a.csv", folder / "map.toml", robot):
+        arguments = import_command(folder, out)
+        arguments[3] = str(robot)
+        assert "is an input too" in refused(capsys, arguments)
+    assert main(import_command(folder, folder / "log.mcap")) == 0
+    capsys.readouterr()
+    log = str(folder / "log.mcap")
+    assert "is an input too" in refused(capsys, ["recover", log, "-o", log])
+    assert (folder / "a.csv").read_bytes() == content
+    assert robot.read_bytes() == SCARA.read_bytes()
+    assert not read_recording(folder / "log.mcap").cut
+
+
+def test_an_output_that_exists_stays_until_the_new_one_is_whole(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = folder / "log.mcap"
+    log.write_bytes(b"old")
+    (folder / "a.csv").write_text("1,2,3,4\n1,2,3,x\n")
+    assert "line 2: column 4 = 'x'" in refused(capsys, import_command(folder, log))
+    assert log.read_bytes() == b"old"
+    (folder / "a.csv").write_text("1,2,3,4\n1,2,3,5\n")
+    assert main(import_command(folder, log)) == 0
+    recording = read_recording(log)
+    assert recording.samples is not None
+    assert len(recording.samples) == 2
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing(folder: Path) -> None:
+    before = sorted(folder.iterdir())
+    result = run(
+        *import_command(folder, folder / "log.mcap"),
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+        cwd=REPLAY.parent,
+    )
+    assert (result.returncode, result.stdout) == (1, "")
+    assert result.stderr.count("\n") == 1
+    assert "log.mcap: cannot be written: File too large" in result.stderr
+    assert sorted(folder.iterdir()) == before
+
+
+def test_help_is_quick_and_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom acquisition.__main__ import main\n"
+        "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
+        "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'mcap', 'rosbags', 'rich', 'msgspec'}))"
+    )
+    start_s = time.perf_counter()
+    result = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=REPLAY.parent
+    )
+    assert time.perf_counter() - start_s < 0.3 * 4  # 0.05 s on an idle machine
+    assert "usage: robot-acquire" in result.stdout
+    assert result.stdout.endswith("[]\n")
+
+
+def test_wrong_usage_is_status_2() -> None:
+    for arguments in ([], ["fly"], ["info"], ["import", "a.csv"]):
+        with pytest.raises(SystemExit) as caught:
+            main(arguments)
+        assert caught.value.code == 2
+
+
+def test_ctrl_c_is_one_line_and_status_130(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    before = sorted(folder.iterdir())
+    monkeypatch.setattr(RecordingWriter, "samples", interrupted)
+    assert main(import_command(folder, folder / "log.mcap")) == 130
+    assert capsys.readouterr().err == "robot-acquire: interrupted\n"
+    assert sorted(folder.iterdir()) == before
+
+
+def test_a_reader_that_goes_away_and_a_terminal_without_unicode(tmp_path: Path) -> None:
+    write(tmp_path / "a.mcap", robot_named("scara"))
+    command = [sys.executable, "-m", "acquisition", "info", str(tmp_path / "a.mcap"), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=REPLAY.parent) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    result = run("info", str(tmp_path / "a.mcap"), env=ascii_only, cwd=REPLAY.parent)
+    assert (result.returncode, result.stderr) == (0, "")
+    assert "made up" in result.stdout
+    with Path("/dev/full").open("w") as full:
+        written = subprocess.run(
+            command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=REPLAY.parent
+        )
+    assert written.returncode == 1
+    assert written.stderr == "robot-acquire: standard output: cannot be written: No space left on device\n"

@@ -1,0 +1,337 @@
+"""Tables into recordings: the rule, and every doubt in one line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+from conftest import REPLAY, needs_data, robot_named
+
+from acquisition import AcquisitionError
+from acquisition.recording import read_recording
+from acquisition.robot import Robot, robot_from_files
+from acquisition.tables import Imported, import_tables
+
+ROBOT = """
+name = "two"
+motor_matrix = [[10, 0], [20, 20]]
+[[joint]]
+name = "first"
+type = "revolute"
+zero_deg = 90
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[joint]]
+name = "second"
+type = "revolute"
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[motor]]
+name = "m1"
+drive_gain = 0.5
+drive_gain_unit = "N m/A"
+[[motor]]
+name = "m2"
+drive_gain = 0.25
+drive_gain_unit = "N m/A"
+[controller]
+bandwidth_hz = 20
+"""
+MAP = """
+sample_rate_hz = 500
+[position]
+columns = ["p1", "p2"]
+unit = "deg"
+side = "motor"
+[effort]
+columns = ["c1", "c2"]
+unit = "mA"
+side = "motor"
+"""
+Q = np.array([[0.0, 0.0], [900.0, 1800.0], [-900.0, 0.0]])
+CURRENT = np.array([[1000.0, 0.0], [0.0, 2000.0], [-500.0, 4000.0]])
+
+
+@pytest.fixture
+def two() -> Robot:
+    return robot_from_files({"robot.toml": ROBOT.encode()}, "two")
+
+
+def csv(path: Path, header: str, *columns: np.ndarray, separator: str = ",") -> Path:
+    lines = [separator.join(f"{value:.9g}" for value in row) for row in np.column_stack(columns)]
+    path.write_text("\n".join([*([header] if header else []), *lines, ""]))
+    return path
+
+
+def run(folder: Path, robot: Robot, table_map: str, *tables: Path) -> Imported:
+    (folder / "map.toml").write_text(table_map)
+    return import_tables(tables, robot, folder / "map.toml", folder / "out.mcap")
+
+
+def refusal(folder: Path, robot: Robot, table_map: str, *tables: Path) -> str:
+    with pytest.raises(AcquisitionError) as caught:
+        run(folder, robot, table_map, *tables)
+    assert not (folder / "out.mcap").exists()
+    assert not list(folder.glob(".*"))
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> None:
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    result = run(tmp_path, two, MAP, table)
+    recording = read_recording(result.out)
+    assert recording.samples is not None
+    # Joint 1 turns by q_motor / 10 from its zero at 90°; joint 2 by the rest of motor 2 once joint 1 is taken off.
+    assert np.rad2deg(recording.samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
+    # tau = Rᵀ G i: 1 A gives 0.5 N m at motor 1, 0.25 N m at motor 2.
+    assert recording.samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+    assert recording.samples["stamp_ns"].tolist() == [0, 2_000_000, 4_000_000]
+    assert recording.samples.dtype.names == ("stamp_ns", "position", "effort")
+    assert (recording.sample_rate_hz, result.sample_rate_hz, result.samples) == (500.0, 500.0, 3)
+    assert result.effort_units == ("N m", "N m")
+    assert recording.metadata["source"] == "tables a.csv"
+    told = "a.csv: c1, c2: mA at the motor; joint effort = motor_matrixᵀ · drive gain [0.5, 0.25] · value, in N m"
+    assert recording.metadata["effort_provenance"] == result.effort_provenance == told
+    assert recording.attachments["robot.toml"] == ROBOT.encode()
+
+
+def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
+    table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
+    table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
+    result = run(tmp_path, two, table_map, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
+    samples = read_recording(result.out).samples
+    assert samples is not None
+    assert samples["position"] == pytest.approx(np.deg2rad(Q))
+    assert samples["effort"] == pytest.approx(CURRENT * 1e-3)
+    assert samples["reference"] == pytest.approx(Q[:, ::-1] * [np.pi / 180, 1])
+    assert result.has_reference
+    assert result.effort_provenance == "a.csv: c1, c2: mN m at the joint; joint effort = value in N m"
+
+
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "  "])
+@pytest.mark.parametrize("header", ["p1,p2,c1,c2", "# p1,p2,c1,c2", '"p1","p2","c1","c2"', "\ufeffp1,p2,c1,c2", ""])
+def test_kinds_of_csv(tmp_path: Path, two: Robot, separator: str, header: str) -> None:
+    table = csv(tmp_path / "a.csv", header.replace(",", separator), Q, CURRENT, separator=separator)
+    table.write_text(table.read_text().replace("\n", "\r\n") + "\r\n# end\r\n")
+    table_map = MAP if header else MAP.replace('["p1", "p2"]', "[1, 2]").replace('["c1", "c2"]', "[3, 4]")
+    samples = read_recording(run(tmp_path, two, table_map, table).out).samples
+    assert samples is not None
+    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+
+
+def test_columns_that_are_not_asked_for_may_hold_text(tmp_path: Path, two: Robot) -> None:
+    (tmp_path / "a.csv").write_text("when,p1,p2,c1,c2\n12:00,0,0,1000,0\n12:01,900,1800,0,2000\n")
+    samples = read_recording(run(tmp_path, two, MAP, tmp_path / "a.csv").out).samples
+    assert samples is not None
+    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10]]))
+
+
+def test_mat_vectors_rows_and_matrices(tmp_path: Path, two: Robot) -> None:
+    scipy.io.savemat(tmp_path / "a.mat", {"q": Q, "c1": CURRENT[:, 0], "c2": CURRENT[:, [1]].astype(np.int16)})
+    table_map = MAP.replace('["p1", "p2"]', '["q"]')
+    samples = read_recording(run(tmp_path, two, table_map, tmp_path / "a.mat").out).samples
+    assert samples is not None
+    assert np.rad2deg(samples["position"]) == pytest.approx(np.array([[90, 0], [180, 0], [0, 90]]))
+    assert samples["effort"] == pytest.approx(np.array([[5, 0], [10, 10], [17.5, 20]]))
+
+
+def with_time(unit: str, rate: str = "") -> str:
+    return MAP.replace("sample_rate_hz = 500", rate) + f'[time]\ncolumn = "t"\nunit = "{unit}"\n'
+
+
+@pytest.mark.parametrize(("unit", "scale"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_stamps_lie_on_the_grid_through_the_times(tmp_path: Path, two: Robot, unit: str, scale: float) -> None:
+    rng = np.random.default_rng(0)
+    time_s = 2.0 + np.arange(1000) / 500 + rng.uniform(-5e-5, 5e-5, 1000)
+    columns = [np.zeros((1000, 4)), np.round(time_s * scale, 9)]
+    recording = read_recording(
+        run(tmp_path, two, with_time(unit), csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)).out
+    )
+    assert recording.sample_rate_hz == 500.0
+    assert recording.samples is not None
+    assert set(np.diff(recording.samples["stamp_ns"])) == {2_000_000}
+    assert recording.samples["stamp_ns"][0] == pytest.approx(time_s[0] * 1e9, abs=1e3)
+
+
+@pytest.mark.parametrize("rate_hz", [1000.0, 5000.0, 3.0, 1024.0, 44.1, 999.5])
+def test_the_rate_is_the_roundest_that_fits(tmp_path: Path, two: Robot, rate_hz: float) -> None:
+    columns = [np.zeros((2000, 4)), np.arange(2000) / rate_hz]
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", *columns)
+    assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
+
+
+def test_time_before_zero_is_counted_from_the_first_sample(tmp_path: Path, two: Robot) -> None:
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
+    samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
+    assert samples is not None
+    assert samples["stamp_ns"].tolist() == list(range(0, 20_000_000, 2_000_000))
+
+
+GRID = np.arange(100) / 500
+
+
+@pytest.mark.parametrize(
+    ("time_s", "rate", "message"),
+    [
+        (np.delete(GRID, [7, 8]), "", "row 8: 0.006 s after the row before: expected 0.002 s (2 rows missing)"),
+        (np.insert(GRID, 7, GRID[7]), "", "row 9: 0 s after the row before: expected 0.002 s (time does not grow)"),
+        (GRID[::-1], "", "row 2: -0.002 s after the row before"),
+        (np.zeros(100), "", "row 2: 0 s after the row before"),
+        (GRID + 3e-4 * (np.arange(100) == 50), "", "row 51: 0.0023 s after the row before: expected 0.002 s (not uniform)"),
+        (GRID * (1 + 0.4 * GRID), "", "s off a uniform grid: expected 0.00"),
+        (GRID, "sample_rate_hz = 1000", "sample_rate_hz = 1000.0: expected 500 as"),
+        (GRID * 1e12, "", "expected 68 years and 100 MHz at most"),
+        (GRID + 1e10, "", "expected 68 years and 100 MHz at most"),
+    ],
+)  # fmt: skip
+def test_times_that_are_no_grid(tmp_path: Path, two: Robot, time_s: np.ndarray, rate: str, message: str) -> None:
+    table = tmp_path / "a.csv"
+    rows = [f"0,0,0,0,{t:.17g}" for t in time_s]
+    table.write_text("\n".join(["p1,p2,c1,c2,t", *rows]))
+    assert message in refusal(tmp_path, two, with_time("s", rate), table)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "holds no lines: expected a table"),
+        ("p1,p2,c1,c2\n", "holds no rows: expected numbers below the header"),
+        ("p1,p2,c1,c2\n1,2,3,4\n", "map.toml: position: 1 row: expected 2 at least"),
+        ("p1,p2,c1\n1,2,3\n", "column 'c2' is not there: expected one of p1, p2, c1"),
+        ("p1,p2,c1,c2,c2\n1,2,3,4,5\n", "column 'c2' is there 2 times: expected one of p1, p2, c1, c2, c2"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,x,4\n", "line 3: c1 = 'x': expected a number"),
+        ("p1,p2,c1,c2\n\n# remark\n1,2,3,4\n1,2,,4\n", "line 5: c1 = '': expected a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,1_0,4\n", "line 3: c1 = '1_0': expected a number"),
+        ("p1;p2;c1;c2\n1;2;3;4\n1;2;3,5;4\n", "line 3: c1 = '3,5': expected a number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3\n", "line 3: 3 cells: expected 4"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,5,4\n", "line 3: 5 cells: expected 4"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,2,3,nan\n", "row 2: c2 = nan: expected a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,-inf,3,4\n", "row 2: p2 = -inf: expected a finite number"),
+        ("p1,p2,c1,c2\n1,2,3,4\n1,1e999,3,4\n", "row 2: p2 = inf: expected a finite number"),
+        ("1,2,3,4\n1,2,3,4\n", "column 'p1': no header line names it; expected numbers from 1 to 4"),
+    ],
+)
+def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    assert message in refusal(tmp_path, two, MAP, tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sample_rate_hz = 500", "", "map.toml: sample_rate_hz is not there: expected it, or a [time] table"),
+        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz = -1: Expected `float` > 0.0"),
+        ('["p1", "p2"]', '["p1"]', "map.toml: position.columns give 1 columns: expected 2, one per joint"),
+        ('["p1", "p2"]', "[]", "position.columns: Expected `array` of length >= 1"),
+        ('["p1", "p2"]', "[1, 9]", "a.csv: column 9: expected a number from 1 to 4"),
+        ('["p1", "p2"]', "[0, 1]", "a.csv: column 0: expected a number from 1 to 4"),
+        ('unit = "deg"', 'unit = "degree"', "position.unit = 'degree': expected one of rad, deg, m, mm, um"),
+        ('unit = "deg"', 'unit = "mm"', "position.unit in m for joint 1 (first): expected an angle"),
+        ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit: 3 units: expected one, or 2, one per joint"),
+        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side is not there: expected 'motor' or 'joint'"),
+        ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side = 'load': expected one of 'joint', 'motor'"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit gives V at the motor: expected A as robot.toml says"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit gives A at the joint: expected N m as robot.toml"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit gives N at the motor: expected A as robot.toml says"),
+        ('unit = "mA"', 'unit = "Nm"', "effort.unit = 'Nm': expected one of A, mA, V, mV, N m, mN m, N"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table = 2: expected 1 at most, the number of tables given"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: Expected `int` >= 1"),
+        ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort: Object contains unknown field `scale`"),
+        ("[effort]", "[torque]", "map.toml: top level: Object contains unknown field `torque`"),
+    ],
+)  # fmt: skip
+def test_map_mistakes(tmp_path: Path, two: Robot, old: str, new: str, message: str) -> None:
+    assert MAP.count(old) == 1
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    assert message in refusal(tmp_path, two, MAP.replace(old, new), table)
+
+
+def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two: Robot) -> None:
+    """With an identity matrix position has one meaning; with a gain the unit of the effort tells its side."""
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    table_map = MAP.replace('side = "motor"\n', "")
+    direct = ROBOT.replace("[[10, 0], [20, 20]]", "[[1, 0], [0, 1]]").replace("zero_deg = 90\n", "")
+    robot = robot_from_files({"robot.toml": direct.encode()}, "direct")
+    samples = read_recording(run(tmp_path, robot, table_map, table).out).samples
+    assert samples is not None
+    assert samples["position"] == pytest.approx(np.deg2rad(Q))
+    assert samples["effort"] == pytest.approx(CURRENT * [0.5e-3, 0.25e-3])
+    (tmp_path / "out.mcap").unlink()
+    geared = direct.replace("[[1, 0], [0, 1]]", "[[1, 0], [0, 2]]")
+    for unit in ("drive_gain = 0.5\n", "drive_gain = 0.25\n", 'drive_gain_unit = "N m/A"\n'):
+        geared = geared.replace(unit, 'effort_unit = "A"\n' if "unit" in unit else "")
+    joint_position = table_map.replace('unit = "deg"', 'unit = "deg"\nside = "joint"')
+    in_amperes = robot_from_files({"robot.toml": geared.encode()}, "amperes")
+    assert "effort.side is not there" in refusal(tmp_path, in_amperes, joint_position, table)
+
+
+def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
+    tables = csv(tmp_path / "a.csv", "p1,p2", Q), csv(tmp_path / "b.csv", "c1,c2", CURRENT[:2])
+    table_map = MAP.replace('unit = "mA"', 'unit = "mA"\ntable = 2')
+    assert "map.toml: effort: 2 rows: expected 3 as in position" in refusal(tmp_path, two, table_map, *tables)
+
+
+def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
+    good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
+    for extra, message in (
+        ({}, "variable 'c2' is not there: expected one of p1, p2, c1"),
+        ({"c2": CURRENT[:2, 1]}, "rows: c1 3, c2 2: expected variables of one length"),
+        ({"c2": "text"}, "variable 'c2' is <U4 of shape (1,): expected a vector or matrix of real numbers"),
+        ({"c2": np.array([1, 2, 3j])}, "variable 'c2' is complex128"),
+        ({"c2": {"a": 1}}, "variable 'c2' is "),
+        ({"c2": np.zeros((0, 0))}, "rows: c1 3, c2 0"),
+        ({"c2": np.array([1, np.nan, 3])}, "row 2: c2 = nan: expected a finite number"),
+    ):
+        scipy.io.savemat(tmp_path / "a.mat", good | extra)
+        assert message in refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+    numbers = MAP.replace('["c1", "c2"]', "[3, 4]")
+    assert "variable 3 is not there: expected one of p1, p2, c1, c2" in refusal(
+        tmp_path, two, numbers, tmp_path / "a.mat"
+    )
+    whole = (tmp_path / "a.mat").read_bytes()
+    (tmp_path / "a.mat").write_bytes(whole[: len(whole) // 2])
+    assert "not a MAT file that can be read" in refusal(tmp_path, two, MAP, tmp_path / "a.mat")
+    for content in (b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512), b"\x89HDF\r\n\x1a\n".ljust(512)):
+        (tmp_path / "a.mat").write_bytes(content)
+        assert "version 7.3 (HDF5): expected version 7; save it with -v7" in refusal(
+            tmp_path, two, MAP, tmp_path / "a.mat"
+        )
+
+
+def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
+    assert "none.csv: cannot be read: No such file" in refusal(tmp_path, two, MAP, tmp_path / "none.csv")
+    assert "cannot be read: Is a directory" in refusal(tmp_path, two, MAP, tmp_path)
+    with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
+        import_tables([], two, tmp_path / "none.toml", tmp_path / "out.mcap")
+
+
+def test_the_real_emps_record(emps: Path) -> None:
+    """One prismatic axis: volts at the drive, 35.15 N/V."""
+    raw = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))
+    recording = read_recording(emps)
+    samples = recording.samples
+    assert samples is not None
+    assert np.array_equal(samples["position"], raw["qm"])
+    assert np.array_equal(samples["reference"], raw["qg"])
+    assert np.allclose(samples["effort"], 35.15065188 * raw["vir"], rtol=1e-14)
+    assert recording.sample_rate_hz == 1000.0
+    assert samples["stamp_ns"].tolist() == list(range(0, 24_841_000_000, 1_000_000))
+
+
+def test_the_real_tx40_record(tx40: Path) -> None:
+    """Six joints: the first row by hand from the tables, with the wrist's coupling."""
+    samples = read_recording(tx40).samples
+    assert samples is not None
+    pos, curr = (
+        np.loadtxt(needs_data("tx40", name), delimiter=",", skiprows=1)
+        for name in ("pos_read_data.csv", "curr_data.csv")
+    )
+    ratios = np.array([32, 32, 45, -48, 45, 32.0])
+    q = pos / ratios
+    q[:, 5] -= pos[:, 4] / 45
+    tau = curr * ratios
+    tau[:, 4] += 32 * curr[:, 5]
+    assert np.allclose(samples["position"], q, rtol=1e-12, atol=1e-14)
+    assert np.allclose(samples["effort"], tau, rtol=1e-12, atol=1e-14)
+    assert samples["stamp_ns"][-1] == 44_999 * 200_000
+    assert robot_named("tx40").effort_units == ("N m",) * 6
+    assert (REPLAY / "tx40" / "map.toml").is_file()
