@@ -14,8 +14,8 @@ from .signals import Signals
 
 Vector = NDArray[np.float64]
 
-_SERIES_BLOCK = 16_000_000  # numbers of a block's regressor: 128 MB
-_NUMBERS_IN_MEMORY = 25_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
+_SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB
+_NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _GROUP = 8  # series filtered at a time: they stay in the cache
 
 

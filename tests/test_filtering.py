@@ -73,7 +73,8 @@ def test_decimation_keeps_the_last_sample_and_passes_constants(samples, factor):
 
 
 @pytest.mark.parametrize(
-    ("factor", "passes"), [(1, ()), (10, (10,)), (13, (13,)), (100, (10, 10)), (20, (4, 5)), (1000, (10, 10, 10)), (17, (17,))]
+    ("factor", "passes"),
+    [(1, ()), (10, (10,)), (13, (13,)), (100, (10, 10)), (20, (4, 5)), (1000, (10, 10, 10)), (17, (17,))],
 )
 def test_large_decimations_go_in_passes(factor, passes):
     found = decimation_passes(factor)

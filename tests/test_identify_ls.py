@@ -126,7 +126,8 @@ def test_a_joint_that_does_not_move_is_named():
     still[:, 1] = 0.3
     zero = np.zeros_like(still)
     parts = {
-        name: np.c_[getattr(motion, name)[:, 0], zero[:, 1]] if name != "q" else still for name in ("q", "dq", "ddq", "tau")
+        name: np.c_[getattr(motion, name)[:, 0], zero[:, 1]] if name != "q" else still
+        for name in ("q", "dq", "ddq", "tau")
     }
     observed = regression_of_motion(Motion(t_s=motion.t_s, **parts), dynamics, base)
     with pytest.raises(IdentificationError, match="does not excite Fv2, Fc2"):

@@ -1,0 +1,115 @@
+"""Speed and memory of identification, beside a floor taken in the same run.
+
+Run with `pytest tests/benchmarks -s --benchmark-enable`. The floor is a bare loop of pinocchio's
+`computeJointTorqueRegressor` over the same samples: no result is kept.
+"""
+
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import robot_named
+
+from acquisition.blocks import sample_dtype
+from acquisition.recording import RecordingWriter
+from acquisition.reference import fourier_reference
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics
+from identification.idim import identify_ls
+from identification.plan import Overrides
+from identification.signals import load_signals
+from identification.synthetic import known_parameters
+
+pytestmark = pytest.mark.skipif(
+    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
+)
+
+SAMPLES = 45_000
+
+
+def floor(dynamics: Dynamics, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Callable[[], None]:
+    model, data, compute = dynamics.model, dynamics.model.createData(), pin.computeJointTorqueRegressor
+
+    def run() -> None:
+        for k in range(len(q)):
+            compute(model, data, q[k], dq[k], ddq[k])
+
+    return run
+
+
+def ratio(run: Callable[[], object], beside: Callable[[], object], *, rounds: int = 9) -> tuple[float, float]:
+    """Median over alternate rounds of run/beside, and the median time of `beside` in s."""
+    for warm in (run, beside):
+        warm()
+    ratios, floors = [], []
+    for _ in range(rounds):
+        times = []
+        for part in (run, beside):
+            start = time.perf_counter()
+            part()
+            times.append(time.perf_counter() - start)
+        ratios.append(times[0] / times[1])
+        floors.append(times[1])
+    return float(np.median(ratios)), float(np.median(floors))
+
+
+def test_regressor(capsys):
+    dynamics = Dynamics(robot_named("tx40"))
+    base = base_parameters(dynamics)
+    q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, SAMPLES, 6))
+    found, floor_s = ratio(lambda: dynamics.series(q, dq, ddq, base.columns), floor(dynamics, q, dq, ddq))
+    with capsys.disabled():
+        print(f"\nregressor, {SAMPLES} x 6, 60 columns: {found:.2f} x the floor of {floor_s:.3f} s (bound 1.4)")
+
+
+def test_fit_of_the_tx40_recording(tx40, capsys):
+    signals = load_signals(tx40)
+    dynamics = Dynamics(signals.robot)
+    q = np.ascontiguousarray(signals.q)
+    found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
+    with capsys.disabled():
+        print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
+
+
+def hour_long_recording(path: Path, seconds: int = 3600) -> None:
+    """One hour at 1 kHz of the simulated TX40, noise on the torque, written block by block."""
+    robot = robot_named("tx40")
+    dynamics = Dynamics(robot)
+    chi, columns = known_parameters(dynamics), np.arange(dynamics.p)
+    entries = dynamics.entries(columns)
+    reference = fourier_reference(robot, period_s=20.0, seed=1)
+    rng = np.random.default_rng(0)
+    with RecordingWriter(
+        path, robot, source="simulated", sample_rate_hz=1000.0, effort_provenance="simulated"
+    ) as writer:
+        for second in range(0, seconds, 5):
+            k = np.arange(second * 1000, (second + 5) * 1000)
+            q, dq, ddq = reference.at(k * 1e-3)
+            block = np.zeros(len(k), sample_dtype(6, reference=False))
+            block["stamp_ns"], block["position"] = k * 1_000_000, q
+            terms = dynamics.series(q, dq, ddq, columns) * chi[entries[:, 1], None]
+            for j in range(6):
+                block["effort"][:, j] = terms[entries[:, 0] == j].sum(axis=0) + rng.standard_normal(len(k))
+            for part in np.array_split(block, 5):
+                writer.samples(part)
+
+
+def test_memory_of_a_fit_of_one_hour(tmp_path, capsys):
+    path = tmp_path / "hour.mcap"
+    hour_long_recording(path)
+    start = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json"],
+        check=True,
+        capture_output=True,
+    )
+    peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
+    took_s = time.perf_counter() - start
+    with capsys.disabled():
+        print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1), {took_s:.0f} s")

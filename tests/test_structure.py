@@ -1,0 +1,147 @@
+"""The house: imports run one way, heavy packages have one owner each, files stay small."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+# What each file may import of the project. A file that is not here fails the test: put it where it belongs.
+ACQUISITION = {
+    "__init__": set(),
+    "whole_file": {"__init__"},
+    "robot": {"__init__"},
+    "reference": {"__init__", "robot"},
+    "blocks": {"__init__"},
+    "mcap_content": {"__init__"},
+    "recording": {"__init__", "blocks", "mcap_content", "robot", "whole_file"},
+    "table_files": {"__init__"},
+    "tables": {"__init__", "blocks", "recording", "robot", "table_files", "whole_file"},
+    "overview": {"__init__", "blocks", "recording", "robot"},
+    "__main__": {"__init__", "blocks", "overview", "recording", "robot", "table_files", "tables", "whole_file"},
+}
+IDENTIFICATION = {
+    "__init__": set(),
+    "signals": {"__init__", "acquisition.recording", "acquisition.robot"},
+    "filtering": {"__init__"},
+    "dynamics": {"__init__", "acquisition.robot"},
+    "base_parameters": {"dynamics"},
+    "plan": {"__init__", "filtering", "signals"},
+    "regression": {"base_parameters", "dynamics", "filtering", "plan", "signals"},
+    "estimators": {"__init__"},
+    "diagnostics": {"plan"},
+    "idim": {"base_parameters", "diagnostics", "dynamics", "estimators", "plan", "regression", "signals"},
+    "synthetic": {
+        "__init__",
+        "base_parameters",
+        "dynamics",
+        "filtering",
+        "acquisition.blocks",
+        "acquisition.recording",
+        "acquisition.reference",
+        "acquisition.robot",
+        "acquisition.whole_file",
+    },
+    "report": {
+        "__init__",
+        "base_parameters",
+        "diagnostics",
+        "filtering",
+        "idim",
+        "plan",
+        "signals",
+        "acquisition.whole_file",
+    },
+    "viewer": {
+        "__init__",
+        "base_parameters",
+        "diagnostics",
+        "dynamics",
+        "filtering",
+        "idim",
+        "plan",
+        "regression",
+        "report",
+        "signals",
+        "acquisition.robot",
+        "acquisition.whole_file",
+    },
+    "__main__": {
+        "__init__",
+        "base_parameters",
+        "dynamics",
+        "idim",
+        "plan",
+        "report",
+        "signals",
+        "synthetic",
+        "viewer",
+        "acquisition.__init__",
+        "acquisition.robot",
+    },
+}
+# Packages that only one file may import.
+OWNERS = {
+    "pinocchio": {"identification/dynamics.py"},
+    "rerun": {"identification/viewer.py"},
+    "mcap": {"acquisition/recording.py", "acquisition/mcap_content.py"},
+    "rosbags": {"acquisition/recording.py"},
+    "can": {"acquisition/bus.py"},
+    "canopen": {"acquisition/bus.py"},
+}
+FILES = sorted((ROOT / "acquisition").glob("*.py")) + sorted((ROOT / "identification").glob("*.py"))
+
+
+def imported(path: Path) -> set[str]:
+    """Modules a file imports anywhere in it; relative ones in full."""
+    found, package = set(), path.parent.name
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            inside = f"{package}." if node.level else ""
+            if node.module:
+                found.add(inside + node.module)
+            else:
+                found |= {
+                    f"{package}.{alias.name}" if (path.parent / f"{alias.name}.py").exists() else f"{package}.__init__"
+                    for alias in node.names
+                }
+    return {f"{name}.__init__" if name in ("acquisition", "identification") else name for name in found}
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: f"{path.parent.name}/{path.stem}")
+def test_imports_run_one_way(path):
+    package, table = path.parent.name, ACQUISITION if path.parent.name == "acquisition" else IDENTIFICATION
+    assert path.stem in table, "a new file: say in this table what it may import"
+    allowed = {name if name.startswith("acquisition.") else f"{package}.{name}" for name in table[path.stem]}
+    ours = {name for name in imported(path) if name.startswith(("acquisition.", "identification."))}
+    assert ours <= allowed
+
+
+@pytest.mark.parametrize("package", OWNERS)
+def test_heavy_packages_have_one_owner(package):
+    users = {
+        f"{path.parent.name}/{path.name}" for path in FILES if package in {n.split(".")[0] for n in imported(path)}
+    }
+    assert users <= OWNERS[package]
+
+
+def test_files_stay_small():
+    lengths = sorted(len(path.read_text().splitlines()) for path in FILES)
+    assert lengths[-1] <= 400
+    assert lengths[len(lengths) // 2] < 200
+
+
+@pytest.mark.parametrize("package", ["acquisition", "identification"])
+def test_help_loads_nothing_heavy(package):
+    code = (
+        f"import sys\ntry:\n from {package}.__main__ import main\n main(['--help'])\nexcept SystemExit: pass\n"
+        "heavy = {'numpy', 'scipy', 'pinocchio', 'rerun', 'mcap', 'rich', 'can', 'canopen'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {heavy}' if heavy else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "usage: robot-" in done.stdout
