@@ -243,14 +243,17 @@ def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) 
 def _fitted_rate_hz(time_s: NDArray[np.float64], place: str) -> float:
     """Rate of the uniform grid through `time_s`; refuses times that do not grow or that leave the grid."""
     steps = np.diff(time_s)
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0))
+        raise AcquisitionError(
+            f"{place}: row {row + 2}: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s: expected a later time"
+        )
     period = float(np.median(steps))
-    if not period > 0:
-        period = float(time_s[-1] - time_s[0]) / len(steps)
-    bad = (steps <= 0) | (np.abs(steps - period) > 0.1 * period)
+    bad = np.abs(steps - period) > 0.1 * period
     if bad.any():
         row = int(np.argmax(bad))
-        missing = round(steps[row] / period) - 1 if period > 0 else 0
-        told = "time does not grow" if steps[row] <= 0 else f"{missing} rows missing" if missing > 0 else "not uniform"
+        missing = round(steps[row] / period) - 1
+        told = f"{missing} rows missing" if missing > 0 else "not uniform"
         raise AcquisitionError(
             f"{place}: row {row + 2}: {steps[row]:.6g} s after the row before: expected {period:.6g} s ({told})"
         )

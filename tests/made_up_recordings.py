@@ -37,7 +37,7 @@ def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40) -> None:
         robot,
         source="a test",
         sample_rate_hz=1000.0,
-        effort_provenance="made up",
+        effort_provenance="made up, Rᵀ",
         notes={"bitrate": "1000000"},
         attachments={"../../etc/drive.eds": b"[FileInfo]\n"},
     ) as writer:

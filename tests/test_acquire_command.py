@@ -212,9 +212,10 @@ def test_a_reader_that_goes_away_and_a_terminal_without_unicode(tmp_path: Path) 
         process.stdout.close()
         assert process.stderr.read() == b""
     ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
-    result = run("info", str(tmp_path / "a.mcap"), env=ascii_only, cwd=REPLAY.parent)
-    assert (result.returncode, result.stderr) == (0, "")
-    assert "made up" in result.stdout
+    for arguments in (["info", str(tmp_path / "a.mcap")], ["info", str(tmp_path / "a.mcap"), "--json"]):
+        result = run(*arguments, env=ascii_only, cwd=REPLAY.parent)
+        assert (result.returncode, result.stderr) == (0, "")
+        assert "made up, R?" in result.stdout
     with Path("/dev/full").open("w") as full:
         written = subprocess.run(
             command, stdout=full, stderr=subprocess.PIPE, text=True, check=False, cwd=REPLAY.parent

@@ -42,7 +42,7 @@ def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
     assert [h.counters["kernel_drops"] for h in recording.health] == [0, 40, 80, 120, 160, 200]
     assert recording.attachments == {"../../etc/drive.eds": b"[FileInfo]\n", **robot.files}
     assert recording.metadata["bitrate"] == "1000000"
-    assert recording.metadata["effort_provenance"] == "made up"
+    assert recording.metadata["effort_provenance"] == "made up, Rᵀ"
     assert json.loads(recording.metadata["effort_unit"]) == ["N m", "N m"]
     assert recording.robot.name == "SCARA"
     assert recording.sample_rate_hz == 1000.0

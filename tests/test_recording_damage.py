@@ -8,6 +8,7 @@ import sys
 import zlib
 from dataclasses import replace
 from pathlib import Path
+from typing import IO
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from conftest import robot_named
 from made_up_recordings import attempt, is_prefix, same, some_samples, write
 from mcap.writer import Writer
 
-from acquisition import AcquisitionError
+from acquisition import AcquisitionError, mcap_content
 from acquisition.blocks import FRAME, sample_dtype
 from acquisition.recording import read_recording, recover
 from acquisition.robot import Robot
@@ -144,20 +145,20 @@ def test_a_whole_file_needs_no_recovery(whole: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out.mcap").exists()
 
 
-def test_a_chunk_that_claims_or_unpacks_to_much_is_refused(tmp_path: Path, robot: Robot) -> None:
+def test_what_unpacks_to_too_much_is_refused(
+    tmp_path: Path, robot: Robot, whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with (tmp_path / "bomb.mcap").open("wb") as file:
-        writer = Writer(file, chunk_size=2**30)
-        writer.start()
-        writer.add_metadata(
-            "recording", {"crc32": f"{zlib.crc32(json.dumps(sorted(GOOD.items())).encode()):08x}", **GOOD}
-        )
-        writer.add_attachment(0, 0, "robot.toml", "", robot.files["robot.toml"])
+        writer = described(file, robot)
         channel = writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
         writer.add_message(channel, 0, bytes(70 * 2**20), 0)
         writer.finish()
     assert (tmp_path / "bomb.mcap").stat().st_size < 20_000
     with pytest.raises(AcquisitionError, match=r"a chunk of 7.* bytes: expected 67108864"):
         read_recording(tmp_path / "bomb.mcap")
+    monkeypatch.setattr(mcap_content, "_LARGEST_TOTAL", 10_000)
+    with pytest.raises(AcquisitionError, match="more than 10000 bytes unpacked"):
+        read_recording(whole)
 
 
 def record(
@@ -168,15 +169,27 @@ def record(
         writer = Writer(file)
         writer.start()
         if metadata:
-            entries = sorted(metadata.items())
-            crc = f"{zlib.crc32(json.dumps(entries).encode()):08x}"
-            writer.add_metadata("recording", {"crc32": crc, **metadata})
+            add_metadata(writer, metadata)
         for name, content in attachments.items():
             writer.add_attachment(0, 0, name, "", content)
         for topic, layout, content in messages:
             schema = writer.register_schema("x", "numpy", layout.encode())
             writer.add_message(writer.register_channel(topic, "numpy", schema), 5, content, 5)
         writer.finish()
+
+
+def add_metadata(writer: Writer, metadata: dict[str, str]) -> None:
+    crc = f"{zlib.crc32(json.dumps(sorted(metadata.items())).encode()):08x}"
+    writer.add_metadata("recording", {"crc32": crc, **metadata})
+
+
+def described(file: IO[bytes], robot: Robot) -> Writer:
+    """The beginning of a recording that is still to get its data, in one chunk."""
+    writer = Writer(file, chunk_size=2**30)
+    writer.start()
+    add_metadata(writer, GOOD)
+    writer.add_attachment(0, 0, "robot.toml", "", robot.files["robot.toml"])
+    return writer
 
 
 LAYOUT = repr(sample_dtype(2, reference=False).descr)
@@ -208,6 +221,11 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
         (GOOD, [("/samples", LAYOUT, ROW), ("/samples", "[]", ROW)], "/samples changes its layout"),
         (GOOD, [("/can/a/frames", LAYOUT, ROW)], "/can/a/frames: layout .*: expected"),
         (GOOD, [("/can/a/frames", repr(FRAME.descr), b"\xff" * 22)], "row 1: length = 255, .* expected 8 bytes"),
+        (
+            GOOD,
+            [("/can/a/frames", repr(FRAME.descr), bytes(7) + b"\xff" + bytes(14))],
+            "time_ns = -72057594037927936: exp",
+        ),
         (GOOD, [("/events", "", b'{"kind": 1}')], "/events: Expected `str`, got `int`"),
         (GOOD, [("/events", "", b"[" * 5000)], "/events: "),
         (GOOD, [("/health", "", b'{"drops": "many"}')], "/health: Expected `float | null`"),
@@ -233,6 +251,34 @@ def test_the_file_that_all_of_these_differ_from_is_read(tmp_path: Path, robot: R
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples is not None
     assert recording.samples.tobytes() == ROW
+
+
+def test_what_stands_twice_or_belongs_to_nothing_is_damage(tmp_path: Path, robot: Robot) -> None:
+    for change, message in (
+        (
+            lambda writer: writer.add_metadata("recording", GOOD),
+            "damaged at byte .* a second metadata record 'recording'",
+        ),
+        (lambda writer: writer.add_attachment(0, 0, "robot.toml", "", b""), r"a second attachment 'robot\.toml'"),
+        (lambda writer: writer.add_message(7, 0, b"", 0), "a message on channel 7, which is not described"),
+    ):
+        with (tmp_path / "a.mcap").open("wb") as file:
+            writer = described(file, robot)
+            change(writer)
+            writer.finish()
+        with pytest.raises(AcquisitionError, match=message):
+            read_recording(tmp_path / "a.mcap")
+
+
+def test_a_channel_without_messages_holds_nothing(tmp_path: Path, robot: Robot) -> None:
+    with (tmp_path / "a.mcap").open("wb") as file:
+        writer = described(file, robot)
+        writer.register_channel("/samples", "numpy", writer.register_schema("x", "numpy", LAYOUT.encode()))
+        writer.add_message(writer.register_channel("/x", "", 0), 0, b"", 0)
+        writer.finish()
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples is None
+    assert recording.frames == {}
 
 
 @pytest.mark.parametrize("content", [b"", b"time,q1\n0,1\n", b"\x89MCAP0\r", b"\x89HDF\r\n\x1a\n" * 50])
