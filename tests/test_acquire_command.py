@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from made_up_recordings import some_samples, write
+from made_up_recordings import some_frames, some_samples, write
 
 from acquisition.__main__ import main
+from acquisition.blocks import SENT
 from acquisition.recording import RecordingWriter, read_recording
 
 SCARA = REPLAY / "scara" / "robot.toml"
@@ -87,6 +88,9 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(
         "../../etc/drive.eds (11 bytes)", "whole", "shoulder", "elbow", "track", "stop", "gaps      none",
     ):  # fmt: skip
         assert part in text
+    sent = np.count_nonzero(some_frames(240)["flags"] & SENT)
+    assert 0 < sent < 240
+    assert f"240 frames, {sent} of them sent, 0.239 s" in text
     samples = np.delete(some_samples(100), [50, 51])
     with RecordingWriter(
         tmp_path / "b.mcap", robot_named("scara"), source="[bold]x\x1b[2J", sample_rate_hz=1000.0, effort_provenance=""

@@ -1,5 +1,6 @@
 """robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -173,11 +174,21 @@ def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) ->
     assert path.read_text() == "new"
 
 
+def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A power cut after the renaming must not leave a file without content."""
+    synced: list[bool] = []
+    monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").exists()))
+    with whole_file(tmp_path / "out") as partial:
+        partial.write_text("new")
+    assert synced == [False]
+
+
 def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
+    os.mkfifo(tmp_path / "pipe")  # stands for any device, which a mistake here would replace
     for path, message in (
         (tmp_path, "expected a file, found a folder or a device"),
-        (Path("/dev/null"), "expected a file, found a folder or a device"),
+        (tmp_path / "pipe", "expected a file, found a folder or a device"),
         (Path(), "expected the name of a file"),
         (tmp_path / "none" / "out", "No such file or directory"),
         (tmp_path / "file" / "out", "Not a directory"),
@@ -185,7 +196,8 @@ def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
     ):
         with pytest.raises(AcquisitionError, match=message), whole_file(path) as partial:
             partial.write_text("new")
-    assert [p.name for p in tmp_path.iterdir()] == ["file"]
+    assert {p.name for p in tmp_path.iterdir()} == {"file", "pipe"}
+    assert (tmp_path / "pipe").is_fifo()
 
 
 def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None:
