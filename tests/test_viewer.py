@@ -1,0 +1,384 @@
+"""The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
+
+import resource
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from rerun.chunk import RrdReader
+
+from acquisition import AcquisitionError
+from acquisition.robot import robot_from_files
+from identification import viewer
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics
+from identification.filtering import Motion, decimate, differentiate, lowpass, motion_between
+from identification.idim import identify_ls
+from identification.plan import Overrides
+from identification.regression import predicted_torque
+from identification.signals import Signals
+from identification.viewer import BUCKETS, extremes, write_fit_rrd
+
+FS = 1000.0
+
+
+def robot_with(types, unit):
+    text = 'name = "made up"\n'
+    for j, kind in enumerate(types):
+        dh = f"{{ alpha_deg = {(0, -90, 90)[j % 3]}, d_m = {0.2 * (j > 0)}, theta_deg = 0, r_m = {0.1 * j} }}"
+        text += f'[[joint]]\nname = "joint {j + 1}.x"\ntype = "{kind}"\ndh = {dh}\noffset = true\n'
+        text += f'rotor_inertia = {"true" if j else "false"}\n[[motor]]\nname = "m{j}"\neffort_unit = "{unit}"\n'
+    return robot_from_files({"robot.toml": (text + "[controller]\nbandwidth_hz = 10.0\n").encode()}, "made up")
+
+
+@cache
+def made_up(types=("revolute", "prismatic"), unit="N m", samples=4000, reference=False, noise=1e-6):
+    """A robot that obeys its model, with noise on position and torque."""
+    rng = np.random.default_rng(5)
+    robot, t = robot_with(types, unit), np.arange(samples) / FS
+    f = np.array([0.3, 0.7, 1.1, 1.9, 2.3])[:, None, None] * 4000 / samples + 0.5
+    phase, size = rng.uniform(0, 6, (5, 1, robot.n)), rng.uniform(0.1, 0.3, (5, 1, robot.n))
+    q = (size * np.sin(2 * np.pi * f * t[:, None] + phase)).sum(axis=0)
+    dq = differentiate(q, FS)
+    motion = Motion(t_s=t, q=q, dq=dq, ddq=differentiate(dq, FS), tau=np.zeros_like(q))
+    idm = Dynamics(robot)
+    base = base_parameters(idm)
+    tau = predicted_torque(motion, idm, base, rng.uniform(0.5, 2, base.b))
+    return Signals(
+        t_s=t,
+        q=q + noise * rng.standard_normal(q.shape),
+        q_ref=q + 0.01 if reference else None,
+        effort=tau + 0.05 * tau.std() * rng.standard_normal(tau.shape),
+        sample_rate_hz=FS,
+        track=None,
+        robot=robot,
+        recording="made_up.mcap",
+        sha256="0" * 64,
+    )
+
+
+@cache
+def fitted(signals, cutoff_hz=None, essential=False):
+    return identify_ls(signals, Overrides(cutoff_hz=cutoff_hz), essential=essential)
+
+
+class Written:
+    """A file read back: `curves` as (t_ns, values) and `static` columns by entity path; the layout's views."""
+
+    def __init__(self, path):
+        reader = RrdReader(path)
+        (recording,), (blueprint,) = reader.recordings(), reader.blueprints()
+        self.application = recording.application_id
+        self.curves, self.static, self.views = {}, {}, {}
+        for chunk in reader.stream(store=recording).to_chunks():
+            batch = chunk.to_record_batch()
+            columns = {name: batch.column(name) for name in batch.schema.names}
+            if chunk.is_static:
+                self.static.setdefault(chunk.entity_path, {}).update({k: v.to_pylist()[0] for k, v in columns.items()})
+            else:
+                assert chunk.timeline_names == ["time"]
+                t = columns["time"].to_numpy(zero_copy_only=False).astype(np.int64)
+                x = np.array([row[0] for row in columns["Scalars:scalars"].to_pylist()])
+                assert chunk.entity_path not in self.curves, "in one piece"
+                self.curves[chunk.entity_path] = (t, x)
+        for chunk in reader.stream(store=blueprint).to_chunks():
+            batch = chunk.to_record_batch()
+            if "ViewBlueprint:space_origin" in batch.schema.names:
+                kind, title, origin = (
+                    batch.column(f"ViewBlueprint:{name}").to_pylist()[0][0]
+                    for name in ("class_identifier", "display_name", "space_origin")
+                )
+                self.views["/" + origin.lstrip("/")] = (kind, title)
+
+    def curve(self, *path):
+        t, x = self.curves["/" + "/".join(part.replace(" ", "\\ ") for part in path)]
+        return np.rint(t * 1e-9 * FS).astype(int), x
+
+    def holds(self, origin, kind):
+        """Whether there is something below `origin` that a view of this kind shows."""
+        below = {path: columns for path, columns in self.static.items() if f"{path}/".startswith(f"{origin}/")}
+        if kind == "TimeSeries":
+            lines = [p for p in self.curves if p.startswith(f"{origin}/") and len(self.curves[p][0]) > 1]
+            return any(below[p]["SeriesLines:visible_series"] == [True] for p in lines)
+        component = {"BarChart": "BarChart:values", "2D": "Points2D:positions", "TextDocument": "TextDocument:text"}[
+            kind
+        ]
+        return any(columns.get(component) for columns in below.values())
+
+
+@pytest.fixture
+def written(tmp_path):
+    def write(signals, fit=None, name="fit.rrd"):
+        write_fit_rrd(tmp_path / name, signals, fit or fitted(signals))
+        return Written(tmp_path / name)
+
+    return write
+
+
+CASES = {
+    "two joints": {},
+    "one sliding joint, with reference": {"types": ("prismatic",), "reference": True},
+    "one joint in A": {"types": ("revolute",), "unit": "A"},
+    "seven joints": {"types": ("revolute",) * 7},
+    "hardly any noise": {"noise": 0.0},
+    "long": {"types": ("revolute",), "samples": 25_000},
+}
+
+
+@pytest.mark.parametrize("case", CASES.values(), ids=CASES)
+def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
+    signals = made_up(**case)
+    file = written(signals)
+    n = signals.robot.n
+    assert sorted(kind for kind, _ in file.views.values()) == sorted(
+        ["TimeSeries"] * 4 * n + ["BarChart"] * 2 * n + ["2D", "TextDocument"]
+    )
+    for origin, (kind, title) in file.views.items():
+        assert file.holds(origin, kind), f"{title} is empty"
+    for path in [*file.curves, *file.static]:
+        assert path.startswith("/__") or any(f"{path}/".startswith(f"{origin}/") for origin in file.views), path
+
+
+def test_an_empty_panel_would_be_noticed(written):
+    file = written(made_up())
+    del file.curves["/torque/joint\\ 1.x/measured"], file.curves["/torque/joint\\ 1.x/predicted"]
+    del file.curves["/torque/joint\\ 1.x/residual"]
+    assert not file.holds("/torque/joint\\ 1.x", "TimeSeries")
+    assert not file.holds("/nowhere", "2D")
+
+
+def test_titles_say_joint_unit_and_error(written):
+    signals = made_up(types=("prismatic", "revolute"))
+    titles = {origin: title for origin, (_, title) in written(signals).views.items()}
+    error = fitted(signals).errors[0].relative_error_percent
+    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], relative error {error:.1f} %"
+    assert titles["/torque/joint\\ 2.x"].startswith("joint 2.x [N m]")
+    assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
+    assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
+    in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
+    assert in_amperes["/torque/joint\\ 1.x"][1].startswith("joint 1.x [A]")
+
+
+def test_short_curves_are_written_sample_by_sample(written):
+    signals = made_up(reference=True)
+    fit, file = fitted(signals), written(signals)
+    plan = fit.plan
+    span = np.arange(plan.start, plan.stop)
+    q = lowpass(signals.q, plan.cutoff_hz, FS)  # in one pass over the whole
+    dq = differentiate(q, FS)
+    whole = motion_between(
+        signals.q, signals.effort, cutoff_hz=plan.cutoff_hz, sample_rate_hz=FS, start=plan.start, stop=plan.stop
+    )
+    predicted = predicted_torque(whole, Dynamics(signals.robot), fit.base, fit.beta)
+    for j, joint in enumerate(signals.robot.joints):
+        expected = {
+            ("torque", "measured"): (np.arange(len(q)), signals.effort),
+            ("torque", "predicted"): (span, predicted),
+            ("q", "measured"): (np.arange(len(q)), signals.q),
+            ("q", "reference"): (np.arange(len(q)), signals.q_ref),
+            ("q", "measured_filtered"): (span, q[span]),
+            ("dq", "measured"): (np.arange(len(q)), differentiate(signals.q, FS)),
+            ("dq", "measured_filtered"): (span, dq[span]),
+            ("ddq", "measured_filtered"): (span, differentiate(dq, FS)[span]),
+        }
+        for (quantity, key), (samples, values) in expected.items():
+            k, x = file.curve(quantity, joint.name, key)
+            np.testing.assert_array_equal(k, samples)
+            np.testing.assert_allclose(x, values[:, j], rtol=1e-9, atol=1e-9 * np.abs(values).max())
+
+
+def test_the_residual_is_the_one_whose_error_is_reported(written):
+    signals = made_up()
+    fit, file = fitted(signals), written(signals)
+    Y = decimate(signals.effort[fit.plan.start : fit.plan.stop].T, fit.plan.decimation)
+    for j, joint in enumerate(signals.robot.joints):
+        k, rho = file.curve("torque", joint.name, "residual")
+        assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
+        t, predicted = file.curve("torque", joint.name, "predicted")
+        np.testing.assert_array_equal(t, np.arange(fit.plan.start, fit.plan.stop))
+        np.testing.assert_allclose(rho, Y[j] - decimate(predicted, fit.plan.decimation), atol=1e-9 * np.abs(Y[j]).max())
+        assert k[-1] == fit.plan.stop - 1
+        assert set(np.diff(k)) == {fit.plan.decimation}
+
+
+def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
+    signals = made_up()
+    whole = written(signals)
+    monkeypatch.setattr(viewer, "_BLOCK", 700)
+    blocks = written(signals, name="blocks.rrd")
+    assert whole.curves.keys() == blocks.curves.keys()
+    for path, (t, x) in whole.curves.items():
+        np.testing.assert_array_equal(blocks.curves[path][0], t)
+        np.testing.assert_allclose(blocks.curves[path][1], x, rtol=1e-9, atol=1e-9 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("N", "step"), [(1, 1), (10, 1), (10, 3), (99, 9), (1000, 7), (5, 9)])
+def test_thinning_keeps_both_extremes_of_every_bucket(N, step):
+    x = np.random.default_rng(N).standard_normal(N)
+    k = extremes(x, step)
+    assert (np.diff(k) > 0).all()
+    if step == 1:
+        np.testing.assert_array_equal(k, np.arange(N))
+    assert len(k) <= 2 * (N // step) + N % step or step == 1
+    for a in range(0, N, step):
+        kept, bucket = x[k[(k >= a) & (k < a + step)]], x[a : a + step]
+        assert kept.min() == bucket.min()
+        assert kept.max() == bucket.max()
+
+
+def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
+    signals = made_up(types=("revolute",), samples=25_000)
+    fit = fitted(signals)
+    effort = signals.effort.copy()
+    effort[12_345] = 10 * effort.max()
+    spiked = replace(signals, effort=effort)
+    file = written(spiked, fit)
+    k, x = file.curve("torque", "joint 1.x", "measured")
+    np.testing.assert_array_equal(x, effort[k, 0])
+    assert x[k == 12_345] == effort.max()
+    assert k[0] < 5
+    assert k[-1] > len(effort) - 6
+    step = -(-25_000 // BUCKETS)
+    assert all(len(t) <= 2 * BUCKETS + step for t, _ in file.curves.values())
+    assert (tmp_path / "fit.rrd").stat().st_size < 4e6
+    assert f"Of every {step} samples" in file.static["/report"]["TextDocument:text"][0]
+
+
+def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written):
+    def shown(file):
+        return {
+            quantity: file.static[f"/{quantity}/joint\\ 1.x/measured"]["SeriesLines:visible_series"] == [True]
+            for quantity in ("q", "dq", "ddq")
+        }
+
+    assert shown(written(made_up(noise=1e-3))) == {"q": True, "dq": True, "ddq": False}
+    assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"q": True, "dq": True, "ddq": True}
+
+
+def test_what_was_not_recorded_or_done_is_not_shown(written):
+    signals = made_up()
+    assert not any(path.endswith("reference") for path in written(signals).curves)
+    unfiltered = written(signals, fitted(signals, cutoff_hz=0.0), name="b.rrd")
+    assert not any(path.endswith("filtered") for path in unfiltered.curves)
+    assert all(unfiltered.holds(origin, kind) for origin, (kind, _) in unfiltered.views.items())
+
+
+@pytest.mark.parametrize("essential", [False, True])
+def test_parameters_are_drawn_with_their_names_and_deviations(essential, written):
+    signals = made_up()
+    fit = fitted(signals, essential=essential)
+    file = written(signals, fit)
+    labels = file.static["/parameters/labels"]["Points2D:labels"]
+    names = [label for label in labels if label in fit.estimate.names]
+    assert names == list(fit.estimate.names)
+    x, y = np.array(file.static["/parameters/dots"]["Points2D:positions"]).T
+    order = np.argsort(fit.estimate.beta)
+    assert len(x) == len(names) <= 20, "one column"
+    assert (np.diff(x[order]) > 0).all(), "larger values further right"
+    strokes = file.static["/parameters/strokes"]["LineStrips2D:strips"]
+    at = [np.array(s) for s in strokes if s[0][1] == s[1][1]]
+    assert len(at) == 2 * len(names)
+    for (left, right), i in zip(at[1::2], range(len(names)), strict=True):
+        assert left[0] < x[i] < right[0]
+        assert left[1] == y[i]
+    colors = file.static["/parameters/dots"]["Points2D:colors"]
+    marked = {name for name, color in zip(names, colors, strict=True) if color == max(colors)}
+    assert marked == set(fit.essential.estimate.names)
+
+
+def test_a_fit_without_robust_deviations_is_drawn(written):
+    signals = made_up()
+    fit = replace(fitted(signals), sigma_hac=np.full(len(fitted(signals).estimate.names), np.nan))
+    file = written(signals, fit)
+    assert np.isfinite(np.array(file.static["/parameters/strokes"]["LineStrips2D:strips"])).all()
+    assert "nan" not in file.static["/report"]["TextDocument:text"][0]
+
+
+def test_the_residual_is_shown_against_white_noise(written):
+    signals = made_up()
+    file = written(signals)
+    _, rho = file.curve("torque", "joint 1.x", "residual")
+
+    def values(kind, key, what="values"):
+        found = file.static[f"/residual/joint\\ 1.x/{kind}/{key}"][f"BarChart:{what}"]
+        return np.array(found if what == "widths" else found[0]["buffer"])
+
+    r = values("autocorrelation", "front")
+    middle = values("autocorrelation", "front", "abscissa") + values("autocorrelation", "front", "widths") / 2
+    period_s = fitted(signals).plan.decimation / FS
+    np.testing.assert_allclose(middle, period_s * np.arange(1, len(r) + 1), rtol=1e-6)
+    assert r[0] == pytest.approx(rho[1:] @ rho[:-1] / (rho @ rho))
+    assert r[4] == pytest.approx(rho[5:] @ rho[:-5] / (rho @ rho))
+    np.testing.assert_allclose(values("autocorrelation", "back"), np.array([2, -2]) / np.sqrt(len(rho)))
+    assert values("distribution", "front").sum() == len(rho)
+    # The normal one stands for as many rows.
+    assert values("distribution", "back").sum() * 31 / 300 == pytest.approx(len(rho), rel=0.05)
+
+
+def test_a_fit_that_leaves_nothing_has_no_residual_page(written, monkeypatch):
+    signals = made_up()
+    fit = fitted(signals)
+    nothing = np.zeros((200, 2))
+    monkeypatch.setattr(viewer, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
+    views = written(signals, fit).views
+    assert not any(kind == "BarChart" for kind, _ in views.values())
+    assert len(views) == 10
+
+
+def test_the_report_tells_result_settings_and_parameters(written):
+    signals = made_up(types=("revolute",), unit="A")
+    fit = fitted(signals)
+    text = written(signals).static["/report"]["TextDocument:text"][0]
+    assert text.startswith(f"# made up: {fit.errors[-1].relative_error_percent:.1f} % relative torque error")
+    for warning in fit.warnings:
+        assert f"warning: {warning}" in text
+    assert fit.warnings, "the drive gain is not known"
+    for name, value, unit in zip(fit.estimate.names, fit.estimate.beta, fit.base.units, strict=True):
+        assert f"| {name} | {value:.4g} |" in text
+        assert f"| {unit} |" in text
+    for part in ("made_up.mcap", "0" * 64, "low-pass 50 Hz", "WLS", "every sample"):
+        assert part in text
+
+
+def test_each_fit_is_an_application_of_its_own(written):
+    """A viewer has one layout per application: another fit's titles would stand over this one's curves."""
+    signals = made_up()
+    files = [written(signals, fit) for fit in (fitted(signals), fitted(signals), fitted(signals, cutoff_hz=30.0))]
+    assert files[0].application == files[1].application != files[2].application
+
+
+@pytest.mark.parametrize("name", ["missing/fit.rrd", "folder"])
+def test_a_path_that_cannot_be_written_is_one_line(name, tmp_path, capfd):
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(AcquisitionError) as error:
+        write_fit_rrd(tmp_path / name, made_up(), fitted(made_up()))
+    assert "\n" not in str(error.value)
+    assert str(tmp_path / name) in str(error.value)
+    assert [p.name for p in tmp_path.rglob("*")] == ["folder"]
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
+    path = tmp_path / "fit.rrd"
+    path.write_bytes(b"before")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(AcquisitionError, match="cannot be written"):
+            write_fit_rrd(path, made_up(), fitted(made_up()))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert path.read_bytes() == b"before"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
+    def fail(*_):
+        raise ValueError("half way")
+
+    monkeypatch.setattr(viewer, "fit_markdown", fail)
+    with pytest.raises(ValueError, match="half way"):
+        write_fit_rrd(tmp_path / "fit.rrd", made_up(), fitted(made_up()))
+    assert list(tmp_path.iterdir()) == []
+    assert capfd.readouterr() == ("", "")
