@@ -201,12 +201,10 @@ def _effort(wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) 
     told = f"{table}: {', '.join(str(c) for c in wanted.columns)}: {unit} at the {side}"
     if side == "joint":
         return values, f"{told}; joint effort = value in {_one(robot.effort_units)}"
-    gain = (
-        f" · drive gain {robot.gain.tolist()}" if robot.gain_known and any(m.drive_gain for m in robot.motors) else ""
-    )
-    return robot.joint_effort(
-        values
-    ), f"{told}; joint effort = motor_matrixᵀ{gain} · value, in {_one(robot.effort_units)}"
+    has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
+    gain = f" · drive gain {robot.gain.tolist()}" if has_gain else ""
+    rule = f"joint effort = motor_matrixᵀ{gain} · value, in {_one(robot.effort_units)}"
+    return robot.joint_effort(values), f"{told}; {rule}"
 
 
 def _one(units: Sequence[str]) -> str:
@@ -265,5 +263,5 @@ def _fitted_rate_hz(time_s: NDArray[np.float64], place: str) -> float:
             f"{place}: row {row + 1}: {off[row]:.6g} s off a uniform grid: expected {0.5 * period:.6g} s at most"
         )
     # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
-    scatter = max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12)
+    scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
     return next(r for d in range(1, 18) if abs((r := float(f"{1 / period:.{d}g}")) * period - 1) <= scatter)

@@ -159,6 +159,12 @@ def test_the_rate_is_the_roundest_that_fits(tmp_path: Path, two: Robot, rate_hz:
     assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == rate_hz
 
 
+def test_a_short_record_with_jitter_keeps_its_own_rate(tmp_path: Path, two: Robot) -> None:
+    time_s = np.array([0.0, 0.00221, 0.00416])  # 481 Hz; the scatter alone would allow 500
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), time_s)
+    assert run(tmp_path, two, with_time("s"), table).sample_rate_hz == pytest.approx(2 / 0.00416, rel=1e-4)
+
+
 def test_time_before_zero_is_counted_from_the_first_sample(tmp_path: Path, two: Robot) -> None:
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((10, 4)), np.arange(10) / 500 - 0.01)
     samples = read_recording(run(tmp_path, two, with_time("s"), table).out).samples
