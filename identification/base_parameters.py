@@ -29,6 +29,7 @@ class BaseParameters:
         units: (b,) SI units (A or V in place of N m where the drive gain is not known).
         columns: (b,) their columns in the regressor: W_base = W_standard[:, columns].
         K: (b, p) regrouping matrix.
+        masses: (n,) columns of the links' masses M1 ... Mn.
     """
 
     names: tuple[str, ...]
@@ -37,10 +38,22 @@ class BaseParameters:
     columns: NDArray[np.intp]
     K: Vector
 
+    masses: NDArray[np.intp]
+
     @property
     def b(self) -> int:
         """Number of base parameters."""
         return len(self.names)
+
+    def representative(self, beta: Vector) -> Vector:
+        """Standard parameters chi (p,) with K chi = beta: the links weigh 1 kg where their masses are free to choose.
+
+        The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing.
+        """
+        chi = np.zeros(self.K.shape[1])
+        chi[np.setdiff1d(self.masses, self.columns)] = 1.0
+        chi[self.columns] = beta - self.K @ chi
+        return chi
 
 
 def base_parameters(dynamics: Dynamics) -> BaseParameters:
@@ -62,6 +75,7 @@ def base_parameters(dynamics: Dynamics) -> BaseParameters:
     K = np.zeros((len(independent), dynamics.p))
     K[np.arange(len(independent)), independent] = 1.0
     K[:, dependent] = C
+    link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
     by_column = np.argsort(independent)
     K, columns = K[by_column], independent[by_column]
     regrouped = np.count_nonzero(K, axis=1) > 1
@@ -71,6 +85,7 @@ def base_parameters(dynamics: Dynamics) -> BaseParameters:
         units=tuple(dynamics.units[c] for c in columns),
         columns=columns,
         K=K,
+        masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
     )
 
 

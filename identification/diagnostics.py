@@ -1,10 +1,10 @@
 """How far a fit can be trusted: torque errors by joint and by state of motion, residual correlation, robust deviations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, stats
 
 from .plan import MOVING
 
@@ -61,23 +61,79 @@ def relative_error_percent(tau: Vector, rho: Vector) -> float | None:
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
-def hac_sigma(W: Vector, rho: Vector, n: int) -> Vector:
+def hac_sigma(Q: Vector, bread: Vector, rho: Vector, n: int) -> Vector:
     """Standard deviations (b,) that hold for correlated residuals (Newey and West).
 
-    W (r, b) and rho (r,) are weighted, stacked joint by joint, n joints of equally many rows. The scores of all joints at
-    one instant are added first, so correlation between joints counts as well as correlation in time; the window spans
-    1.3 sqrt(T) of the T instants. The formula's own deviations assume white residuals.
+    beta - beta_true = bread Qᵀ rho, with Q (r, b) and the weighted rho (r,) stacked joint by joint, n joints of equally
+    many rows. The scores of all joints at one instant are added first, so correlation between joints counts as well as
+    correlation in time; the window spans 1.3 sqrt(T) of the T instants. The formula's deviations assume white residuals.
     """
-    scores = (W * rho[:, None]).reshape(n, -1, W.shape[1]).sum(axis=0)  # (T, b)
+    r, b = Q.shape
+    scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
     T = len(scores)
     lags = int(np.ceil(1.3 * np.sqrt(T)))
     S = scores.T @ scores
     for lag in range(1, min(lags, T - 1) + 1):
         G = scores[lag:].T @ scores[:-lag]
         S += (1.0 - lag / (lags + 1.0)) * (G + G.T)
-    norms = np.linalg.norm(W, axis=0)
-    R = np.linalg.qr(W / norms, mode="r")
-    bread = linalg.solve_triangular(R, np.eye(len(norms))) / norms[:, None]
-    C = bread @ (bread.T @ S @ bread) @ bread.T
-    small_sample = len(W) / max(1, len(W) - W.shape[1])
-    return np.asarray(np.sqrt(small_sample * np.maximum(np.diag(C), 0.0)))
+    variance = np.einsum("ij,jk,ik->i", bread, S, bread)
+    return np.asarray(np.sqrt(r / max(1, r - b) * np.maximum(variance, 0.0)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentTests:
+    """What speaks for the instruments.
+
+    Attributes:
+        dwh_F, dwh_p_value: revised Durbin-Wu-Hausman test (Janot2016): small p says that least squares is biased. None
+            where instruments and regressor agree, so that there is nothing to test. Model error rejects as well.
+        dwh_F_effective, dwh_p_effective: the same with the residual's correlation counted.
+        strength: smallest canonical correlation of Z and W, 1 for instruments as good as W itself.
+        first_stage_F: of the direction of W that the instruments explain least; below 10 they are weak.
+    """
+
+    dwh_F: float | None
+    dwh_p_value: float | None
+    dwh_F_effective: float | None
+    dwh_p_effective: float | None
+    strength: float
+    first_stage_F: float
+
+
+def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: float) -> InstrumentTests:
+    """Tests on weighted W (r, b), Y (r,) and the orthonormal Q (r, b) of Z; `correlation` is the residual's at one row."""
+    b = W.shape[1]
+    d = np.linalg.norm(W, axis=0)
+    Qw = np.linalg.qr(W / d)[0]
+    strength = float(min(1.0, linalg.svdvals(Q.T @ Qw)[-1]))
+    first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
+    V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
+    outside = V - Qw @ (Qw.T @ V)
+    R = linalg.qr(outside, mode="r", pivoting=True)[0]
+    independent = int((np.abs(np.diag(R)) > 1e-6).sum())
+    nothing = InstrumentTests(
+        dwh_F=None,
+        dwh_p_value=None,
+        dwh_F_effective=None,
+        dwh_p_effective=None,
+        strength=strength,
+        first_stage_F=float(first_stage),
+    )
+    freedom = rows - b - independent
+    if not independent or freedom < 1:
+        return nothing
+    U = linalg.qr(outside, mode="economic", pivoting=True)[0][:, :independent]
+    rho = Y - Qw @ (Qw.T @ Y)
+    explained = float(((U.T @ rho) ** 2).sum())
+    left = float(rho @ rho) - explained
+    if left <= 0:
+        return nothing
+    F = (explained / independent) / (left / freedom)
+    share = (1 - max(0.0, correlation)) / (1 + max(0.0, correlation))
+    return replace(
+        nothing,
+        dwh_F=F,
+        dwh_p_value=float(stats.f.sf(F, independent, freedom)),
+        dwh_F_effective=F * share,
+        dwh_p_effective=float(stats.f.sf(F * share, independent, max(1.0, rows * share - b - independent))),
+    )

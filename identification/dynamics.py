@@ -3,16 +3,12 @@
 tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
 (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
 friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0.
-
-Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
-and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq) to the joint torques; Fvm and Fcm exist where a motor turns with
-several joints. As is the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alone belongs to that
-joint's own Ia and Fv: on the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6 and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
+What motors and friction add is in `joint_terms`.
 """
 
 import xml.etree.ElementTree as ET
-from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,23 +17,13 @@ from numpy.typing import NDArray
 from acquisition.robot import DH, Robot
 
 from . import IdentificationError
+from .joint_terms import JointTerm, joint_terms
 
 Vector = NDArray[np.float64]
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 _FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
 _CHUNK = 256  # samples per copy out of pinocchio: 256 regressors of six joints stay in the cache
-
-Term = Callable[[Vector, Vector], Vector]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointTerm:
-    """A standard parameter outside the links: its entries per joint as functions of (dq, ddq), each (N, n) → (N,)."""
-
-    name: str
-    unit: str
-    rows: dict[int, Term]
 
 
 class Dynamics:
@@ -49,13 +35,12 @@ class Dynamics:
         self.model.gravity.linear = np.array(robot.gravity)
         self._data = self.model.createData()
         n = robot.n
-        terms = [_joint_terms(robot, j) for j in range(n)]
-        self._source: list[tuple[int, int] | JointTerm] = []  # (link, place in LINK) or a term of a joint
+        self.sources: list[tuple[int, int] | JointTerm] = []  # (link, place in LINK) or a term of a joint
         for j in range(n):
-            self._source += [(j, i) for i in range(len(LINK))]
-            self._source += terms[j]
-        self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self._source)
-        self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self._source)
+            self.sources += [(j, i) for i in range(len(LINK))]
+            self.sources += joint_terms(robot, j)
+        self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources)
+        self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources)
         self._nonzero = self._structure()
 
     @property
@@ -65,7 +50,7 @@ class Dynamics:
 
     def is_link_parameter(self, column: int) -> bool:
         """Whether a column belongs to a link (XX ... M) rather than to a motor or to friction."""
-        return not isinstance(self._source[column], JointTerm)
+        return not isinstance(self.sources[column], JointTerm)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""
@@ -78,9 +63,9 @@ class Dynamics:
         out = np.empty((len(entries), N))
         places, picks = [], []
         for e, (j, c) in enumerate(entries):
-            source = self._source[columns[c]]
+            source = self.sources[columns[c]]
             if isinstance(source, JointTerm):
-                out[e] = source.rows[int(j)](dq, ddq)
+                out[e] = source.entry(int(j), dq, ddq)
             else:
                 places.append(e)
                 picks.append((10 * source[0] + _FROM_PINOCCHIO[source[1]]) * n + int(j))
@@ -117,88 +102,91 @@ class Dynamics:
     def _structure(self) -> NDArray[np.bool_]:
         """Which entries (n, p) of the regressor can be other than zero: joint j feels link i if j carries it."""
         nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
-        for c, source in enumerate(self._source):
+        for c, source in enumerate(self.sources):
             if isinstance(source, JointTerm):
-                nonzero[list(source.rows), c] = True
+                nonzero[source.rows, c] = True
             else:
                 carriers = [joint - 1 for joint in self.model.supports[source[0] + 1] if joint > 0]
                 nonzero[carriers, c] = True
         return nonzero
 
 
-def _motor_rows(robot: Robot) -> Vector:
-    """Motor matrix (n, n) with each row divided by its entry at the motor's own joint, or else by its largest."""
-    own = np.diag(robot.R).copy()
-    for m in np.flatnonzero(own == 0):
-        own[m] = robot.R[m, np.argmax(np.abs(robot.R[m]))]
-    return np.asarray(robot.R / own[:, None])
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DirectModel:
+    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
+
+    Attributes:
+        rigid: pinocchio's model with the links' inertias, and its `data`.
+        rotor: (n, n) what the rotors add to M.
+        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
+        directions: (c, n) directions r that Coulomb friction acts along, its speed being r·dq.
+        up, down: (c,) friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
+        offset: (n,) constant torque.
+    """
+
+    rigid: Any
+    data: Any
+    rotor: Vector
+    viscous: Vector
+    viscous_up: Vector
+    viscous_down: Vector
+    directions: Vector
+    up: Vector
+    down: Vector
+    offset: Vector
+
+    def inertia(self, q: Vector) -> Vector:
+        """Inertia matrices (N, n, n) at the positions q (N, n)."""
+        M = np.empty((len(q), *self.rotor.shape))
+        for k, qk in enumerate(np.ascontiguousarray(q)):
+            M[k] = pin.crba(self.rigid, self.data, qk)
+        lower = np.tril(np.ones(self.rotor.shape, dtype=bool), -1)
+        M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
+        return M + self.rotor
+
+    def inertia_and_bias(self, q: Vector, dq: Vector) -> tuple[Vector, Vector]:
+        """Upper triangle of M (n, n), and h (n,) without friction, at one state."""
+        M = pin.crba(self.rigid, self.data, q) + self.rotor
+        return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
 
 
-def _joint_terms(robot: Robot, j: int) -> list[JointTerm]:
-    """Rotor, friction and offset columns that carry the number of joint j, motor matrix included."""
-    joint, number = robot.joints[j], j + 1
-    rows = _motor_rows(robot)
-    r = rows[j]
-    alone = np.count_nonzero(rows, axis=1) == 1  # motors that turn with one joint only
-    coupled = [int(i) for i in np.flatnonzero(r)]
-    effort, length = robot.effort_units[j], joint.position_unit
-    viscous_unit, inertia_unit = f"{effort} s/{length}", _inertia_unit(robot, j)
+def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
+    """The equation of motion of a robot with the standard parameters chi (p,).
 
-    def own(*names_and_terms: tuple[str, str, Term]) -> list[JointTerm]:
-        return [JointTerm(name=f"{name}{number}", unit=unit, rows={j: t}) for name, unit, t in names_and_terms]
-
-    terms: list[JointTerm] = []
-    if joint.rotor_inertia:
-        # The share of a diagonal entry goes to the Ia of the joint it acts on, where there is one that can take it.
-        taken = [i for i in coupled if i != j and alone[i] and robot.joints[i].rotor_inertia]
-        terms.append(JointTerm(name=f"Ia{number}", unit=inertia_unit, rows=_through_motor(r, taken, acceleration=True)))
-    if joint.friction == "symmetric":
-        viscous = own(("Fv", viscous_unit, lambda dq, _: dq[:, j]))
-        coulomb = own(("Fc", effort, lambda dq, _: np.sign(dq[:, j])))
-    else:
-        viscous = own(
-            ("Fvp", viscous_unit, lambda dq, _: np.maximum(dq[:, j], 0.0)),
-            ("Fvn", viscous_unit, lambda dq, _: np.minimum(dq[:, j], 0.0)),
-        )
-        coulomb = own(
-            ("Fcp", effort, lambda dq, _: (dq[:, j] > 0).astype(float)),
-            ("Fcn", effort, lambda dq, _: -(dq[:, j] < 0).astype(float)),
-        )
-    for v, c in zip(viscous, coulomb, strict=True):
-        terms += [v] * joint.viscous + [c] * joint.coulomb
-    if joint.offset:
-        terms += own(("Off", effort, lambda dq, _: np.ones(len(dq))))
-    if len(coupled) > 1 and joint.viscous:
-        taken = [i for i in coupled if robot.joints[i].viscous and robot.joints[i].friction == "symmetric"]
-        terms.append(
-            JointTerm(name=f"Fvm{number}", unit=viscous_unit, rows=_through_motor(r, taken, acceleration=False))
-        )
-    if len(coupled) > 1 and joint.coulomb:
-        sign = {i: _scaled(float(r[i]), lambda dq, _: np.sign(dq @ r)) for i in coupled}
-        terms.append(JointTerm(name=f"Fcm{number}", unit=effort, rows=sign))
-    return terms
-
-
-def _through_motor(r: Vector, taken: list[int], *, acceleration: bool) -> dict[int, Term]:
-    """Entries rᵀ r x of a motor's column, x = ddq or dq, less the diagonal entries of the joints in `taken`."""
-
-    def entry(i: int) -> Term:
-        weights = r[i] * r
-        if i in taken:
-            weights = weights - np.eye(len(r))[i] * r[i] ** 2
-        return lambda dq, ddq: (ddq if acceleration else dq) @ weights
-
-    return {int(i): entry(int(i)) for i in np.flatnonzero(r) if int(i) not in taken or np.count_nonzero(r) > 1}
-
-
-def _scaled(factor: float, term: Term) -> Term:
-    return lambda dq, ddq: factor * term(dq, ddq)
-
-
-def _inertia_unit(robot: Robot, j: int) -> str:
-    if not robot.gain_known:
-        return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
-    return "kg m²" if robot.joints[j].type == "revolute" else "kg"
+    No link's M may be zero where its MX, MY or MZ is not: pinocchio divides by it (`BaseParameters.representative`).
+    """
+    n, rigid = dynamics.robot.n, dynamics.model.copy()
+    values = np.zeros((n, len(LINK)))
+    rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
+    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Vector]()
+    for source, value in zip(dynamics.sources, chi, strict=True):
+        if not isinstance(source, JointTerm):
+            values[source[0], _FROM_PINOCCHIO[source[1]]] = value
+        elif source.kind == "rotor":
+            rotor += value * source.matrix
+        elif source.kind == "viscous":
+            target = (viscous, viscous_up, viscous_down)[source.side]
+            target += value * source.matrix
+        elif source.kind == "coulomb":
+            levels = coulomb.setdefault(tuple(source.direction), np.zeros(2))
+            levels += value * np.array([source.side >= 0, source.side <= 0])
+        else:
+            offset += value * source.direction
+    for j in range(n):
+        rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
+    levels = np.array(list(coulomb.values())).reshape(-1, 2)
+    return DirectModel(
+        rigid=rigid,
+        data=rigid.createData(),
+        rotor=rotor,
+        viscous=viscous,
+        viscous_up=viscous_up,
+        viscous_down=viscous_down,
+        directions=np.array(list(coulomb)).reshape(-1, n),
+        up=levels[:, 0],
+        down=levels[:, 1],
+        offset=offset,
+    )
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:

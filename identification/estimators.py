@@ -1,4 +1,4 @@
-"""Least squares on any W and Y by QR: ordinary, weighted joint by joint, and reduced to the essential parameters.
+"""Least squares and instrumental variables on any W, Y, Z by QR; reduction to the essential parameters.
 
 Algebra only: nothing here knows of robots. Letters as in Janot2014 and Gautier1997: rho = Y - W beta, s² = |rho|²/(r - 1),
 C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The divisor r - 1, not r - b, is that of the authors'
@@ -31,6 +31,7 @@ class Estimate:
         residual_norm: |Y - W beta| of the weighted rows.
         condition_number: of W as it stands; `condition_number_scaled`: of the weighted W with columns of norm one.
         rows: r, the number of decimated samples over all joints.
+        Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
     """
 
     names: tuple[str, ...]
@@ -41,6 +42,8 @@ class Estimate:
     condition_number: float
     condition_number_scaled: float
     rows: int
+    Q: Vector
+    bread: Vector
 
     @property
     def sigma(self) -> Vector:
@@ -163,27 +166,80 @@ def _solve(
     if r <= W.shape[1]:
         raise IdentificationError(f"{r} decimated rows for {W.shape[1]} parameters; expected more rows than parameters")
     singular = _refuse_rank_deficiency(Ww, names)
-    beta, C, rho_norm = _covariance(Ww, Yw, r)
+    Q, A, d = _factors(Ww, Ww)
+    return _estimate(Q, A, d, Ww, Yw, r, names, weights, float(np.linalg.cond(W)), float(singular[0] / singular[-1]))
+
+
+def instrumental_variables(
+    Z: Vector,
+    W: Vector,
+    Y: Vector,
+    joint_of_row: NDArray[np.intp],
+    names: tuple[str, ...],
+    weights: Vector,
+    used: Vector,
+) -> Estimate:
+    """beta = (ZᵀW)⁻¹ ZᵀY, with Z, W and Y weighted by 1/s_j; `used` (r,) is 1 for rows that count and 0 for others.
+
+    Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
+    R drops out. Raises `IdentificationError` where the instruments have too little in common with W.
+    """
+    w = weights[joint_of_row] * used
+    Zw, Ww, Yw = Z * w[:, None], W * w[:, None], Y * w
+    r = int(used.sum())
+    if r <= W.shape[1]:
+        raise IdentificationError(f"{r} rows for {W.shape[1]} parameters; expected more rows than parameters")
+    _refuse_rank_deficiency(Zw, names)
+    Q, A, d = _factors(Zw, Ww)
+    condition = float(np.linalg.cond(A))
+    if not condition < 1 / RANK_TOLERANCE:
+        raise IdentificationError(f"instruments and regressor have too little in common: cond(ZᵀW) = {condition:.2g}")
+    return _estimate(Q, A, d, Ww, Yw, r, names, weights, float(np.linalg.cond(W)), condition)
+
+
+def _factors(Z: Vector, W: Vector) -> tuple[Vector, Vector, Vector]:
+    """Q of Z = Q R, A = QᵀW/d with columns scaled by d = |W_i|; for Z = W, A is upper triangular."""
+    d = _norms(W)
+    Q = np.asarray(linalg.qr(Z / _norms(Z), mode="economic")[0])
+    return Q, Q.T @ (W / d), d
+
+
+def _estimate(
+    Q: Vector,
+    A: Vector,
+    d: Vector,
+    W: Vector,
+    Y: Vector,
+    r: int,
+    names: tuple[str, ...],
+    weights: Vector,
+    condition: float,
+    condition_scaled: float,
+) -> Estimate:
+    """Solve A (d beta) = QᵀY; C = s² bread breadᵀ with bread = (A d)⁻¹, from the QR factors of A."""
+    q, R = linalg.qr(A)
+    bread = linalg.solve_triangular(R, q.T) / d[:, None]
+    beta = linalg.solve_triangular(R, q.T @ (Q.T @ Y)) / d
+    rho_norm = float(np.linalg.norm(Y - W @ beta))
     return Estimate(
         names=names,
         beta=beta,
-        covariance=C,
+        covariance=rho_norm**2 / (r - 1) * (bread @ bread.T),
         weights=weights,
         residual_norm=rho_norm,
-        condition_number=float(np.linalg.cond(W)),
-        condition_number_scaled=float(singular[0] / singular[-1]),
+        condition_number=condition,
+        condition_number_scaled=condition_scaled,
         rows=r,
+        Q=Q,
+        bread=bread,
     )
 
 
 def _covariance(W: Vector, Y: Vector, r: int) -> tuple[Vector, Vector, float]:
-    """beta, C = s² (WᵀW)⁻¹ from the R factor of the column-scaled W, and |rho|; r samples stand behind the rows."""
-    d = _norms(W)
-    Q, R = linalg.qr(W / d, mode="economic")
-    beta = linalg.solve_triangular(R, Q.T @ Y) / d
-    rho = Y - W @ beta
-    inverse = linalg.solve_triangular(R, np.eye(len(d))) / d[:, None]
-    return beta, (rho @ rho) / (r - 1) * (inverse @ inverse.T), float(np.linalg.norm(rho))
+    """beta, C and |rho| of a reduced model, W being its R factor; r samples stand behind the rows."""
+    Q, A, d = _factors(W, W)
+    estimate = _estimate(Q, A, d, W, Y, r, (), np.ones(1), np.nan, np.nan)
+    return estimate.beta, estimate.covariance, estimate.residual_norm
 
 
 def _norms(W: Vector) -> Vector:

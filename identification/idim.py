@@ -93,10 +93,8 @@ def judged(
     predicted = prediction(signals, plan, idm, observed, estimate)
     sigma_hac = np.full(len(estimate.names), np.nan)
     if not observed.reduced:
-        among = [observed.base.names.index(name) for name in estimate.names]
         rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-        weighted = observed.W[:, among] * estimate.weights[observed.joint_of_row][:, None]
-        sigma_hac = hac_sigma(weighted, rho, signals.robot.n)
+        sigma_hac = hac_sigma(estimate.Q, estimate.bread, rho, signals.robot.n)
     return Fit(
         method=method,
         status="solved",

@@ -1,0 +1,111 @@
+"""What motors and friction add to the joint torques, as columns of the model: rotor inertia, friction, offset.
+
+Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
+and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist where a motor turns with several joints. As is
+the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alone belongs to that joint's own Ia and Fv: on
+the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.robot import Robot
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointTerm:
+    """A standard parameter of a joint or motor, and its column of the regressor.
+
+    rotor: matrix ddq; viscous: matrix dq; coulomb: r sign(r·dq) with r = `direction`; offset: `direction`. A `side` of
+    +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint.
+    """
+
+    name: str
+    unit: str
+    kind: Literal["rotor", "viscous", "coulomb", "offset"]
+    matrix: Vector
+    direction: Vector
+    side: int = 0
+
+    @property
+    def rows(self) -> NDArray[np.intp]:
+        """Joints whose torque the parameter can change."""
+        return np.flatnonzero(self.matrix.any(axis=1) | (self.direction != 0))
+
+    def entry(self, j: int, dq: Vector, ddq: Vector) -> Vector | float:
+        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,)."""
+        if self.kind == "rotor":
+            return np.asarray(ddq @ self.matrix[j])
+        if self.kind == "offset":
+            return float(self.direction[j])
+        if self.kind == "viscous":
+            if self.side:
+                dq = np.maximum(dq, 0.0) if self.side > 0 else np.minimum(dq, 0.0)
+            return np.asarray(dq @ self.matrix[j])
+        u = dq @ self.direction
+        sign = np.sign(u) if self.side == 0 else self.side * (self.side * u > 0)
+        return np.asarray(self.direction[j] * sign)
+
+
+def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
+    """The terms that carry the number of joint j: Ia, Fv, Fc (or Fvp, Fcp, Fvn, Fcn), Off, Fvm, Fcm as described."""
+    joint, n = robot.joints[j], robot.n
+    motors = _motor_rows(robot)
+    r, own = motors[j], np.eye(n)[j]
+    alone = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
+    coupled = np.count_nonzero(r) > 1
+    effort, length = robot.effort_units[j], joint.position_unit
+    viscous_unit = f"{effort} s/{length}"
+    nothing, none = np.zeros((n, n)), np.zeros(n)
+
+    def through_matrix(
+        name: str, unit: str, kind: Literal["rotor", "viscous"], matrix: Vector, side: int = 0
+    ) -> JointTerm:
+        return JointTerm(name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, direction=none, side=side)
+
+    def along(name: str, kind: Literal["coulomb", "offset"], direction: Vector, side: int = 0) -> JointTerm:
+        return JointTerm(name=f"{name}{j + 1}", unit=effort, kind=kind, matrix=nothing, direction=direction, side=side)
+
+    terms: list[JointTerm] = []
+    if joint.rotor_inertia:
+        taken = [i for i in range(n) if i != j and alone[i] and robot.joints[i].rotor_inertia]
+        terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", _without_diagonal(np.outer(r, r), taken)))
+    for side, mark in ((0, ""),) if joint.friction == "symmetric" else ((1, "p"), (-1, "n")):
+        if joint.viscous:
+            terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side))
+        if joint.coulomb:
+            terms.append(along(f"Fc{mark}", "coulomb", own, side))
+    if joint.offset:
+        terms.append(along("Off", "offset", own))
+    if coupled and joint.viscous:
+        taken = [i for i in range(n) if robot.joints[i].viscous and robot.joints[i].friction == "symmetric"]
+        terms.append(through_matrix("Fvm", viscous_unit, "viscous", _without_diagonal(np.outer(r, r), taken)))
+    if coupled and joint.coulomb:
+        terms.append(along("Fcm", "coulomb", r))
+    return terms
+
+
+def inertia_unit(robot: Robot, j: int) -> str:
+    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V where the gain is not known."""
+    if not robot.gain_known:
+        return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
+    return "kg m²" if robot.joints[j].type == "revolute" else "kg"
+
+
+def _motor_rows(robot: Robot) -> Vector:
+    """Motor matrix (n, n) with each row divided by its entry at the motor's own joint, or else by its largest."""
+    own = np.diag(robot.R).copy()
+    for m in np.flatnonzero(own == 0):
+        own[m] = robot.R[m, np.argmax(np.abs(robot.R[m]))]
+    return np.asarray(robot.R / own[:, None])
+
+
+def _without_diagonal(matrix: Vector, joints: list[int]) -> Vector:
+    matrix = matrix.copy()
+    matrix[joints, joints] = 0.0
+    return matrix
