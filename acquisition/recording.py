@@ -258,7 +258,7 @@ def read_recording(path: Path) -> Recording:
     layouts = [sample_dtype(robot.n, reference=reference) for reference in (False, True)]
     samples, frames = None, {}
     for topic, blocks in topics.items():
-        if not blocks.items:
+        if not blocks.stamps_ns:
             continue
         if topic == "/samples":
             samples = _rows(blocks, layouts, f"{place}: {topic}")
@@ -330,19 +330,20 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block
             break
     else:
         raise AcquisitionError(f"{place}: layout {blocks.layout[:200]!r}: expected {known[-1].descr}")
-    content = b"".join(block for _, block in blocks.items)
-    if any(len(block) % dtype.itemsize for _, block in blocks.items):
+    if any(end % dtype.itemsize for end in blocks.ends):
         raise AcquisitionError(
-            f"{place}: {len(content)} bytes: expected blocks of whole rows of {dtype.itemsize} bytes"
+            f"{place}: {len(blocks.data)} bytes: expected blocks of whole rows of {dtype.itemsize} bytes"
         )
-    return np.frombuffer(content, dtype)  # read-only, as it lies over bytes
+    rows = np.frombuffer(blocks.data, dtype)
+    rows.flags.writeable = False
+    return rows
 
 
 def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, place: str) -> list[tuple[int, Any]]:
     try:
         return [
             (stamp, msgspec.json.decode(text, type=kind))
-            for stamp, text in (topics[topic].items if topic in topics else [])
+            for stamp, text in (topics[topic].items() if topic in topics else [])
         ]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         raise AcquisitionError(f"{place}: {topic}: {error}") from error

@@ -52,7 +52,7 @@ def lowpass(x: Vector, cutoff_hz: float, sample_rate_hz: float) -> Vector:
     sos = signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=sample_rate_hz, output="sos")
     # Counted from the first sample, a joint that stands still stays at exactly zero: rounding is no motion.
     filtered = signal.sosfiltfilt(sos, np.ascontiguousarray((x - x[0]).T), axis=-1, padlen=padding)
-    return np.ascontiguousarray(filtered.T) + x[0]
+    return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
 
 
 def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:

@@ -96,12 +96,12 @@ def torque_of_recording(
 def predicted_torque(motion: Motion, dynamics: Dynamics, base: BaseParameters, beta: Vector) -> Vector:
     """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta."""
     entries = dynamics.entries(base.columns)
-    tau = np.zeros(motion.q.shape)
+    tau: Vector = np.zeros_like(motion.q)
     step = max(1, _SERIES_BLOCK // (4 * len(entries)))
     for k in range(0, len(tau), step):
         part = slice(k, k + step)
         series = dynamics.series(motion.q[part], motion.dq[part], motion.ddq[part], base.columns)
-        for j in range(tau.shape[1]):
+        for j in range(motion.q.shape[1]):
             mine = entries[:, 0] == j
             tau[part, j] = beta[entries[mine, 1]] @ series[mine]
     return tau

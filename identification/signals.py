@@ -63,24 +63,27 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
         raise IdentificationError(
             f"{path}: is cut: it has no proper end; `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
         )
-    robot = robot or recording.robot
     samples = recording.samples
     if samples is None or len(samples) == 0:
         raise IdentificationError(f"{path}: holds no joint samples; expected the channel /samples")
     stamps = samples["stamp_ns"]
     rate_hz = _uniform_rate(stamps, path)
-    for field in ("position", "effort", "reference"):
-        if field in (samples.dtype.names or ()) and not np.isfinite(samples[field]).all():
-            k, j = np.argwhere(~np.isfinite(samples[field]))[0]
-            raise IdentificationError(f"{path}: {field} of joint {j + 1} in sample {k} is not a finite number")
+    q, effort, reference = samples["position"], samples["effort"], None
+    if "reference" in (samples.dtype.names or ()):
+        reference = samples["reference"]
+    if robot is not None and robot.n == recording.robot.n:
+        # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
+        was = recording.robot
+        q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
+        reference = None if reference is None else robot.joint_position(was.motor_position(reference))
     return Signals(
         t_s=(stamps - stamps[0]) * 1e-9,
-        q=samples["position"],
-        q_ref=samples["reference"] if "reference" in (samples.dtype.names or ()) else None,
-        effort=samples["effort"],
+        q=q,
+        q_ref=reference,
+        effort=effort,
         sample_rate_hz=rate_hz,
         track=_phase(recording, "track", stamps),
-        robot=robot,
+        robot=robot or recording.robot,
         recording=path.name,
         sha256=recording.sha256,
     )

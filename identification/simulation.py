@@ -84,7 +84,10 @@ def recorded_loop(robot: Robot) -> Loop:
             f"robot {robot.name}: controller: {', '.join(missing)} missing; expected all of {', '.join(needed)}, or none "
             "of them: then a PD of the stated bandwidth_hz stands in"
         )
-    assert c.position_gain and c.velocity_gain and c.sample_rate_hz and c.structure
+    assert c.position_gain is not None
+    assert c.velocity_gain is not None
+    assert c.sample_rate_hz is not None
+    assert c.structure is not None
     kp, kd = np.array(c.position_gain), np.array(c.velocity_gain)
     ki = np.array(c.integral_gain) if c.integral_gain and c.structure in ("cascade_p_pi", "pid") else np.zeros(n)
     cascade = c.structure.startswith("cascade")

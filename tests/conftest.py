@@ -38,5 +38,3 @@ def tx40(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("tx40") / "tx40.mcap"
     import_tables(tables, robot_named("tx40"), REPLAY / "tx40" / "map.toml", out)
     return out
-
-

@@ -28,7 +28,7 @@ def test_regressor_gives_the_torques_of_newton_euler(name):
         body = pin.Inertia.Random()
         model.inertias[j + 1] = body
         m, mx, my, mz, xx, xy, yy, xz, yz, zz = body.toDynamicParameters()
-        values = dict(XX=xx, XY=xy, XZ=xz, YY=yy, YZ=yz, ZZ=zz, MX=mx, MY=my, MZ=mz, M=m)
+        values = {"XX": xx, "XY": xy, "XZ": xz, "YY": yy, "YZ": yz, "ZZ": zz, "MX": mx, "MY": my, "MZ": mz, "M": m}
         for key, value in values.items():
             chi[dynamics.names.index(f"{key}{j + 1}")] = value
     q, dq, ddq = states(dynamics.robot.n)

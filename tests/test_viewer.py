@@ -10,15 +10,16 @@ from rerun.chunk import RrdReader
 
 from acquisition import AcquisitionError
 from acquisition.robot import robot_from_files
-from identification import viewer
+from identification import panels, viewer
 from identification.base_parameters import base_parameters
 from identification.dynamics import Dynamics
 from identification.filtering import Motion, decimate, differentiate, lowpass, motion_between
 from identification.idim import identify_ls
+from identification.panels import BUCKETS, extremes
 from identification.plan import Overrides
 from identification.regression import predicted_torque
 from identification.signals import Signals
-from identification.viewer import BUCKETS, extremes, write_fit_rrd
+from identification.viewer import write_fit_rrd
 
 FS = 1000.0
 
@@ -132,7 +133,7 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     file = written(signals)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * 4 * n + ["BarChart"] * 2 * n + ["2D", "TextDocument"]
+        ["TimeSeries"] * 4 * n + ["BarChart"] * 2 * n + ["2D"] * 3 + ["TextDocument"]
     )
     for origin, (kind, title) in file.views.items():
         assert file.holds(origin, kind), f"{title} is empty"
@@ -205,7 +206,7 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
 def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
     signals = made_up()
     whole = written(signals)
-    monkeypatch.setattr(viewer, "_BLOCK", 700)
+    monkeypatch.setattr(panels, "_BLOCK", 700)
     blocks = written(signals, name="blocks.rrd")
     assert whole.curves.keys() == blocks.curves.keys()
     for path, (t, x) in whole.curves.items():
@@ -320,10 +321,10 @@ def test_a_fit_that_leaves_nothing_has_no_residual_page(written, monkeypatch):
     signals = made_up()
     fit = fitted(signals)
     nothing = np.zeros((200, 2))
-    monkeypatch.setattr(viewer, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
+    monkeypatch.setattr(panels, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
     views = written(signals, fit).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
-    assert len(views) == 10
+    assert len(views) == 12
 
 
 def test_the_report_tells_result_settings_and_parameters(written):
@@ -382,3 +383,20 @@ def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, 
         write_fit_rrd(tmp_path / "fit.rrd", made_up(), fitted(made_up()))
     assert list(tmp_path.iterdir()) == []
     assert capfd.readouterr() == ("", "")
+
+
+def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit(written):
+    signals = made_up(types=("revolute",))
+    fit = fitted(signals)
+    sine = replace(signals, q=1e-3 * np.sin(2 * np.pi * 80.0 * signals.t_s)[:, None])
+    file = written(sine, fit)
+    strokes = [np.array(s) for s in file.static["/spectrum/position/strokes"]["LineStrips2D:strips"]]
+    labels = file.static["/spectrum/position/labels"]["Points2D:labels"]
+    places = dict(zip(labels, file.static["/spectrum/position/labels"]["Points2D:positions"], strict=True))
+    assert {"bandwidth 10 Hz", f"low-pass {fit.plan.cutoff_hz:g} Hz"} < set(labels)
+    curve = max(strokes, key=len)
+    peak = curve[curve[:, 1].argmin(), 0]
+    decade = places["100"][0] - places["10"][0]
+    assert places["10"][0] + np.log10(8.0) * decade == pytest.approx(peak, abs=decade / 40)
+    effort = file.static["/spectrum/effort/labels"]["Points2D:labels"]
+    assert f"decimation {0.4 * FS / fit.plan.decimation:g} Hz" in effort

@@ -1,0 +1,256 @@
+"""From a base estimate to instruments: simulate the closed loop, evaluate the model along it, decimate as W was.
+
+What is simulated needs no more samples than its bandwidth asks for: instruments carry no noise. They are evaluated at 50
+times the bandwidth or more, at instants that the decimated rows of W have too.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import IdentificationError
+from .base_parameters import BaseParameters
+from .dynamics import DirectModel, Dynamics, direct_model
+from .filtering import Motion, differentiate, motion_between
+from .plan import CUTOFF_PER_BANDWIDTH, Plan
+from .regression import decimated_regressor
+from .signals import Signals
+from .simulation import Loop, Simulated, has_controller, recorded_loop, simulate, surrogate_loop
+
+Vector = NDArray[np.float64]
+
+RATE_PER_BANDWIDTH = 50.0  # instrument samples per period of the bandwidth, at least
+POSES = 300  # positions of the trajectory at which M must be positive
+LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Experiment:
+    """What every simulation of a recording shares.
+
+    Attributes:
+        reference: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
+        q_ref, dq_ref, ddq_ref: (K, n) at the controller's instants.
+        q: (N, n) measured position, filtered, at the instruments' instants.
+        poses: (P, n) positions at which M is checked.
+        loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
+        J_prior: (n,) inertias that the loop's gains were set for.
+        period_s: of the controller; `grid_s`: (N,) instants of the instruments, `times_s`: (K,) of the controller.
+        decimation: of the instruments, to the rows of W.
+        saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
+    """
+
+    dynamics: Dynamics
+    base: BaseParameters
+    reference: Literal["recorded", "surrogate"]
+    q_ref: Vector
+    dq_ref: Vector
+    ddq_ref: Vector
+    q: Vector
+    poses: Vector
+    loop: Loop | None
+    J_prior: Vector
+    bandwidth_hz: float
+    rate_hz: float
+    grid_s: Vector
+    times_s: Vector
+    decimation: int
+    saturated_percent: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instruments:
+    """Instruments Z (r, b), rows as those of W, and the simulated motion they come from.
+
+    `kind` says whether the loop was simulated, or why Z had to be taken along the reference. `speed` (r,) is the speed of
+    each row's joint. `tracking_percent` is |q_sim - q| in percent of |q - mean|, over all joints.
+    """
+
+    Z: Vector
+    speed: Vector
+    motion: Motion
+    kind: Literal["simulated", "reference"]
+    reason: str | None
+    gains: Vector
+    tracking_percent: float | None
+
+
+def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParameters, beta_ls: Vector) -> Experiment:
+    """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
+
+    Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
+    """
+    robot, fs = signals.robot, signals.sample_rate_hz
+    loop = recorded_loop(robot) if has_controller(robot.controller) else None
+    bandwidth_hz = robot.controller.bandwidth_hz
+    m = _stride(fs, plan.decimation, bandwidth_hz)
+    grid = np.arange((plan.stop - 1 - plan.start) % m + plan.start, plan.stop, m)
+    rate_hz = fs / m
+    period_s = loop.period_s if loop else 1.0 / rate_hz
+    times_s = grid[0] / fs + period_s * np.arange(int(np.floor((grid[-1] - grid[0]) / fs / period_s + 1e-6)) + 1)
+    cutoff_hz = min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * fs)
+    measured = motion_between(
+        signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=plan.start, stop=plan.stop
+    )
+    if signals.q_ref is not None:
+        q_ref = np.array(signals.q_ref[plan.start : plan.stop])
+        _refuse_foreign_reference(q_ref, measured.q, signals)
+        dq_ref = differentiate(q_ref, fs)
+        reference = (q_ref, dq_ref, differentiate(dq_ref, fs))
+    else:
+        reference = (measured.q, measured.dq, measured.ddq)
+    at = [_at(times_s, plan.start / fs, fs, x) for x in reference]
+    q = measured.q[grid - plan.start]
+    J_prior = inertias(direct_model(dynamics, base.representative(beta_ls)), _poses(q))
+    return Experiment(
+        dynamics=dynamics,
+        base=base,
+        reference="surrogate" if signals.q_ref is None else "recorded",
+        q_ref=at[0],
+        dq_ref=at[1],
+        ddq_ref=at[2],
+        q=q,
+        poses=_poses(q),
+        loop=loop,
+        J_prior=J_prior,
+        bandwidth_hz=bandwidth_hz,
+        rate_hz=rate_hz,
+        grid_s=grid / fs,
+        times_s=times_s,
+        decimation=plan.decimation // m,
+        saturated_percent=_saturated_percent(signals, plan),
+    )
+
+
+def instruments(e: Experiment, beta: Vector, *, gain_update: bool = True) -> Instruments:
+    """Instruments along the closed loop simulated with `beta` (b,).
+
+    M(q, beta) must be positive on the trajectory before anything is simulated. Where it is not, or the simulation leaves
+    its reference, the instruments of this pass are taken along the reference instead, and `reason` says why.
+    """
+    model = direct_model(e.dynamics, e.base.representative(beta))
+    J, reason = inertias(model, e.poses), not_positive(model, e.poses)
+    gains = J / e.J_prior if gain_update else np.ones(len(J))
+    if reason is None:
+        if e.loop is None:
+            loop = surrogate_loop(e.bandwidth_hz, J if gain_update else e.J_prior, e.rate_hz)
+        else:
+            loop = e.loop.scaled(gains)
+        travel = np.ptp(e.q_ref, axis=0)
+        bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
+        done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, bound=bound)
+        reason = done.reason
+        if reason is None:
+            motion = _on_grid(e, done)
+            error = np.linalg.norm(motion.q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
+            return _instruments(e, motion, "simulated", None, gains, float(100 * error))
+    along = Simulated(q=e.q_ref, dq=e.dq_ref, ddq=e.ddq_ref, tau=np.zeros_like(e.q_ref), saturated=0, reason=reason)
+    return _instruments(e, _on_grid(e, along), "reference", reason, gains, None)
+
+
+def inertias(model: DirectModel, poses: Vector) -> Vector:
+    """J_j (n,): the largest diagonal entry of M for each joint over the poses (P, n)."""
+    M = model.inertia(poses)
+    return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
+
+
+def not_positive(model: DirectModel, poses: Vector) -> str | None:
+    """None where M is positive definite at all poses (P, n), else a line that says so."""
+    lowest = float(np.linalg.eigvalsh(model.inertia(poses)).min())
+    return (
+        None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
+    )
+
+
+def regular_start(dynamics: Dynamics, base: BaseParameters) -> Vector:
+    """Base parameters (b,) of a robot of which nothing is known: each motor turns 1 kg m² (or 1 kg) at its joint.
+
+    With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has a
+    link with that inertia about every axis, or that mass.
+    """
+    chi, robot = np.zeros(dynamics.p), dynamics.robot
+    place = {name: c for c, name in enumerate(dynamics.names)}
+    R = np.abs(robot.R) > 0
+    for j, joint in enumerate(robot.joints):
+        if joint.rotor_inertia:
+            shares = [(robot.R[m, j] / robot.R[m, m]) ** 2 for m in range(robot.n) if m != j and R[m, m] and R[m, j]]
+            chi[place[f"Ia{j + 1}"]] = 1.0 + (sum(shares) if R[j].sum() == 1 else 0.0)
+        elif joint.type == "revolute":
+            for axis in ("XX", "YY", "ZZ"):
+                chi[place[f"{axis}{j + 1}"]] = 1.0
+        else:
+            chi[place[f"M{j + 1}"]] = 1.0
+    return np.asarray(base.K @ chi)
+
+
+def _instruments(
+    e: Experiment,
+    motion: Motion,
+    kind: Literal["simulated", "reference"],
+    reason: str | None,
+    gains: Vector,
+    tracking_percent: float | None,
+) -> Instruments:
+    Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
+    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation]
+    return Instruments(
+        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.base.b),
+        speed=kept.T.reshape(-1),
+        motion=motion,
+        kind=kind,
+        reason=reason,
+        gains=gains,
+        tracking_percent=tracking_percent,
+    )
+
+
+def _on_grid(e: Experiment, s: Simulated) -> Motion:
+    """A simulated motion at the instruments' instants: picked where the controller's instants are among them."""
+    every = e.grid_s[1] - e.grid_s[0]
+    ratio = every / (e.times_s[1] - e.times_s[0]) if len(e.times_s) > 1 else 1.0
+    if abs(ratio - round(ratio)) < 1e-9 and (len(s.q) - 1) // round(ratio) + 1 >= len(e.grid_s):
+        q, dq, ddq, tau = (x[:: round(ratio)][: len(e.grid_s)] for x in (s.q, s.dq, s.ddq, s.tau))
+    else:
+        q, dq, ddq, tau = (
+            np.stack([np.interp(e.grid_s, e.times_s, column) for column in x.T], axis=1)
+            for x in (s.q, s.dq, s.ddq, s.tau)
+        )
+    return Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
+
+
+def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
+    """The largest divisor of the decimation that leaves 50 samples per period of the bandwidth."""
+    divisors = [m for m in range(1, decimation + 1) if decimation % m == 0]
+    return max((m for m in divisors if fs / m >= RATE_PER_BANDWIDTH * bandwidth_hz), default=1)
+
+
+def _at(times_s: Vector, start_s: float, fs: float, x: Vector) -> Vector:
+    """x (N, n), sampled at fs from start_s on, at other times (K,), linear in between."""
+    own = start_s + np.arange(len(x)) / fs
+    return np.stack([np.interp(times_s, own, column) for column in x.T], axis=1)
+
+
+def _poses(q: Vector) -> Vector:
+    return q[:: max(1, len(q) // POSES)]
+
+
+def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> None:
+    """A reference far from the measured position belongs to another recording, or to other units."""
+    for j, joint in enumerate(signals.robot.joints):
+        spread = np.std(q[:, j])
+        error = np.sqrt(np.mean((q_ref[:, j] - q[:, j]) ** 2))
+        if error > LOST * max(spread, 0.02 * np.std(q, axis=0).max()):
+            raise IdentificationError(
+                f"{signals.recording}: reference of joint {joint.name}: {error:.3g} {joint.position_unit} rms off the "
+                f"measured position, which varies by {spread:.3g}; expected the reference of this recording"
+            )
+
+
+def _saturated_percent(signals: Signals, plan: Plan) -> float | None:
+    limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
+    if not np.isfinite(limits).any():
+        return None
+    effort = signals.robot.motor_effort(signals.effort[plan.start : plan.stop])
+    return float(100 * (np.abs(effort) >= 0.995 * limits).any(axis=1).mean())
