@@ -23,7 +23,7 @@ ACQUISITION = {
     "__main__": {"__init__", "blocks", "overview", "recording", "robot", "table_files", "tables", "whole_file"},
 }
 IDENTIFICATION = {
-    "__init__": set(),
+    "__init__": {"acquisition.__init__"},
     "signals": {"__init__", "acquisition.recording", "acquisition.robot"},
     "filtering": {"__init__"},
     "joint_terms": {"acquisition.robot"},
