@@ -9,7 +9,6 @@ The map, in the order in which the data passes::
 ``idim`` is the method on one screen, ``report`` prints and stores what it finds, ``viewer`` draws it.
 """
 
-
 from acquisition import one_line
 
 
