@@ -15,6 +15,7 @@ ACQUISITION = {
     "robot": {"__init__"},
     "reference": {"__init__", "robot"},
     "blocks": {"__init__"},
+    "cia402": {"__init__"},
     "mcap_content": {"__init__"},
     "recording": {"__init__", "blocks", "mcap_content", "robot", "whole_file"},
     "table_files": {"__init__"},
