@@ -3,7 +3,7 @@
 import argparse
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,8 +13,12 @@ from acquisition import AcquisitionError
 from . import IdentificationError
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
     from rich.status import Status
 
+    from .base_parameters import BaseParameters
+    from .fit import Fit
     from .plan import Overrides
     from .signals import Signals
 
@@ -42,10 +46,27 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    fit = commands.add_parser("fit", help="base parameters from a recording, by least squares")
+    fit = commands.add_parser("fit", help="base parameters from a recording")
     fit.add_argument("recording", type=Path, metavar="LOG.mcap")
     fit.add_argument(
-        "--method", choices=["ols", "wls"], default="wls", help="rows alike, or weighted joint by joint (default)"
+        "--method",
+        choices=["ols", "wls", "iv"],
+        default="wls",
+        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
+    )
+    fit.add_argument(
+        "--start",
+        default="regular",
+        metavar="regular|ls|FIT.json",
+        help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
+    )
+    fit.add_argument("--tolerance-percent", type=_above_zero, default=2.5, metavar="P", help="of iv (default 2.5)")
+    fit.add_argument("--max-iterations", type=_positive, default=10, metavar="N", help="of iv (default 10)")
+    fit.add_argument(
+        "--low-speed-percent",
+        type=_share,
+        metavar="P",
+        help="of iv: leave out rows slower than P %% of the simulated peak (default: 3 deviations of the speed's noise)",
     )
     fit.add_argument("--essential", action="store_true", help="keep only the parameters the recording determines well")
     _add_plan_options(fit)
@@ -98,6 +119,13 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
 
 
+def _share(text: str) -> float:
+    value = float(text)
+    if not 0 <= value < 100:
+        raise ValueError
+    return value
+
+
 def _cutoff(text: str) -> float:
     return 0.0 if text == "none" else _above_zero(text)
 
@@ -135,15 +163,12 @@ def _load(options: argparse.Namespace) -> "Signals":
 def _fit(options: argparse.Namespace) -> None:
     _refuse_clash(options.recording, options.json, options.rrd)
     with _progress() as status:
-        from .idim import identify_ls
         from .report import fit_json, fit_tables, write_json
 
         status.update("reading")
         signals = _load(options)
         status.update("fitting")
-        fit = identify_ls(
-            signals, _overrides(options), method=options.method, essential=options.essential, say=status.update
-        )
+        fit = _identify(options, signals, status.update)
     _print(fit_tables(signals, fit))
     if options.json:
         write_json(options.json, fit_json(signals, fit))
@@ -153,6 +178,29 @@ def _fit(options: argparse.Namespace) -> None:
             from .viewer import write_fit_rrd
 
             write_fit_rrd(options.rrd, signals, fit)
+
+
+def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
+    from .idim import Iteration, identify_iv, identify_ls
+    from .report import read_fit
+
+    if options.method != "iv":
+        return identify_ls(signals, _overrides(options), method=options.method, essential=options.essential, say=say)
+    values = None
+    if options.start not in ("regular", "ls"):
+        stored = read_fit(Path(options.start))
+
+        def values(base: "BaseParameters") -> "NDArray[np.float64]":
+            return stored.beta(base, options.start)
+
+    iteration = Iteration(
+        start=options.start,
+        values=values,
+        tolerance_percent=options.tolerance_percent,
+        max_iterations=options.max_iterations,
+        low_speed_percent=options.low_speed_percent,
+    )
+    return identify_iv(signals, _overrides(options), iteration, essential=options.essential, say=say)
 
 
 def _validate(options: argparse.Namespace) -> None:

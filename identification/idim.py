@@ -1,4 +1,4 @@
-"""The method on one screen: identification by the inverse dynamic model and least squares.
+"""The method on one screen: identification by the inverse dynamic model, with least squares or instrumental variables.
 
 Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, M. Gautier, "An instrumental variable
 approach for rigid industrial robots identification", Control Engineering Practice 25 (2014) 85-101.
@@ -11,50 +11,55 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from . import IdentificationError
 from .base_parameters import BaseParameters, base_parameters
-from .diagnostics import TorqueError, hac_sigma, lag_one, torque_errors
+from .diagnostics import TorqueError, lag_one, torque_errors
 from .dynamics import Dynamics
-from .estimators import Estimate, Reduction, essential_parameters, ordinary_least_squares, weighted_least_squares
+from .estimators import (
+    essential_parameters,
+    instrumental_variables,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+from .fit import Fit, Pass
+from .instruments import experiment, fast_rows, instruments, regular_start
+from .judgement import compared, judged, judged_iv, predicted_rows
 from .plan import Overrides, Plan, make_plan
-from .regression import Regression, regression_of_recording, torque_of_recording
+from .regression import regression_of_recording, torque_of_recording
 from .signals import Signals
 
 Vector = NDArray[np.float64]
-Method = Literal["ols", "wls"]
+Say = Callable[[str], None]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
-    """Base parameters of a robot from one recording, and the evidence for them.
+def _silent(text: str) -> None:
+    pass
 
-    `base` lists all base parameters; `estimate` has those estimated, which are fewer when only the essential ones were
-    kept. `errors` holds one entry per joint and, last, all joints together. `sigma_hac` is NaN where the recording is so
-    long that rows were reduced.
+
+@dataclass(frozen=True, kw_only=True)
+class Iteration:
+    """How the instrumental variable method iterates.
+
+    `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
+    under the name they were read from. `low_speed_percent`: rows slower than this, in percent of the simulated peak speed,
+    are left out; None takes 3 deviations of the measured speed's noise.
     """
 
-    method: Method
-    status: str
-    plan: Plan
-    base: BaseParameters
-    estimate: Estimate
-    essential: Reduction
-    sigma_hac: Vector
-    errors: tuple[TorqueError, ...]
-    warnings: tuple[str, ...]
-
-    @property
-    def beta(self) -> Vector:
-        """(b,) values of all base parameters, zero where one was left out."""
-        return self.estimate.among(self.base.names)
+    start: str = "regular"
+    values: Callable[[BaseParameters], Vector] | None = None
+    tolerance_percent: float = 2.5
+    max_iterations: int = 10
+    gain_update: bool = True
+    low_speed_percent: float | None = None
 
 
 def identify_ls(
     signals: Signals,
     overrides: Overrides,
     *,
-    method: Method = "wls",
+    method: Literal["ols", "wls"] = "wls",
     essential: bool = False,
-    say: Callable[[str], None] = lambda text: None,
+    say: Say = _silent,
 ) -> Fit:
     """IDIM-LS, section 2: base parameters beta from measured torque and filtered position.
 
@@ -67,58 +72,62 @@ def identify_ls(
     observed = regression_of_recording(signals, plan, idm, base, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     rows = (observed.W, observed.Y, observed.joint_of_row, observed.rows)
     full = (weighted_least_squares if method == "wls" else ordinary_least_squares)(*rows, base.names)
-    rho = observed.tau - prediction(signals, plan, idm, observed, full)
+    rho = observed.tau - predicted_rows(signals, plan, idm, observed, full)
     reduction = essential_parameters(*rows, full, correlation=lag_one(rho * full.weights) or 0.0)
     return judged(signals, idm, plan, observed, method, reduction.estimate if essential else full, reduction)
 
 
-def prediction(signals: Signals, plan: Plan, idm: Dynamics, observed: Regression, estimate: Estimate) -> Vector:
-    """Decimated torque (rows, n) that an estimate predicts for the rows of `observed`."""
-    if not observed.reduced:
-        among = [observed.base.names.index(name) for name in estimate.names]
-        return np.asarray((observed.W[:, among] @ estimate.beta).reshape(signals.robot.n, -1).T)
-    return torque_of_recording(signals, plan, idm, observed.base, estimate.among(observed.base.names))[1]
-
-
-def judged(
+def identify_iv(
     signals: Signals,
-    idm: Dynamics,
-    plan: Plan,
-    observed: Regression,
-    method: Method,
-    estimate: Estimate,
-    reduction: Reduction,
+    overrides: Overrides,
+    iteration: Iteration,
+    *,
+    essential: bool = False,
+    say: Say = _silent,
 ) -> Fit:
-    """Set beside an estimate what speaks for and against it."""
-    predicted = prediction(signals, plan, idm, observed, estimate)
-    sigma_hac = np.full(len(estimate.names), np.nan)
-    if not observed.reduced:
-        rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-        sigma_hac = hac_sigma(estimate.Q, estimate.bread, rho, signals.robot.n)
-    return Fit(
-        method=method,
-        status="solved",
-        plan=plan,
-        base=observed.base,
-        estimate=estimate,
-        essential=reduction,
-        sigma_hac=sigma_hac,
-        errors=torque_errors(observed.tau, predicted, observed.speed, tuple(j.name for j in signals.robot.joints)),
-        warnings=(*plan.warnings, *gain_warnings(signals)),
-    )
+    """IDIM-IV, section 3: the instruments Z are the model along the robot simulated with the estimate before.
 
-
-def gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """What a reader must know of the units where the drive gains are not given."""
-    robot = signals.robot
-    if robot.gain_known:
-        return ()
-    units = " and ".join(sorted(set(robot.effort_units)))
-    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = (
-        "; joints share parameters, so the values hold only if all drives have the same gain" if robot.n > 1 else ""
+    W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
+    updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
+    """
+    plan = make_plan(signals, overrides)
+    idm = Dynamics(signals.robot)
+    base = base_parameters(idm)  # (2)
+    observed = regression_of_recording(signals, plan, idm, base, say)  # (5), (6)
+    if observed.reduced:
+        raise IdentificationError(f"{signals.recording}: too long for instruments; expected a larger --decimate")
+    W, Y, joint_of_row, names = observed.W, observed.Y, observed.joint_of_row, base.names
+    ls = weighted_least_squares(W, Y, joint_of_row, observed.rows, names)
+    rho = observed.tau - predicted_rows(signals, plan, idm, observed, ls)
+    reduction = essential_parameters(
+        W, Y, joint_of_row, observed.rows, ls, correlation=lag_one(rho * ls.weights) or 0.0
     )
-    return (text + shared,)
+    kept = reduction.kept if essential else np.arange(base.b)
+    e = experiment(signals, plan, idm, base, ls.beta)
+    beta = ls.beta if iteration.start == "ls" else regular_start(idm, base)
+    if iteration.values is not None:
+        beta = iteration.values(base)
+    passes: list[Pass] = []
+    estimate, used, failure = ls, np.ones(len(Y)), None
+    while not (passes and passes[-1].settled) and len(passes) < iteration.max_iterations:
+        say(f"pass {len(passes) + 1}: simulating the robot")
+        z = instruments(e, beta, gain_update=iteration.gain_update)  # Z = IDM(q_sim, dq_sim, ddq_sim)
+        used = fast_rows(e, z, iteration.low_speed_percent)
+        try:
+            estimate = instrumental_variables(  # beta = (ZᵀW)⁻¹ ZᵀY
+                z.Z[:, kept], W[:, kept], Y, joint_of_row, tuple(names[i] for i in kept), ls.weights, used
+            )
+        except IdentificationError as error:
+            failure = f"pass {len(passes) + 1}: {error}"
+            break
+        before = passes[-1] if passes else None
+        passes.append(compared(estimate, beta, z, observed, used, before, iteration.tolerance_percent))
+        beta = estimate.among(names)
+    if not passes:
+        raise IdentificationError(f"{signals.recording}: no instruments: {failure}")
+    return judged_iv(
+        signals, idm, plan, observed, estimate, reduction, e, tuple(passes), used, iteration.start, failure
+    )
 
 
 def validate(

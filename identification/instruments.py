@@ -17,12 +17,13 @@ from .filtering import Motion, differentiate, motion_between
 from .plan import CUTOFF_PER_BANDWIDTH, Plan
 from .regression import decimated_regressor
 from .signals import Signals
-from .simulation import Loop, Simulated, has_controller, recorded_loop, simulate, surrogate_loop
+from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate_loop
 
 Vector = NDArray[np.float64]
 
 RATE_PER_BANDWIDTH = 50.0  # instrument samples per period of the bandwidth, at least
 POSES = 300  # positions of the trajectory at which M must be positive
+LOW_SPEED_DEVIATIONS = 3.0  # of the speed noise: rows slower than this are left out
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 
 
@@ -40,6 +41,7 @@ class Experiment:
         period_s: of the controller; `grid_s`: (N,) instants of the instruments, `times_s`: (K,) of the controller.
         decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
+        directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
     """
 
     dynamics: Dynamics
@@ -58,19 +60,33 @@ class Experiment:
     times_s: Vector
     decimation: int
     saturated_percent: float | None
+    directions: Vector
+    slip_noise: Vector
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedMotion:
+    """The robot simulated with an estimate: its motion at the instruments' instants, or None and the `reason`.
+
+    `tracking_percent` is |q_sim - q| in percent of |q - mean|, all joints together; `gains` the factors on the controller.
+    """
+
+    motion: Motion | None
+    reason: str | None
+    gains: Vector
+    tracking_percent: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instruments:
-    """Instruments Z (r, b), rows as those of W, and the simulated motion they come from.
+    """Instruments Z (r, b), rows as those of W.
 
-    `kind` says whether the loop was simulated, or why Z had to be taken along the reference. `speed` (r,) is the speed of
-    each row's joint. `tracking_percent` is |q_sim - q| in percent of |q - mean|, over all joints.
+    `kind` says whether the loop was simulated, or Z had to be taken along the reference, for the `reason` given. `slip`
+    (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
     Z: Vector
-    speed: Vector
-    motion: Motion
+    slip: Vector
     kind: Literal["simulated", "reference"]
     reason: str | None
     gains: Vector
@@ -103,7 +119,10 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         reference = (measured.q, measured.dq, measured.ddq)
     at = [_at(times_s, plan.start / fs, fs, x) for x in reference]
     q = measured.q[grid - plan.start]
-    J_prior = inertias(direct_model(dynamics, base.representative(beta_ls)), _poses(q))
+    prior = direct_model(dynamics, base.representative(beta_ls))
+    J_prior = inertias(prior, _poses(q))
+    if not (J_prior > 0).all():  # of a least squares estimate that cannot be: any positive inertias will do
+        J_prior = inertias(direct_model(dynamics, base.representative(regular_start(dynamics, base))), _poses(q))
     return Experiment(
         dynamics=dynamics,
         base=base,
@@ -121,33 +140,65 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         times_s=times_s,
         decimation=plan.decimation // m,
         saturated_percent=_saturated_percent(signals, plan),
+        directions=prior.directions,
+        slip_noise=_speed_noise(signals, plan, measured, cutoff_hz) @ np.abs(prior.directions.T),
     )
 
 
 def instruments(e: Experiment, beta: Vector, *, gain_update: bool = True) -> Instruments:
     """Instruments along the closed loop simulated with `beta` (b,).
 
-    M(q, beta) must be positive on the trajectory before anything is simulated. Where it is not, or the simulation leaves
-    its reference, the instruments of this pass are taken along the reference instead, and `reason` says why.
+    Where the robot cannot be simulated, or the simulation leaves its reference, the instruments of this pass are taken
+    along the reference itself, and `reason` says why.
     """
+    s = simulated_motion(e, beta, gain_update=gain_update)
+    q, dq, ddq = (_on_grid(e, x) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
+    motion = s.motion or Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
+    Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
+    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation]
+    return Instruments(
+        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.base.b),
+        slip=kept @ e.directions.T,
+        kind="reference" if s.motion is None else "simulated",
+        reason=s.reason,
+        gains=s.gains,
+        tracking_percent=s.tracking_percent,
+    )
+
+
+def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -> SimulatedMotion:
+    """The closed loop simulated with `beta` (b,), if M(q, beta) is positive on the trajectory and the loop follows."""
     model = direct_model(e.dynamics, e.base.representative(beta))
     J, reason = inertias(model, e.poses), not_positive(model, e.poses)
     gains = J / e.J_prior if gain_update else np.ones(len(J))
-    if reason is None:
-        if e.loop is None:
-            loop = surrogate_loop(e.bandwidth_hz, J if gain_update else e.J_prior, e.rate_hz)
-        else:
-            loop = e.loop.scaled(gains)
-        travel = np.ptp(e.q_ref, axis=0)
-        bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
-        done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, bound=bound)
-        reason = done.reason
-        if reason is None:
-            motion = _on_grid(e, done)
-            error = np.linalg.norm(motion.q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
-            return _instruments(e, motion, "simulated", None, gains, float(100 * error))
-    along = Simulated(q=e.q_ref, dq=e.dq_ref, ddq=e.ddq_ref, tau=np.zeros_like(e.q_ref), saturated=0, reason=reason)
-    return _instruments(e, _on_grid(e, along), "reference", reason, gains, None)
+    if reason is not None:
+        return SimulatedMotion(motion=None, reason=reason, gains=gains, tracking_percent=None)
+    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, e.rate_hz)
+    travel = np.ptp(e.q_ref, axis=0)
+    bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
+    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, bound=bound)
+    if done.reason is not None:
+        return SimulatedMotion(motion=None, reason=done.reason, gains=gains, tracking_percent=None)
+    q, dq, ddq, tau = (_on_grid(e, x) for x in (done.q, done.dq, done.ddq, done.tau))
+    error = 100 * np.linalg.norm(q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
+    motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
+    return SimulatedMotion(motion=motion, reason=None, gains=gains, tracking_percent=float(error))
+
+
+def fast_rows(e: Experiment, z: Instruments, low_speed_percent: float | None) -> Vector:
+    """1 for the rows (r,) that count, 0 for those at low speed, where sign(dq) of a noisy velocity is biased.
+
+    Chosen by the SIMULATED speed of each direction of Coulomb friction that acts on the row's joint, which is exogenous.
+    Slow is below `low_speed_percent` of the simulated peak, or by default below 3 deviations of the noise that W's own
+    velocity carries; behind a filter at the rule's cut-off that is nothing.
+    """
+    if low_speed_percent is None:
+        threshold = LOW_SPEED_DEVIATIONS * e.slip_noise
+    else:
+        threshold = 0.01 * low_speed_percent * np.abs(z.slip).max(axis=0)
+    slow = np.abs(z.slip) < threshold  # (rows, c)
+    acts = e.directions != 0  # (c, n)
+    return np.asarray(1.0 - (slow.astype(float) @ acts > 0).T.reshape(-1))
 
 
 def inertias(model: DirectModel, poses: Vector) -> Vector:
@@ -185,39 +236,13 @@ def regular_start(dynamics: Dynamics, base: BaseParameters) -> Vector:
     return np.asarray(base.K @ chi)
 
 
-def _instruments(
-    e: Experiment,
-    motion: Motion,
-    kind: Literal["simulated", "reference"],
-    reason: str | None,
-    gains: Vector,
-    tracking_percent: float | None,
-) -> Instruments:
-    Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
-    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation]
-    return Instruments(
-        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.base.b),
-        speed=kept.T.reshape(-1),
-        motion=motion,
-        kind=kind,
-        reason=reason,
-        gains=gains,
-        tracking_percent=tracking_percent,
-    )
-
-
-def _on_grid(e: Experiment, s: Simulated) -> Motion:
-    """A simulated motion at the instruments' instants: picked where the controller's instants are among them."""
-    every = e.grid_s[1] - e.grid_s[0]
-    ratio = every / (e.times_s[1] - e.times_s[0]) if len(e.times_s) > 1 else 1.0
-    if abs(ratio - round(ratio)) < 1e-9 and (len(s.q) - 1) // round(ratio) + 1 >= len(e.grid_s):
-        q, dq, ddq, tau = (x[:: round(ratio)][: len(e.grid_s)] for x in (s.q, s.dq, s.ddq, s.tau))
-    else:
-        q, dq, ddq, tau = (
-            np.stack([np.interp(e.grid_s, e.times_s, column) for column in x.T], axis=1)
-            for x in (s.q, s.dq, s.ddq, s.tau)
-        )
-    return Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
+def _on_grid(e: Experiment, x: Vector) -> Vector:
+    """x (K, n) at the controller's instants, at the instruments': picked where they coincide, else linear in between."""
+    ratio = (e.grid_s[1] - e.grid_s[0]) / (e.times_s[1] - e.times_s[0])
+    step = round(ratio)
+    if step >= 1 and abs(ratio - step) < 1e-9 and (len(x) - 1) // step + 1 >= len(e.grid_s):
+        return x[::step][: len(e.grid_s)]
+    return np.stack([np.interp(e.grid_s, e.times_s, column) for column in x.T], axis=1)
 
 
 def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
@@ -246,6 +271,21 @@ def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> Non
                 f"{signals.recording}: reference of joint {joint.name}: {error:.3g} {joint.position_unit} rms off the "
                 f"measured position, which varies by {spread:.3g}; expected the reference of this recording"
             )
+
+
+def _speed_noise(signals: Signals, plan: Plan, smooth: Motion, cutoff_hz: float) -> Vector:
+    """Deviation (n,) of the speed that W is made of from the smooth one; zero behind the rule's filter or a lower one."""
+    if plan.cutoff_hz is not None and plan.cutoff_hz <= cutoff_hz * (1 + 1e-9):
+        return np.zeros(signals.robot.n)
+    used = motion_between(
+        signals.q,
+        signals.effort,
+        cutoff_hz=plan.cutoff_hz,
+        sample_rate_hz=signals.sample_rate_hz,
+        start=plan.start,
+        stop=plan.stop,
+    )
+    return np.asarray(np.std(used.dq - smooth.dq, axis=0))
 
 
 def _saturated_percent(signals: Signals, plan: Plan) -> float | None:

@@ -12,7 +12,7 @@ from scipy import signal
 
 from .dynamics import Dynamics
 from .filtering import motion_between
-from .idim import Fit
+from .fit import Fit
 from .regression import predicted_torque, torque_of_recording
 from .signals import Signals
 

@@ -21,7 +21,7 @@ from . import IdentificationError
 from .base_parameters import BaseParameters
 from .diagnostics import TorqueError
 from .filtering import forward_backward_3db_hz
-from .idim import Fit
+from .fit import Fit, InstrumentEvidence
 from .plan import Plan
 from .signals import Signals
 
@@ -105,6 +105,7 @@ def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
         "condition_number_scaled": e.condition_number_scaled,
         **plan_json(signals, fit.plan),
         "rows": e.rows,
+        **(iv_json(fit.iv) if fit.iv else {}),
         "parameters": [
             {
                 **known[name],
@@ -126,6 +127,35 @@ def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
             "p_effective": _number(fit.essential.p_effective),
         },
         "provenance": provenance(signals),
+    }
+
+
+def iv_json(iv: InstrumentEvidence) -> dict[str, Any]:
+    """What the instrumental variable method adds: why it ended, pass by pass, tests of the instruments, direct model."""
+    return {
+        "reason": iv.reason,
+        "start": iv.start,
+        "reference": iv.reference,
+        "controller": iv.controller,
+        "iterations": [
+            {
+                "instruments": p.instruments,
+                "reason": p.reason,
+                "residual_norm": p.residual_norm,
+                "largest_change_sigma": _number(p.change_sigma),
+                "largest_change_percent": _number(p.change_percent),
+                "changed_most": p.changed,
+                "gains": [float(g) for g in p.gains],
+                "tracking_error_percent": p.tracking_percent,
+                "condition_number_ztw": _number(p.condition),
+                "settled": p.settled,
+            }
+            for p in iv.passes
+        ],
+        "instrument_tests": {name: None if x is None else _number(x) for name, x in vars(iv.tests).items()},
+        "rows_used_percent": iv.rows_used_percent,
+        "saturated_percent": iv.saturated_percent,
+        "direct_model": [vars(d) for d in iv.direct],
     }
 
 
@@ -204,14 +234,65 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
     condition = (
         f"cond(W) {e.condition_number:.4f}, with columns of norm one {e.condition_number_scaled:.4f}; {e.rows} rows"
     )
-    status = f"status: {fit.status}"
-    lines = [*plan_lines(signals, fit.plan), condition, kept, status]
+    status = f"status: {fit.status}" + (f": {fit.iv.reason}" if fit.iv and fit.iv.reason else "")
+    lines = [*plan_lines(signals, fit.plan), condition, kept, *(iv_lines(fit.iv) if fit.iv else []), status]
     return Group(
         table,
+        *(iv_tables(fit.iv) if fit.iv else []),
         errors_table(fit.errors, signals.robot.effort_units),
         *(Text(line) for line in lines),
         *_warnings(fit.warnings),
     )
+
+
+def iv_tables(iv: InstrumentEvidence) -> list[Table]:
+    """The passes of the instrumental variable method, and the direct model against the recording."""
+    passes = Table(title=f"passes from start: {iv.start}", title_justify="left")
+    for column in (
+        "pass",
+        "instruments",
+        "|rho|",
+        "largest change",
+        "of",
+        "tracking %",
+        "gains from .. to",
+        "cond ZᵀW",
+    ):
+        passes.add_column(column, justify="left" if column in ("instruments", "of") else "right")
+    for number, p in enumerate(iv.passes, 1):
+        passes.add_row(
+            str(number),
+            p.instruments,
+            f"{p.residual_norm:.3f}",
+            f"{p.change_sigma:.2g} sigma",
+            p.changed,
+            "-" if p.tracking_percent is None else f"{p.tracking_percent:.2f}",
+            f"{p.gains.min():.3g} .. {p.gains.max():.3g}",
+            f"{p.condition:.1f}",
+        )
+    direct = Table(title="simulated robot against the recording, %", title_justify="left")
+    for column in ("joint", "position", "torque"):
+        direct.add_column(column, justify="left" if column == "joint" else "right")
+    for d in iv.direct:
+        errors = (d.position_error_percent, d.torque_error_percent)
+        direct.add_row(d.name, *("-" if x is None else f"{x:.2f}" for x in errors))
+    return [passes, direct] if iv.direct else [passes]
+
+
+def iv_lines(iv: InstrumentEvidence) -> list[str]:
+    """Tests of the instruments, in words; why a pass went without simulation."""
+    t = iv.tests
+    lines = [f"pass {k}: instruments along the reference: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
+    if t.dwh_F is None or t.dwh_F_effective is None or t.dwh_p_value is None or t.dwh_p_effective is None:
+        dwh = "instruments and regressor agree: nothing to test"
+    else:
+        dwh = (
+            f"Durbin-Wu-Hausman F = {t.dwh_F:.2f}, p = {t.dwh_p_value:.2g}; with the residual's correlation counted "
+            f"F = {t.dwh_F_effective:.2f}, p = {t.dwh_p_effective:.2g}"
+        )
+    strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
+    used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
+    return [*lines, dwh, strength, used]
 
 
 def truth_table(fit: Fit, values: NDArray[np.float64]) -> Table:

@@ -15,7 +15,7 @@ import rerun.blueprint as rrb
 
 from acquisition.whole_file import whole_file
 
-from .idim import Fit
+from .fit import Fit
 from .panels import (
     GREY,
     RED,

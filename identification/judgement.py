@@ -1,0 +1,222 @@
+"""Sets beside an estimate what speaks for and against it, and says whether the iteration may be called converged."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from .diagnostics import (
+    InstrumentTests,
+    hac_sigma,
+    instrument_tests,
+    lag_one,
+    relative_error_percent,
+    torque_errors,
+)
+from .dynamics import Dynamics
+from .estimators import Estimate, Reduction
+from .filtering import decimate
+from .fit import DirectModelError, Fit, InstrumentEvidence, Method, Pass, Status
+from .instruments import Experiment, Instruments, simulated_motion
+from .plan import Plan
+from .regression import Regression, torque_of_recording
+from .signals import Signals
+
+Vector = NDArray[np.float64]
+
+TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
+SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
+WEAK_INSTRUMENTS_F = 10.0
+
+
+def predicted_rows(signals: Signals, plan: Plan, idm: Dynamics, observed: Regression, estimate: Estimate) -> Vector:
+    """Decimated torque (rows, n) that an estimate predicts for the rows of `observed`."""
+    if not observed.reduced:
+        among = [observed.base.names.index(name) for name in estimate.names]
+        return np.asarray((observed.W[:, among] @ estimate.beta).reshape(signals.robot.n, -1).T)
+    return torque_of_recording(signals, plan, idm, observed.base, estimate.among(observed.base.names))[1]
+
+
+def judged(
+    signals: Signals,
+    idm: Dynamics,
+    plan: Plan,
+    observed: Regression,
+    method: Method,
+    estimate: Estimate,
+    reduction: Reduction,
+    *,
+    status: Status = "solved",
+    used: Vector | None = None,
+    iv: InstrumentEvidence | None = None,
+    warnings: tuple[str, ...] = (),
+) -> Fit:
+    """A fit: the estimate with torque errors of all rows, robust deviations and warnings; `used` marks rows that counted."""
+    predicted = predicted_rows(signals, plan, idm, observed, estimate)
+    sigma_hac = np.full(len(estimate.names), np.nan)
+    if not observed.reduced:
+        rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
+        sigma_hac = hac_sigma(estimate.Q, estimate.bread, rho if used is None else rho * used, signals.robot.n)
+    return Fit(
+        method=method,
+        status=status,
+        plan=plan,
+        base=observed.base,
+        estimate=estimate,
+        essential=reduction,
+        sigma_hac=sigma_hac,
+        errors=torque_errors(observed.tau, predicted, observed.speed, tuple(j.name for j in signals.robot.joints)),
+        warnings=(*plan.warnings, *gain_warnings(signals), *warnings),
+        iv=iv,
+    )
+
+
+def compared(
+    estimate: Estimate,
+    beta: Vector,
+    z: Instruments,
+    observed: Regression,
+    used: Vector,
+    before: Pass | None,
+    tolerance_percent: float,
+) -> Pass:
+    """A pass that led from `beta` (b,) to `estimate`, and whether it settled.
+
+    Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
+    half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves.
+    """
+    tolerance = 0.01 * tolerance_percent
+    old = np.array([beta[observed.base.names.index(name)] for name in estimate.names])
+    change = np.abs(estimate.beta - old)
+    norm_before = before.residual_norm if before else _residual_norm(beta, observed, estimate.weights, used)
+    residual_settled = abs(estimate.residual_norm - norm_before) <= tolerance * norm_before
+    parameters_settled = bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all())
+    with np.errstate(divide="ignore", invalid="ignore"):
+        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+        in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
+    return Pass(
+        instruments=z.kind,
+        reason=z.reason,
+        residual_norm=estimate.residual_norm,
+        change_sigma=float(in_sigma.max()),
+        change_percent=float(in_percent.max()),
+        changed=estimate.names[int(in_sigma.argmax())],
+        gains=z.gains,
+        tracking_percent=z.tracking_percent,
+        condition=estimate.condition_number_scaled,
+        settled=residual_settled and parameters_settled,
+    )
+
+
+def _residual_norm(beta: Vector, observed: Regression, weights: Vector, used: Vector) -> float:
+    w = weights[observed.joint_of_row] * used
+    return float(np.linalg.norm(w * (observed.Y - observed.W @ beta)))
+
+
+def judged_iv(
+    signals: Signals,
+    idm: Dynamics,
+    plan: Plan,
+    observed: Regression,
+    estimate: Estimate,
+    reduction: Reduction,
+    e: Experiment,
+    passes: tuple[Pass, ...],
+    used: Vector,
+    start: str,
+    failure: str | None,
+) -> Fit:
+    """A fit by instruments. The robot is simulated once more, with the final estimate: the direct model's validation."""
+    final = simulated_motion(e, estimate.among(observed.base.names))
+    status, reason = _verdict(passes, final.reason, final.tracking_percent, failure)
+    w = estimate.weights[observed.joint_of_row] * used
+    among = [observed.base.names.index(name) for name in estimate.names]
+    W, Y = observed.W[:, among] * w[:, None], observed.Y * w
+    rho = (Y - W @ estimate.beta).reshape(signals.robot.n, -1).T
+    tests = instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
+    direct: list[DirectModelError] = []
+    if final.motion is not None:
+        tau = decimate(final.motion.tau.T, e.decimation).T
+        for j, joint in enumerate(signals.robot.joints):
+            off, q = final.motion.q[:, j] - e.q[:, j], e.q[:, j] - e.q[:, j].mean()
+            direct.append(
+                DirectModelError(
+                    name=joint.name,
+                    position_error_percent=relative_error_percent(q, off),
+                    torque_error_percent=relative_error_percent(observed.tau[:, j], observed.tau[:, j] - tau[:, j]),
+                )
+            )
+    evidence = InstrumentEvidence(
+        start=start,
+        reference=e.reference,
+        controller="surrogate" if e.loop is None else "described",
+        passes=passes,
+        reason=reason,
+        tests=tests,
+        rows_used_percent=float(100 * used.mean()),
+        saturated_percent=e.saturated_percent,
+        direct=tuple(direct),
+        simulated=final.motion,
+        q=e.q,
+    )
+    return judged(
+        signals,
+        idm,
+        plan,
+        observed,
+        "iv",
+        estimate,
+        reduction,
+        status=status,
+        used=used,
+        iv=evidence,
+        warnings=_iv_warnings(e, tests),
+    )
+
+
+def _verdict(
+    passes: tuple[Pass, ...], final_reason: str | None, tracking_percent: float | None, failure: str | None
+) -> tuple[Status, str | None]:
+    """`converged` is only said of an estimate that settled, along simulated instruments, and that can itself be simulated."""
+    if failure is not None:
+        return "diverged", failure
+    if final_reason is not None:
+        return "diverged", f"the final estimate cannot be simulated: {final_reason}"
+    if tracking_percent is None or tracking_percent > TRACKED_PERCENT:
+        return "diverged", f"the simulated position is {tracking_percent:.1f} % off the measured one"
+    last = passes[-1]
+    if last.settled and last.instruments != "simulated":
+        return "diverged", f"settled without simulated instruments: {last.reason}"
+    if not last.settled:
+        return (
+            "max_iterations",
+            f"after {len(passes)} passes {last.changed} still changes by {last.change_sigma:.2g} sigma",
+        )
+    return "converged", None
+
+
+def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
+    warnings = []
+    if e.reference == "surrogate":
+        warnings.append(
+            "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
+            "strictly exogenous"
+        )
+    if e.loop is None:
+        warnings.append(f"surrogate controller: none is described, a PD of {e.bandwidth_hz:g} Hz stands in")
+    if e.saturated_percent is not None and e.saturated_percent > SATURATED_PERCENT:
+        warnings.append(f"a drive is saturated in {e.saturated_percent:.1f} % of the samples")
+    if tests.first_stage_F < WEAK_INSTRUMENTS_F:
+        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
+    return tuple(warnings)
+
+
+def gain_warnings(signals: Signals) -> tuple[str, ...]:
+    """What a reader must know of the units where the drive gains are not given."""
+    robot = signals.robot
+    if robot.gain_known:
+        return ()
+    units = " and ".join(sorted(set(robot.effort_units)))
+    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
+    shared = (
+        "; joints share parameters, so the values hold only if all drives have the same gain" if robot.n > 1 else ""
+    )
+    return (text + shared,)
