@@ -271,7 +271,7 @@ class EffortCodec:
 
     def si(self, raw: NDArray[np.int64]) -> Vector:
         """A, V, N m or N, of any shape."""
-        return raw * self.scale
+        return np.asarray(raw * self.scale, dtype=np.float64)
 
     def raw(self, value: Vector) -> NDArray[np.int64]:
         """Nearest raw integers, held at the ends of the object's type as a drive does."""
@@ -288,7 +288,7 @@ class PositionCodec:
 
     def si(self, raw: NDArray[np.int64]) -> Vector:
         """Motor position in rad or m, of any shape."""
-        return (raw - self.zero_counts) * (self.sign / self.counts_per_unit)
+        return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
 
     def raw(self, value: Vector) -> NDArray[np.int64]:
         """Nearest counts, held at the ends of 32 bits."""

@@ -5,40 +5,27 @@ the file and radians in `Robot`; everything else is SI in both.
 """
 
 import math
-import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal
 
 import msgspec
-import msgspec.inspect
 import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
+from .bus_description import BusFile, check_bus, dictionary_label
+from .description import Name, Positive, Table, parse_toml
 
 Vector = NDArray[np.float64]
-T = TypeVar("T")
-
-# The parser's memory grows with the square of a dotted key's length, and recordings carry descriptions from elsewhere.
-LARGEST_TOML = 256 * 1024  # bytes
-LONGEST_LINE = 2000
-
-Positive = Annotated[float, msgspec.Meta(gt=0)]
 Rows = Annotated[int, msgspec.Meta(ge=0)]
-Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
 EffortUnit = Literal["A", "V", "N m", "N"]
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of robot.toml: unknown keys are refused."""
-
-
-class DH(_Table, frozen=True):
+class DH(Table, frozen=True):
     """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
 
     alpha_deg: float
@@ -47,7 +34,7 @@ class DH(_Table, frozen=True):
     r_m: float
 
 
-class Joint(_Table, frozen=True):
+class Joint(Table, frozen=True):
     """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
 
     name: Name
@@ -66,6 +53,8 @@ class Joint(_Table, frozen=True):
     speed_m_s: Positive | None = None
     acceleration_deg_s2: Positive | None = None
     acceleration_m_s2: Positive | None = None
+    following_error_deg: Positive | None = None
+    following_error_m: Positive | None = None
 
     @property
     def position_unit(self) -> str:
@@ -73,8 +62,8 @@ class Joint(_Table, frozen=True):
         return "rad" if self.type == "revolute" else "m"
 
     def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed` or `acceleration` in rad or m (per s, per s²); `None` where not stated."""
-        tail = {"zero": "", "position": "", "speed": "_s", "acceleration": "_s2"}[quantity]
+        """`zero`, `position`, `speed`, `acceleration`, `following_error` in rad or m (per s, s²); `None`: not stated."""
+        tail = {"speed": "_s", "acceleration": "_s2"}.get(quantity, "")
         if self.type == "prismatic":
             return getattr(self, f"{quantity}_m{tail}")
         value = getattr(self, f"{quantity}_deg{tail}")
@@ -83,7 +72,7 @@ class Joint(_Table, frozen=True):
         return None if value is None else math.radians(value)
 
 
-class Motor(_Table, frozen=True):
+class Motor(Table, frozen=True):
     """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
 
     name: Name
@@ -104,7 +93,7 @@ class Motor(_Table, frozen=True):
         return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
 
 
-class Controller(_Table, frozen=True):
+class Controller(Table, frozen=True):
     """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares."""
 
     bandwidth_hz: Positive
@@ -116,7 +105,7 @@ class Controller(_Table, frozen=True):
     velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] = "backward_difference"
 
 
-class Identification(_Table, frozen=True):
+class Identification(Table, frozen=True):
     """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
 
     cutoff_hz: Positive | None = None
@@ -126,7 +115,7 @@ class Identification(_Table, frozen=True):
     cut_end_samples: Rows | None = None
 
 
-class RobotFile(_Table, frozen=True):
+class RobotFile(Table, frozen=True):
     """`robot.toml` as it stands in the file."""
 
     name: Name
@@ -137,7 +126,8 @@ class RobotFile(_Table, frozen=True):
     urdf: str | None = None
     motor_matrix: tuple[tuple[float, ...], ...] | None = None
     identification: Identification = Identification()
-    parameters: dict[str, float] = {}
+    parameters: dict[str, float] = msgspec.field(default_factory=dict)
+    bus: BusFile | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -149,7 +139,8 @@ class Robot:
         zero: (n,) added to inv(R) q_motor, rad or m.
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
-        files: the description itself, by file name (`robot.toml` and the URDF), as it goes into a recording.
+        bus: the drives and how they are reached, as the file has it; `drives` resolves it. None where it has no `[bus]`.
+        files: the description itself, by name (`robot.toml`, the URDF, object dictionaries), as recordings carry it.
     """
 
     name: str
@@ -161,6 +152,7 @@ class Robot:
     zero: Vector
     gravity: Vector
     parameters: Mapping[str, float]
+    bus: BusFile | None
     files: Mapping[str, bytes]
     urdf: str | None
 
@@ -204,7 +196,7 @@ class Robot:
 
 
 def load_robot(path: Path) -> Robot:
-    """Read a robot description and the URDF it names.
+    """Read a robot description, and the URDF and object dictionaries it names.
 
     Raises `AcquisitionError` naming the file, the key, the value and what was expected.
     """
@@ -214,13 +206,20 @@ def load_robot(path: Path) -> Robot:
         raise AcquisitionError(f"{path}: cannot be read: {error.strerror}") from error
     document = _parse(files["robot.toml"], str(path))
     if document.urdf is not None:
-        urdf_path = path.parent / document.urdf
-        try:
-            files["robot.urdf"] = urdf_path.read_bytes()
-        except (OSError, ValueError) as error:  # the latter for a zero character in the name
-            told = error.strerror if isinstance(error, OSError) else error
-            raise AcquisitionError(f"{path}: urdf = {document.urdf!r}: cannot be read: {told}") from error
+        files["robot.urdf"] = _beside(path, "urdf", document.urdf)
+    for i, drive in enumerate(document.bus.drive if document.bus else ()):
+        if drive.dictionary is not None:
+            key = f"bus.drive[{i}].dictionary"
+            files[dictionary_label(drive.dictionary)] = _beside(path, key, drive.dictionary)
     return robot_from_files(files, str(path))
+
+
+def _beside(path: Path, key: str, name: str) -> bytes:
+    try:
+        return (path.parent / name).read_bytes()
+    except (OSError, ValueError) as error:  # the latter for a zero character in the name
+        told = error.strerror if isinstance(error, OSError) else error
+        raise AcquisitionError(f"{path}: {key} = {name!r}: cannot be read: {told}") from error
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
@@ -240,6 +239,9 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     else:
         R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     arrays = (R, np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float))
+    names = ["robot.toml", "robot.urdf"]
+    if f.bus is not None:
+        names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]
     for array in arrays:
         array.flags.writeable = False
     assert arrays[0].shape == (n, n)
@@ -253,69 +255,14 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         zero=arrays[1],
         gravity=arrays[2],
         parameters=f.parameters,
-        files={name: files[name] for name in ("robot.toml", "robot.urdf") if name in files},
+        bus=f.bus,
+        files={name: files[name] for name in names if name in files},
         urdf=urdf,
     )
 
 
 def _parse(text: bytes, place: str) -> RobotFile:
     return parse_toml(text, RobotFile, place)
-
-
-def parse_toml(text: bytes, kind: type[T], place: str) -> T:
-    """Decode TOML `text` into `kind`; every error is one line with `place`, key, value and what was expected."""
-    longest = max(map(len, text.splitlines()), default=0)
-    if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
-        told = f"{len(text)} bytes, a line of {longest}"
-        raise AcquisitionError(f"{place}: {told}: expected {LARGEST_TOML} and {LONGEST_LINE} at most")
-    try:
-        data = tomllib.loads(text.decode("utf-8"))
-        _refuse_nonfinite(data, "", place)
-    except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
-        raise AcquisitionError(f"{place}: not valid TOML: {error}") from error
-    try:
-        return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
-        message, _, where = str(error).rpartition(" - at `$")
-        message, path = (message, where[:-1]) if message else (str(error), "")
-        value = _value_at(data, path)
-        found = "" if value is None or isinstance(value, dict | list) else f" = {value!r}"[:80]
-        if message.startswith("Invalid enum value"):
-            message = f"expected one of {', '.join(map(repr, _choices(kind, path)))}"
-        raise AcquisitionError(f"{place}: {path.lstrip('.') or 'top level'}{found}: {message}") from error
-
-
-def _choices(kind: Any, path: str) -> tuple[Any, ...]:
-    """The words that `kind` allows at `path`."""
-    at = msgspec.inspect.type_info(kind)
-    for step in re.findall(r"\w+", re.sub(r"\[[^]]*\]", "", path)):
-        if isinstance(at, msgspec.inspect.StructType):
-            at = next(field.type for field in at.fields if field.encode_name == step)
-        if isinstance(at, msgspec.inspect.UnionType):
-            at = next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
-        if isinstance(at, msgspec.inspect.VarTupleType):
-            at = at.item_type
-    return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()
-
-
-def _value_at(data: Any, path: str) -> Any:
-    for step in path.replace("[", ".[").split("."):
-        try:
-            if step.startswith("["):
-                data = data[int(step.strip("[]"))]
-            elif step:
-                data = data[step]
-        except (KeyError, IndexError, TypeError, ValueError):
-            return None
-    return data
-
-
-def _refuse_nonfinite(data: Any, key: str, place: str) -> None:
-    if isinstance(data, float) and not math.isfinite(data):
-        raise AcquisitionError(f"{place}: {key} = {data}: expected a finite number")
-    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for name, value in items:
-        _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), place)
 
 
 def _check(f: RobotFile, place: str) -> None:
@@ -372,3 +319,5 @@ def _check(f: RobotFile, place: str) -> None:
             refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
         if gains is not None and any(g <= 0 for g in gains):
             refuse(f"controller.{name}", list(gains), "positive numbers")
+    if f.bus is not None:
+        check_bus(f.bus, tuple(m.recorded_unit for m in f.motor), place)

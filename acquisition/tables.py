@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .blocks import LARGEST_STAMP_NS, Block, sample_dtype
+from .description import Positive, parse_toml
 from .recording import RecordingWriter
-from .robot import Positive, Robot, parse_toml
+from .robot import Robot
 from .table_files import Matrix, read_columns
 from .whole_file import whole_file
 

@@ -15,8 +15,9 @@ from hypothesis import strategies as st
 from made_up_recordings import write
 
 from acquisition import AcquisitionError
+from acquisition.description import parse_toml
 from acquisition.recording import read_recording
-from acquisition.robot import Robot, parse_toml, robot_from_files
+from acquisition.robot import Robot, robot_from_files
 from acquisition.table_files import read_columns
 from acquisition.tables import TableMap, import_tables
 

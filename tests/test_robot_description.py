@@ -8,7 +8,8 @@ import pytest
 from conftest import REPLAY, robot_named
 
 from acquisition import AcquisitionError, one_line
-from acquisition.robot import LARGEST_TOML, LONGEST_LINE, load_robot, robot_from_files
+from acquisition.description import LARGEST_TOML, LONGEST_LINE
+from acquisition.robot import load_robot, robot_from_files
 from acquisition.whole_file import refuse_input, whole_file
 
 ONE_JOINT = """
