@@ -240,7 +240,7 @@ def _simulate(options: argparse.Namespace) -> None:
     with _progress() as status:
         from acquisition.robot import load_robot
 
-        from .synthetic import Noise, write_synthetic
+        from .synthetic import Noise, closed_loop, random_reference, write_signals
 
         status.update("simulating")
         noise = Noise(
@@ -248,14 +248,12 @@ def _simulate(options: argparse.Namespace) -> None:
             position=options.position_noise,
             effort_percent=options.effort_noise_percent,
         )
-        write_synthetic(
-            options.out,
-            load_robot(options.robot),
-            duration_s=options.duration_s,
-            sample_rate_hz=options.rate_hz,
-            seed=options.seed,
-            noise=noise,
+        robot = load_robot(options.robot)
+        q_ref = random_reference(
+            robot, duration_s=options.duration_s, sample_rate_hz=options.rate_hz, seed=options.seed
         )
+        signals = closed_loop(robot, q_ref, options.rate_hz, noise=noise, seed=options.seed)
+        write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {options.seed}")
     _print(f"{options.out}: simulated, {options.duration_s:g} s at {options.rate_hz:g} Hz")
 
 

@@ -149,6 +149,15 @@ class DirectModel:
         M = pin.crba(self.rigid, self.data, q) + self.rotor
         return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
 
+    def inverse(self, q: Vector, dq: Vector, ddq: Vector, dq_sign: Vector) -> Vector:
+        """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
+        u = self.directions @ dq_sign
+        viscous = self.viscous + self.viscous_up * (dq > 0) + self.viscous_down * (dq < 0)
+        rigid = pin.rnea(self.rigid, self.data, q, dq, ddq) + self.rotor @ ddq
+        return np.asarray(
+            rigid + viscous @ dq + self.offset + (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
+        )
+
 
 def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
     """The equation of motion of a robot with the standard parameters chi (p,).

@@ -61,9 +61,12 @@ class Loop:
         )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Simulated:
-    """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on; `reason` if it failed."""
+    """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
+
+    `saturated` counts the instants at which a drive was at its limit; `reason` says why it ended early, if it did.
+    """
 
     q: Vector
     dq: Vector
@@ -71,6 +74,10 @@ class Simulated:
     tau: Vector
     saturated: int
     reason: str | None
+
+    def until(self, k: int, saturated: int, reason: str | None) -> "Simulated":
+        """The first k instants."""
+        return Simulated(self.q[:k], self.dq[:k], self.ddq[:k], self.tau[:k], saturated, reason)
 
 
 def recorded_loop(robot: Robot) -> Loop:
@@ -146,77 +153,116 @@ def simulate(
     N, n = q_ref.shape
     h = loop.period_s / substeps
     q_out, dq_out, ddq_out, tau_out = np.empty((4, N, n))
+    out = Simulated(q_out, dq_out, ddq_out, tau_out, 0, None)
     q, v = q_ref[0].copy(), dq_ref[0].copy()
-    R, RG = loop.R, loop.R.T * loop.G
-    S, up, down = model.directions, model.up, model.down
-    v_s = STICTION * np.maximum(np.abs(dq_ref @ S.T).max(axis=0), 1e-9)
-    resists = up + down > 0
-    middle, slope = (up - down) / 2, np.where(resists, (up + down) / (2 * v_s), 0.0)
-    mode = np.sign(S @ v)  # +1, -1: slips that way, 0: sticks
-    one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
-    V = model.viscous
-    limited, integral, saturated = bool(np.isfinite(loop.saturation).any()), np.zeros(n), 0
-    integrates = bool(loop.Ki.any())
-    estimate = loop.velocity_estimate
-    q1, q2 = q - v * loop.period_s, q - 2 * v * loop.period_s
+    friction = _Friction(model, dq_ref, v, h)
+    control = _Control(model, loop, q_ref, dq_ref, ddq_ref)
+    offset = model.offset
     for k in range(N):
-        dq_est = v if estimate == "exact" else (q - q1) / loop.period_s
-        if estimate == "two_sample_mean":
-            dq_est = (q - q2) / (2 * loop.period_s)
-        error, speed = R @ (q_ref[k] - q), R @ (loop.feedforward * dq_ref[k] - dq_est)
-        u = loop.Kp * error + loop.Kd * speed
-        if integrates:
-            x = loop.position_share * error + (speed if loop.feedforward == 0.0 else 0.0)
-            u = u + loop.Ki * (integral + x * loop.period_s)
-        if limited:
-            free, u = u, np.clip(u, -loop.saturation, loop.saturation)
-            if (u != free).any():
-                saturated += 1
-        if integrates and (not limited or (u == free).all()):  # no wind-up while saturated
-            integral = integral + x * loop.period_s
-        q2, q1 = q1, q
-        if loop.computed_torque:
-            M, bias = model.inertia_and_bias(q, v)
-            M = np.triu(M) + np.triu(M, 1).T
-            tau = M @ (ddq_ref[k] + u) + bias + model.offset + V @ v
-            tau = tau + S.T @ (up * (dq_ref[k] @ S.T > 0) - down * (dq_ref[k] @ S.T < 0))
-        else:
-            tau = RG @ u
+        tau = control.torque(k, q, v)
         for sub in range(substeps):
             M, bias = model.inertia_and_bias(q, v)
-            if one_sided:
-                V = model.viscous + model.viscous_up * (v > 0) + model.viscous_down * (v < 0)
-            A = M + h * V
-            force = h * (tau - bias - model.offset - V @ v)
-            slip = S @ v
-            for _ in range(MODE_PASSES):
-                stuck = mode == 0
-                level = np.where(mode > 0, up, -down)
-                if stuck.any():
-                    level = np.where(stuck, middle + slope * slip, level)
-                    B = A + h * (S.T * (slope * stuck)) @ S
-                else:
-                    B = A
-                _, dv, info = lapack.dposv(B, force - h * (level @ S))
-                if info:
-                    return _stopped(
-                        q_out, dq_out, ddq_out, tau_out, k, saturated, "the inertia matrix is not positive definite"
-                    )
-                after = slip + S @ dv
-                found = np.where(stuck, np.where(np.abs(after) > v_s, np.sign(after), 0.0), mode)
-                found = np.where(~stuck & (mode * after < 0) & resists, 0.0, found)
-                if (found == mode).all():
-                    break
-                mode = found
+            dv = friction.step(M, h * (tau - bias - offset), v)
+            if dv is None:
+                return out.until(k, control.saturated, "the inertia matrix is not positive definite")
             if sub == 0:
-                q_out[k], dq_out[k], ddq_out[k], tau_out[k] = q, v, dv / h, tau
-            q, v = q + h * v + 0.5 * h * dv, v + dv
+                out.q[k], out.dq[k], out.ddq[k], out.tau[k] = q, v, dv / h, tau
+            q, v = q + h * (v + 0.5 * dv), v + dv
         if k % _LOOK_EVERY == 0 and not (np.abs(q - q_ref[k]) < bound).all():
             j = int(np.argmin(np.abs(q - q_ref[k]) < bound))
             reason = f"the simulated robot leaves its reference at joint {j + 1}, {k * loop.period_s:.3f} s"
-            return _stopped(q_out, dq_out, ddq_out, tau_out, k, saturated, reason)
-    return Simulated(q=q_out, dq=dq_out, ddq=ddq_out, tau=tau_out, saturated=saturated, reason=None)
+            return out.until(k, control.saturated, reason)
+    return out.until(N, control.saturated, None)
 
 
-def _stopped(q: Vector, dq: Vector, ddq: Vector, tau: Vector, k: int, saturated: int, reason: str) -> Simulated:
-    return Simulated(q=q[:k], dq=dq[:k], ddq=ddq[:k], tau=tau[:k], saturated=saturated, reason=reason)
+class _Control:
+    """The control law, instant by instant: it carries the integral and the positions before."""
+
+    def __init__(self, model: DirectModel, loop: Loop, q_ref: Vector, dq_ref: Vector, ddq_ref: Vector) -> None:
+        self._model, self._loop, self._T = model, loop, loop.period_s
+        self._q_ref, self._dq_ref, self._ddq_ref = q_ref, dq_ref, ddq_ref
+        self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
+        self._ahead = q_ref @ self._P.T + loop.feedforward * (dq_ref @ self._D.T)
+        self._to_joints = loop.R.T * loop.G
+        self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
+        self._integral = np.zeros(len(loop.Kp))
+        self._q1, self._q2 = q_ref[0] - self._T * dq_ref[0], q_ref[0] - 2 * self._T * dq_ref[0]
+        self.saturated = 0
+
+    def torque(self, k: int, q: Vector, v: Vector) -> Vector:
+        """Joint torques (n,) that the controller gives at its instant k."""
+        loop, dq = self._loop, v
+        if loop.velocity_estimate == "backward_difference":
+            dq = (q - self._q1) / self._T
+        elif loop.velocity_estimate == "two_sample_mean":
+            dq = (q - self._q2) / (2 * self._T)
+        self._q2, self._q1 = self._q1, q
+        u = self._ahead[k] - self._P.dot(q) - self._D.dot(dq)
+        if self._integrates:
+            x = loop.position_share * loop.R.dot(self._q_ref[k] - q)
+            if loop.feedforward == 0.0:  # of a cascade it is the velocity error that is integrated
+                x = x - loop.R.dot(dq)
+            before, self._integral = self._integral, self._integral + x * self._T
+            u = u + loop.Ki * self._integral
+        if self._limited:
+            limited = np.clip(u, -loop.saturation, loop.saturation)
+            if (limited != u).any():
+                self.saturated += 1
+                if self._integrates:
+                    self._integral = before  # no wind-up
+            u = limited
+        if loop.computed_torque:
+            return self._model.inverse(q, v, self._ddq_ref[k] + u, self._dq_ref[k])
+        return np.asarray(self._to_joints.dot(u))
+
+
+class _Friction:
+    """Implicit friction: solves (M + h V) dv = force - h Sᵀ f for dv, where f in each direction slips or sticks.
+
+    A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The
+    modes of the step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
+    """
+
+    def __init__(self, model: DirectModel, dq_ref: Vector, v: Vector, h: float) -> None:
+        self._model, self._h, self._S, self._ST = model, h, model.directions, model.directions.T.copy()
+        self._v_s = STICTION * np.maximum(np.abs(dq_ref @ self._ST).max(axis=0, initial=0.0), 1e-9)
+        self._resists = (model.up + model.down) > 0
+        self._slope = np.where(self._resists, (model.up + model.down) / (2 * self._v_s), 0.0)
+        self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
+        self._V, self._hV = model.viscous, h * model.viscous
+        self._turn(np.sign(self._S @ v))
+
+    def _turn(self, mode: Vector) -> None:
+        """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
+        model, h = self._model, self._h
+        self._mode, self._stuck = mode, bool((mode == 0).any())
+        stuck = mode == 0
+        level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
+        self._slipping = h * (level @ self._S)
+        self._creep = h * (self._ST * (self._slope * stuck)) @ self._S
+
+    def step(self, M: Vector, force: Vector, v: Vector) -> Vector | None:
+        """Change of speed (n,) over the step; None where no positive definite matrix is to be solved with."""
+        if self._one_sided:
+            self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
+            self._hV = self._h * self._V
+        slip = self._S.dot(v)
+        M, force = M + self._hV, force - self._hV.dot(v)
+        for _ in range(MODE_PASSES):
+            if self._stuck:
+                _, dv, info = lapack.dposv(M + self._creep, force - self._slipping - self._creep.dot(v))
+            else:
+                _, dv, info = lapack.dposv(M, force - self._slipping)
+            if info:
+                return None
+            after = slip + self._S.dot(dv)
+            mode = self._mode
+            if not self._stuck and min((mode * after).tolist(), default=1.0) > 0:
+                break
+            stuck = mode == 0
+            found = np.where(stuck & (np.abs(after) > self._v_s), np.sign(after), mode)
+            found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
+            if (found == mode).all():
+                break
+            self._turn(found)
+        return np.asarray(dv)

@@ -1,9 +1,11 @@
 """Recordings of a simulated robot whose parameters are known: what a fit of them must give back.
 
-The robot follows its reference exactly; its torques are those of its inverse dynamic model with the values of the
-description's `[parameters]`. Encoder and torque sensor add the noise that is asked for.
+The robot has the values of the description's `[parameters]` and tracks a random exciting reference under its own
+controller, or under a PD of the stated bandwidth where none is described. Encoder and torque sensor add the noise that is
+asked for.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -17,13 +19,16 @@ from acquisition.robot import Robot
 from acquisition.whole_file import whole_file
 
 from . import IdentificationError
-from .base_parameters import BaseParameters
-from .dynamics import Dynamics
-from .filtering import Motion
+from .base_parameters import BaseParameters, base_parameters
+from .dynamics import Dynamics, direct_model
+from .filtering import Motion, differentiate
+from .instruments import inertias
+from .signals import Signals
+from .simulation import has_controller, recorded_loop, simulate, surrogate_loop
 
 Vector = NDArray[np.float64]
 
-_BLOCK = 2000  # samples per message
+SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +38,16 @@ class Noise:
     encoder_step: float = 0.0
     position: float = 0.0
     effort_percent: float = 0.0
+
+    def on_position(self, q: Vector, rng: np.random.Generator) -> Vector:
+        """Positions as an encoder gives them."""
+        noisy = q + self.position * rng.standard_normal(q.shape)
+        return np.asarray(np.round(noisy / self.encoder_step) * self.encoder_step if self.encoder_step else noisy)
+
+    def on_effort(self, tau: Vector, rng: np.random.Generator) -> Vector:
+        """Torques as they are recorded."""
+        rms = np.sqrt(np.mean(tau**2, axis=0))
+        return np.asarray(tau + 0.01 * self.effort_percent * rms * rng.standard_normal(tau.shape))
 
 
 def known_parameters(dynamics: Dynamics) -> Vector:
@@ -58,38 +73,76 @@ def truth(dynamics: Dynamics, base: BaseParameters) -> Vector:
 
 
 def exact_motion(dynamics: Dynamics, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
-    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no noise."""
+    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
     t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
     q, dq, ddq = fourier_reference(dynamics.robot, period_s=duration_s, seed=seed).at(t_s)
     tau = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
     return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-def write_synthetic(
-    path: Path, robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int, noise: Noise
-) -> None:
-    """Write the recording of a simulated robot; the same arguments give the same samples."""
+def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Vector:
+    """A random exciting reference (N, n) that begins and ends at rest."""
+    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
+    return fourier_reference(robot, period_s=duration_s, seed=seed).at(t_s)[0]
+
+
+def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
+    """Signals of the robot tracking q_ref (N, n), given at the rate of the recording, which is the controller's too.
+
+    Torque at an instant is the mean of what the controller gives before and after it, as a drive's own current filter
+    shows it. Raises `IdentificationError` where the description has no values, or the robot does not follow.
+    """
     dynamics = Dynamics(robot)
-    motion = exact_motion(dynamics, duration_s=duration_s, sample_rate_hz=sample_rate_hz, seed=seed)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    loop = surrogate_loop(
+        robot.controller.bandwidth_hz, inertias(model, q_ref[:: max(1, len(q_ref) // 300)]), sample_rate_hz
+    )
+    if has_controller(robot.controller):
+        loop = recorded_loop(robot)
+    if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
+        raise IdentificationError(
+            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
+            "rate of the simulated recording"
+        )
+    dq_ref = differentiate(q_ref, sample_rate_hz)
+    ddq_ref = differentiate(dq_ref, sample_rate_hz)
+    bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
+    done = simulate(model, loop, q_ref, dq_ref, ddq_ref, bound=bound, substeps=SUBSTEPS)
+    if done.reason:
+        raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
     rng = np.random.default_rng(seed)
-    q = motion.q + noise.position * rng.standard_normal(motion.q.shape)
-    if noise.encoder_step:
-        q = np.round(q / noise.encoder_step) * noise.encoder_step
-    rms = np.sqrt(np.mean(motion.tau**2, axis=0))
-    tau = motion.tau + 0.01 * noise.effort_percent * rms * rng.standard_normal(motion.tau.shape)
-    samples = np.empty(len(q), sample_dtype(robot.n, reference=True))
-    samples["stamp_ns"] = np.round(motion.t_s * 1e9).astype(np.int64)
-    samples["position"], samples["effort"], samples["reference"] = q, tau, motion.q
+    tau = done.tau.copy()
+    tau[1:] = 0.5 * (done.tau[1:] + done.tau[:-1])
+    return Signals(
+        t_s=np.arange(len(q_ref)) / sample_rate_hz,
+        q=noise.on_position(done.q, rng),
+        q_ref=q_ref,
+        effort=noise.on_effort(tau, rng),
+        sample_rate_hz=sample_rate_hz,
+        track=None,
+        robot=robot,
+        recording="simulated",
+        sha256="",
+    )
+
+
+def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[str, str] | None = None) -> None:
+    """Write simulated signals as a recording."""
+    samples = np.empty(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
+    samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
+    samples["position"], samples["effort"] = signals.q, signals.effort
+    if signals.q_ref is not None:
+        samples["reference"] = signals.q_ref
     with (
         whole_file(path) as partial,
         RecordingWriter(
             partial,
-            robot,
-            source=f"simulated: the inverse dynamic model with [parameters] along a Fourier reference, seed {seed}",
-            sample_rate_hz=sample_rate_hz,
+            signals.robot,
+            source=source,
+            sample_rate_hz=signals.sample_rate_hz,
             effort_provenance="simulated joint torque",
-            notes={"simulated": "true"},
+            notes={"simulated": "true", **(notes or {})},
         ) as writer,
     ):
-        for k in range(0, len(samples), _BLOCK):
-            writer.samples(samples[k : k + _BLOCK])
+        writer.samples(samples)

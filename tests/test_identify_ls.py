@@ -21,7 +21,7 @@ from identification.idim import identify_ls
 from identification.plan import Overrides, decimation_rule, make_plan
 from identification.regression import regression_of_motion, regression_of_recording
 from identification.signals import Signals, load_signals
-from identification.synthetic import Noise, exact_motion, truth, write_synthetic
+from identification.synthetic import Noise, closed_loop, exact_motion, random_reference, truth, write_signals
 
 
 def rows(r):
@@ -46,7 +46,9 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
 def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
     out = tmp_path / "scara.mcap"
     noise = Noise(encoder_step=2e-5, effort_percent=5.0)
-    write_synthetic(out, robot_named("scara"), duration_s=10.0, sample_rate_hz=1000.0, seed=8, noise=noise)
+    robot = robot_named("scara")
+    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=8)
+    write_signals(out, closed_loop(robot, q_ref, 1000.0, noise=noise, seed=8), source="made for a test")
     fit = identify_ls(load_signals(out), Overrides())
     true = truth(Dynamics(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 4 * fit.sigma_hac).all()
