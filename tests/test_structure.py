@@ -15,6 +15,11 @@ ACQUISITION = {
     "description": {"__init__"},
     "bus_description": {"__init__", "cia402", "description"},
     "robot": {"__init__", "bus_description", "description"},
+    "object_dictionary": {"__init__", "cia402"},
+    "sdo": {"__init__"},
+    "pdo": {"__init__", "cia402"},
+    "drives": {"__init__", "bus_description", "cia402", "object_dictionary", "pdo", "robot"},
+    "decoding": {"__init__", "blocks", "cia402", "drives", "pdo", "robot", "sdo"},
     "reference": {"__init__", "robot"},
     "blocks": {"__init__"},
     "cia402": {"__init__"},
@@ -120,7 +125,7 @@ OWNERS = {
     "mcap": {"acquisition/recording.py", "acquisition/mcap_content.py"},
     "rosbags": {"acquisition/recording.py"},
     "can": {"acquisition/bus.py"},
-    "canopen": {"acquisition/bus.py"},
+    "canopen": {"acquisition/object_dictionary.py"},
 }
 FILES = sorted((ROOT / "acquisition").glob("*.py")) + sorted((ROOT / "identification").glob("*.py"))
 

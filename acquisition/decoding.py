@@ -1,0 +1,306 @@
+"""CAN frames → joint samples on the grid of SYNC, vectorised.
+
+A drive samples at SYNC, whenever its PDO arrives. SYNC frames are counted; a sample's time is its SYNC's index times the
+period, laid through the receive times of all SYNCs. A PDO that comes after the next SYNC is told by the pair of an
+empty interval and one with two PDOs, and goes back to where it belongs.
+"""
+
+from bisect import bisect_left, bisect_right
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import AcquisitionError
+from .blocks import ERROR, EXTENDED, REMOTE, Block, sample_dtype
+from .cia402 import ObjectEntry
+from .drives import Bus
+from .pdo import PARAMETERS, Pdo
+from .robot import Robot
+from .sdo import REQUEST, request_of
+
+Ints = NDArray[np.int64]
+
+LONGEST_LATE = 3  # SYNCs by which a run of PDOs may be late; later ones count as missing and duplicate
+
+
+@dataclass(frozen=True, kw_only=True)
+class PdoCount:
+    """What came of one PDO: frames, and those late, duplicate, too short; `missing` between its first and last."""
+
+    name: str
+    received: int
+    late: int
+    duplicate: int
+    missing: int
+    short: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decoded:
+    """Joint samples and the evidence for them.
+
+    Attributes:
+        samples: rows of `sample_dtype`; SYNCs that a drive did not answer are left out.
+        raw: (N, n, 2) position counts and effort integers of the same rows.
+        syncs, syncs_lost: SYNC frames recorded; SYNCs that drives answered but that were not recorded.
+        period_s: between SYNCs, fitted to their receive times.
+        jitter_s: standard deviation and worst deviation of the receive times from the fit.
+        warnings: what a user should look at.
+    """
+
+    samples: Block
+    raw: Ints
+    pdos: tuple[PdoCount, ...]
+    syncs: int
+    syncs_lost: int
+    period_s: float
+    jitter_s: tuple[float, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """For the recording's health channel."""
+        return {
+            "syncs": self.syncs,
+            "syncs_lost": self.syncs_lost,
+            "sync_jitter_sd_s": self.jitter_s[0],
+            "sync_jitter_worst_s": self.jitter_s[1],
+            **{word: sum(getattr(p, word) for p in self.pdos) for word in ("late", "duplicate", "missing", "short")},
+        }
+
+
+def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
+    """Joint samples out of the frames of one channel, in the order in which they were received.
+
+    Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, or too few samples remain.
+    """
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
+    ids = np.where(plain, frames["can_id"], 0xFFFFFFFF).astype(np.uint32)
+    is_sync = ids == bus.file.sync_can_id
+    sync_rows = np.flatnonzero(is_sync)
+    if len(sync_rows) < 2:
+        raise AcquisitionError(
+            f"{place}: {len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames: expected many"
+        )
+    before = np.cumsum(is_sync)  # SYNCs up to and with each row
+    carriers = _carriers(bus)
+    rows, shorts = {}, {}
+    for pdo in carriers:
+        found = np.flatnonzero(ids == pdo.can_id)
+        whole = frames["length"][found] >= pdo.length
+        shorts[pdo.can_id] = int(np.count_nonzero(~whole))
+        rows[pdo.can_id] = found[whole]
+        if not whole.any():
+            raise AcquisitionError(
+                f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
+                "expected the drive's answers to SYNC; is it mapped and started?"
+            )
+    times = frames["time_ns"][sync_rows]
+    steps = _sync_steps(frames[sync_rows], times, [before[r] - 1 for r in rows.values()])
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])  # grid index of each SYNC frame
+    grid = int(index_of[-1]) + int(steps[-1])
+
+    slots, counts = {}, []
+    for pdo, name in carriers.items():
+        slot, count = _assign(rows[pdo.can_id], before, index_of, grid, frames)
+        slots[pdo.can_id] = slot
+        counts.append(PdoCount(name=name, received=len(rows[pdo.can_id]), short=shorts[pdo.can_id], **count))
+    ok = np.all([slot >= 0 for slot in slots.values()], axis=0)
+    answered = np.flatnonzero(ok)
+    if len(answered) < 2:
+        raise AcquisitionError(f"{place}: {len(answered)} SYNC answered by all drives: expected many")
+
+    n = robot.n
+    raw = np.empty((len(answered), n, 2), np.int64)
+    for i, drive in enumerate(bus.drives):
+        for k, entry in enumerate((drive.position, drive.effort.entry)):
+            carrier = drive.carrier(entry, "tpdo")
+            assert carrier is not None  # `resolve` has seen to it
+            raw[:, i, k] = _integers(frames, slots[carrier.can_id][answered], carrier, entry)
+    q = robot.joint_position(np.stack([d.position_codec.si(raw[:, i, 0]) for i, d in enumerate(bus.drives)], axis=1))
+    effort = robot.joint_effort(np.stack([d.effort.si(raw[:, i, 1]) for i, d in enumerate(bus.drives)], axis=1))
+    reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q)
+    stamps, period_s, jitter_s = _clock(times, index_of, bus.period_ns)
+    samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None))
+    samples["stamp_ns"] = stamps + answered * bus.period_ns
+    samples["position"], samples["effort"] = q, effort
+    if reference is not None:
+        samples["reference"] = reference
+    lost = int(np.sum(steps - 1))
+    return Decoded(
+        samples=samples,
+        raw=raw,
+        pdos=tuple(counts),
+        syncs=len(sync_rows),
+        syncs_lost=lost,
+        period_s=period_s,
+        jitter_s=jitter_s,
+        warnings=tuple(_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
+    )
+
+
+def _carriers(bus: Bus) -> dict[Pdo, str]:
+    """PDOs that hold positions and efforts, and whose they are."""
+    found = {}
+    for drive in bus.drives:
+        for entry in (drive.position, drive.effort.entry):
+            pdo = drive.carrier(entry, "tpdo")
+            if pdo is not None:
+                found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
+    return found
+
+
+def _sync_steps(syncs: Block, times: Ints, intervals: list[Ints]) -> Ints:
+    """Periods from each SYNC to the next: 1, or more where SYNCs were not recorded. One more entry for the last.
+
+    A counter in SYNC (1019h) tells; else a long interval in which every drive sent as many PDOs as periods fit in.
+    """
+    steps = np.ones(len(times), np.int64)
+    if (syncs["length"] >= 1).all():
+        counter = syncs["data"][:, 0].astype(np.int64)
+        top = int(counter.max())  # it runs from 1 to its overflow value
+        steps[:-1] = (np.diff(counter) - 1) % top + 1 if top > 1 else 1
+        return steps
+    if intervals:
+        counts = np.min([np.bincount(k[k >= 0], minlength=len(times)) for k in intervals], axis=0)
+        gaps = np.diff(times)
+        typical = float(np.median(gaps)) or 1.0
+        fit = np.rint(gaps / typical)
+        steps[:-1] = np.where((counts[:-1] >= 2) & (fit == counts[:-1]), counts[:-1], 1)
+    return steps
+
+
+def _assign(rows: Ints, before: Ints, index_of: Ints, grid: int, frames: Block) -> tuple[Ints, dict[str, int]]:
+    """For each SYNC of the grid the row of its PDO, -1 where there is none; counts of late, duplicate, missing."""
+    interval = before[rows] - 1
+    rows, interval = rows[interval >= 0], interval[interval >= 0]  # what came before the first SYNC answers none
+    first = np.searchsorted(interval, interval)  # position of the first PDO in the same interval
+    place = np.arange(len(rows)) - first
+    # Where SYNCs were lost the PDOs of one recorded interval belong to as many SYNCs.
+    span = np.append(np.diff(index_of), 1)[interval]
+    at = index_of[interval] + np.minimum(place, span - 1)
+    count = np.bincount(at, minlength=grid)
+    on_time = at.copy()
+    empty = np.flatnonzero(count == 0).tolist()
+    for e in np.flatnonzero(count >= 2).tolist():
+        while empty and e - LONGEST_LATE > empty[0]:
+            empty.pop(0)
+        # The latest empty one first: its PDO is the last but one that came here, and those between shift with it.
+        for spare in range(int(count[e]) - 1):
+            k = bisect_left(empty, e) - 1
+            if k < 0 or empty[k] < at[0]:
+                break
+            lo, hi = bisect_left(at, empty[k] + 1), bisect_right(at, e) - 2 - spare
+            data = frames["data"][rows[[max(lo - 1, 0), hi, hi + 1]]]
+            if spare == 0 and (data[1] == data[2]).all() and (data[0] != data[1]).any():
+                break  # the same twice from a drive that moves: a duplicate
+            at[lo : hi + 1] -= 1
+            empty.pop(k)
+    slot = np.full(grid, -1, np.int64)
+    slot[at[::-1]] = rows[::-1]  # of duplicates the first stays
+    held = np.flatnonzero(slot >= 0)
+    missing = int(held[-1] - held[0] + 1 - len(held)) if len(held) else 0
+    late = int(np.count_nonzero(at != on_time))
+    return slot, {"late": late, "duplicate": len(rows) - len(held), "missing": missing}
+
+
+def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:
+    """The integers of one object in the frames `rows`."""
+    at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
+    assert at is not None
+    data = np.ascontiguousarray(frames["data"][rows, at : at + size])
+    return data.view(f"<{entry.type[0].lower()}{size}")[:, 0].astype(np.int64)
+
+
+def _reference(
+    frames: Block,
+    ids: NDArray[np.uint32],
+    before: Ints,
+    index_of: Ints,
+    grid: int,
+    answered: Ints,
+    robot: Robot,
+    bus: Bus,
+    q: NDArray[np.float64],
+) -> NDArray[np.float64] | None:
+    """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
+
+    Before the first target the measured position stands in. None where a drive gets no targets.
+    """
+    motors, known = np.empty((len(answered), robot.n)), np.ones(len(answered), np.bool_)
+    following = np.append(index_of, grid)  # grid index of the SYNC after as many SYNC frames
+    for i, drive in enumerate(bus.drives):
+        pdo = drive.carrier(drive.target, "rpdo")
+        rows = np.flatnonzero(ids == pdo.can_id) if pdo is not None else np.zeros(0, np.int64)
+        if pdo is not None:
+            rows = rows[frames["length"][rows] >= pdo.length]
+        if pdo is None or len(rows) == 0:
+            return None
+        slot = np.full(grid + 1, -1, np.int64)
+        slot[following[before[rows]]] = np.arange(len(rows))
+        held = np.maximum.accumulate(slot[:-1])[answered]
+        known &= held >= 0
+        motors[:, i] = drive.position_codec.si(_integers(frames, rows, pdo, drive.target))[held]
+    return np.where(known[:, None], robot.joint_position(motors), q) if known.any() else None
+
+
+def _clock(times: Ints, index_of: Ints, period_ns: int) -> tuple[int, float, tuple[float, float]]:
+    """Time in ns of the grid's first SYNC, fitted period in s, and jitter about the fit in s."""
+    since = (times - times[0]).astype(np.float64)
+    k = index_of - index_of.mean()
+    slope = float(k @ since / (k @ k))
+    deviation = since - since.mean() - slope * k
+    measured = abs(slope / period_ns - 1) < 0.01
+    # A clock that is plainly another one (slow simulation) says nothing about where the grid begins.
+    offset = float(np.mean(since - index_of * period_ns)) if measured else 0.0
+    return (
+        int(times[0]) + round(max(offset, -float(times[0]))),
+        slope * 1e-9,
+        (
+            float(deviation.std()) * 1e-9,
+            float(np.abs(deviation).max()) * 1e-9,
+        ),
+    )
+
+
+def _warnings(
+    counts: list[PdoCount],
+    lost: int,
+    period_s: float,
+    jitter_s: tuple[float, float],
+    bus: Bus,
+    samples: int,
+    answered: Ints,
+) -> list[str]:
+    found = []
+    nominal_s = bus.file.sync_period_s
+    if abs(period_s / nominal_s - 1) > 0.01:
+        found.append(f"SYNC came every {period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as robot.toml says")
+    elif jitter_s[1] > 0.5 * nominal_s:
+        found.append(
+            f"a SYNC came {jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
+        )
+    if lost:
+        found.append(f"{lost} SYNC were answered but not recorded")
+    gaps = int(answered[-1] - answered[0] + 1 - samples)
+    if gaps:
+        found.append(f"{gaps} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+    for count in counts:
+        told = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
+        if told:
+            found.append(f"{count.name}: {', '.join(told)} of {count.received}")
+    return found
+
+
+def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
+    """What a master wrote into communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
+    found: dict[int, dict[tuple[int, int], int]] = {}
+    ids = np.where(frames["flags"] & (EXTENDED | ERROR | REMOTE), 0, frames["can_id"])
+    low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
+    for row in frames[(ids > REQUEST) & (ids < REQUEST + 128) & (frames["length"] == 8)]:
+        transfer = request_of(row["data"].tobytes())
+        if transfer.kind == "write" and low <= transfer.index <= high:
+            found.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
+    return found

@@ -1,0 +1,196 @@
+"""Frames → samples: association with SYNC under every fault, counts, times, the traffic of a third party."""
+
+import numpy as np
+import pytest
+from conftest import needs_data
+from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
+
+from acquisition import AcquisitionError
+from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE
+from acquisition.decoding import Decoded, decode, written_by_master
+from acquisition.drives import resolve
+
+ROBOT = robot_of(bus_text())
+BUS = bus_of(ROBOT)
+
+
+def decoded(intervals) -> Decoded:
+    return decode(flat(intervals), ROBOT, BUS, "log")
+
+
+def right(found: Decoded, *, first: int = 0, lost: tuple[int, ...] = (), syncs: int = 50) -> None:
+    """Every sample holds what the drives had at its own SYNC."""
+    k = np.array([k for k in range(first, syncs) if k not in lost])
+    assert found.raw[:, 0, 0].tolist() == [counts(1, i) for i in k]
+    assert found.raw[:, 1, 0].tolist() == [counts(2, i) for i in k]
+    assert found.samples["stamp_ns"].tolist() == (1_000_000_000 + k * 2_000_000).tolist()
+
+
+def test_a_clean_session():
+    found = decoded(session())
+    right(found)
+    assert found.warnings == ()
+    assert found.syncs == 50
+    assert [(p.received, p.late, p.duplicate, p.missing, p.short) for p in found.pdos] == [(50, 0, 0, 0, 0)] * 2
+    assert found.period_s == pytest.approx(0.002)
+    codec = BUS.drives[0].position_codec
+    assert found.samples["position"][3, 0] == pytest.approx(codec.si(np.array(counts(1, 3))) / 50)
+    assert found.samples["effort"][3, 1] == pytest.approx((20 + 3) * 0.42e-3 * 50)
+
+
+@pytest.mark.parametrize("run", [1, 2, 3])
+def test_late_pdos_belong_to_their_own_sync(run):
+    intervals = session()
+    # PDO of drive 1 for SYNCs 20 to 20+run-1, all of them after the next SYNC.
+    for k in range(20 + run - 1, 19, -1):
+        intervals[k + 1].insert(1, intervals[k].pop(1))
+    found = decoded(intervals)
+    right(found)
+    assert [p.late for p in found.pdos] == [run, 0]
+    assert any("late" in w for w in found.warnings)
+
+
+def test_a_burst_after_a_stall():
+    intervals = session()
+    burst = [intervals[k].pop(2) for k in (30, 31)]
+    intervals[32][2:2] = burst
+    found = decoded(intervals)
+    right(found)
+    assert [p.late for p in found.pdos] == [0, 2]
+
+
+def test_missing_duplicate_and_short_pdos():
+    intervals = session()
+    del intervals[10][1]
+    intervals[20].append(intervals[20][2])
+    t, can_id, _, flags, data = intervals[30][1]
+    intervals[30][1] = (t, can_id, 7, flags, data)
+    found = decoded(intervals)
+    right(found, lost=(10, 30))
+    assert [(p.duplicate, p.missing, p.short) for p in found.pdos] == [(0, 2, 1), (1, 0, 0)]
+    assert found.warnings[0] == "2 samples are missing in 2 gaps"
+
+
+def test_a_duplicate_after_a_missing_one_is_no_late_one():
+    intervals = session()
+    del intervals[10][1]
+    intervals[11].append(intervals[11][1])
+    found = decoded(intervals)
+    right(found, lost=(10,))
+    assert [(p.late, p.duplicate, p.missing) for p in found.pdos] == [(0, 1, 1), (0, 0, 0)]
+
+
+@pytest.mark.parametrize("counter", [False, True])
+def test_a_sync_that_was_not_recorded(counter):
+    intervals = session()
+    if counter:
+        for k, rows in enumerate(intervals):
+            rows[0] = frame(rows[0][0], 0x80, bytes([k % 10 + 1]))
+    del intervals[25][0]
+    found = decoded(intervals)
+    right(found)
+    assert found.syncs_lost == 1
+    assert "1 SYNC were answered but not recorded" in found.warnings
+
+
+def test_a_drive_that_starts_later_and_one_that_ends_earlier():
+    intervals = session()
+    for k in range(5):
+        del intervals[k][1]
+    for k in range(45, 50):
+        del intervals[k][2]
+    right(decoded(intervals), first=5, lost=tuple(range(45, 50)))
+
+
+def test_frames_of_others_do_not_matter():
+    clean = flat(session())
+    noise = []
+    for k in range(50):
+        t = 1_000_000_000 + k * 2_000_000
+        noise += [frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE)]
+        noise += [frame(t + 2, 0x701, b"\5"), frame(t + 3, 0x581, bytes(8)), frame(t + 4, 0x80, b"", EXTENDED)]
+    both = np.concatenate([clean, block(noise)])
+    found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")
+    right(found)
+    assert found.warnings == ()
+
+
+def test_the_reference_is_the_target_in_force_at_sync():
+    found = decoded(session(targets=True))
+    reference = found.samples["reference"]
+    codec = BUS.drives[1].position_codec
+    assert reference[0].tolist() == found.samples["position"][0].tolist()  # no target yet
+    expected = [codec.si(np.array(counts(2, k) + 3)) / 50 for k in range(1, 50)]
+    assert reference[1:, 1] == pytest.approx(expected)
+
+
+def test_a_target_is_held_until_the_next():
+    intervals = session(targets=True)
+    del intervals[9][3]
+    reference = decoded(intervals).samples["reference"][:, 0]
+    assert reference[10] == reference[9] != reference[11]
+
+
+def test_jitter_and_a_clock_that_is_another():
+    intervals = session()
+    for k, rows in enumerate(intervals):
+        rows[0] = frame(rows[0][0] + (k % 2) * 40_000 - 20_000, 0x80)
+    found = decoded(intervals)
+    assert found.jitter_s[0] == pytest.approx(20e-6, rel=0.01)
+    assert np.diff(found.samples["stamp_ns"]).tolist() == [2_000_000] * 49
+    slow = decode(flat(session(period_ns=30_000_000)), ROBOT, BUS, "log")
+    assert "SYNC came every 30 ms: expected 2 ms as robot.toml says" in slow.warnings
+
+
+@pytest.mark.parametrize(
+    ("frames", "expected"),
+    [
+        (np.zeros(0, FRAME), "log: 0 SYNC"),
+        (flat(session(1)), "no frame 0x182 of 8 bytes"),
+        (flat(session(2, 1)), "log: 1 SYNC"),
+    ],
+)
+def test_what_cannot_be_decoded(frames, expected):
+    with pytest.raises(AcquisitionError, match=expected):
+        decode(frames, ROBOT, BUS, "log")
+
+
+def test_random_frames_do_not_break_it():
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        frames = np.zeros(400, FRAME)
+        frames["time_ns"] = np.sort(rng.integers(0, 10**9, 400))
+        frames["can_id"] = rng.choice([0x80, 0x181, 0x182, 0x201, 0x202, 0x701], 400)
+        frames["length"] = rng.choice([0, 6, 8, 8, 8], 400)
+        frames["data"] = rng.integers(0, 3, (400, 8))
+        try:
+            found = decode(frames, ROBOT, BUS, "log")
+        except AcquisitionError:
+            continue
+        assert (np.diff(found.samples["stamp_ns"]) > 0).all()
+        assert np.isfinite(found.samples["position"]).all()
+
+
+def third_party_log() -> np.ndarray:
+    lines = needs_data("can_logs", "third_party_2drives.log").read_text().split("\n")
+    rows = []
+    for time, _, text in (line.split() for line in lines if line):
+        can_id, _, data = text.partition("#")
+        rows.append(frame(int(time[1:-1].replace(".", "")) * 1000, int(can_id, 16), bytes.fromhex(data)))
+    return block(rows)
+
+
+def test_traffic_of_a_third_party_is_decoded_exactly():
+    """Mapping out of the master's SDO writes; three PDOs came after the next SYNC; the motion is known."""
+    frames = third_party_log()
+    text = bus_text(2, period_s=0.001, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
+    robot = robot_of(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
+    found = decode(frames, robot, resolve(robot, "robot.toml", written_by_master(frames)), "log")
+    k = np.arange(1, 300)
+    for i, node in enumerate((5, 6)):
+        w = 2 * np.pi * (0.2 + 0.05 * node)
+        q, v, a = 0.5 * np.sin(w * k * 1e-3), 0.5 * w * np.cos(w * k * 1e-3), -0.5 * w * w * np.sin(w * k * 1e-3)
+        assert found.raw[:, i, 0].tolist() == np.rint(q * 6553600 / (2 * np.pi)).tolist()
+        torque = 60 * a + 80 * v + 25 * np.sign(v) + 200 * np.cos(q)
+        assert np.abs(found.raw[:, i, 1] - torque).max() <= 0.5 + 1e-9
+    assert [(p.received, p.late, p.missing) for p in found.pdos] == [(299, 1, 0), (299, 2, 0)]

@@ -1,0 +1,224 @@
+"""`[bus]`, object dictionaries, PDOs: resolved, or refused in one line that says what to change."""
+
+import re
+from contextlib import suppress
+
+import pytest
+from conftest import DATA, needs_data
+from hypothesis import given
+from hypothesis import strategies as st
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError
+from acquisition.bus_description import dictionary_label
+from acquisition.cia402 import ObjectEntry
+from acquisition.drives import resolve
+from acquisition.object_dictionary import load_dictionary
+from acquisition.pdo import Pdo, configuration, frame_bits, pdos_of
+from acquisition.robot import load_robot
+from acquisition.sdo import (
+    abort_answer,
+    answer_of,
+    check_answer,
+    read_request,
+    request_of,
+    value_answer,
+    write_request,
+    written_answer,
+)
+
+EDS = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
+
+
+def refused(text: str, expected: str, files: dict[str, bytes] | None = None) -> None:
+    with pytest.raises(AcquisitionError, match=re.escape(expected)) as caught:
+        bus_of(robot_of(text, files))
+    assert "\n" not in str(caught.value)
+
+
+def test_defaults_are_one_pdo_each_way():
+    drive = bus_of(robot_of(bus_text())).drives[1]
+    assert [(p.can_id, str([str(e) for e in p.entries]), p.length) for p in (*drive.tpdos, *drive.rpdos)] == [
+        (0x182, "['6041:0', '6064:0', '6074:0']", 8),
+        (0x202, "['6040:0', '607A:0']", 6),
+    ]
+    assert drive.effort.scale == pytest.approx(0.42e-3)
+    assert drive.rated == {0x6076: 420}
+    assert "torque demand" in drive.effort.provenance
+    assert "6074:0" in drive.effort.provenance
+
+
+def test_an_actual_value_that_stands_in_says_so():
+    drive = bus_of(robot_of(bus_text().replace("reference =", "actual ="))).drives[0]
+    assert "the actual value standing in for the reference" in drive.effort.provenance
+
+
+def test_a_rate_of_six_axes():
+    assert bus_of(robot_of(bus_text(6))).load == pytest.approx(0.7775)
+    refused(
+        bus_text(6, period_s=0.001), "bus.sync_period_s = 0.001: 156% of 1000000 bit/s: expected 95% at most: 0.0016 s"
+    )
+    assert (frame_bits(8), frame_bits(0)) == (135, 55)
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (("node = 2", "node = 1"), "bus.drive[1].node = 1: expected a node id not used before"),
+        (("node = 2", "node = 128"), "bus.drive[1].node = 128: Expected `int` <= 127"),
+        (("sync_period_s = 0.002", "sync_period_s = 5.0"), "bus.sync_period_s = 5.0: expected 0.0001 to 1"),
+        (("sync_period_s = 0.002", "sync_period_s = 0.002\nbitrate = 123"), "bus.bitrate = 123: expected one of 10000"),
+        (('reference = "6074"', 'reference = "6074"\nreference_rule = "A"'), "reference_rule = 'A': expected one of per mille"),
+        (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'), "'mA': gives A: expected N m as motor"),
+        (('reference = "6074"', 'reference = "2222"'), "reference = '2222': its type is not known"),
+        (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is not there: 2222:0 (I16)"),
+        (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "F32" }'), "objects[2222] = 'F32': expected one of I8"),
+        (('reference = "6074"', ""), "reference = None: expected the object of the current or torque reference"),
+        (("rated_torque_nm = 0.42", ""), "rated_torque_nm is not there: expected the rated value"),
+        (("counts_per_turn = 65536", ""), "counts_per_turn = None: expected counts_per_turn or counts_per_m"),
+        (("node = 1\n", 'node = 1\ndictionary = "../x.eds"\n'), "dictionary = '../x.eds': expected the name of a file beside"),
+        (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064", "606C"] }]\n'), "2 + 4 + 4 = 10 bytes: expected 8"),
+        (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064"] }]\n'), "no PDO from the drive carries 6074:0"),
+        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x80 }]\n'), "0x080 is that of SYNC"),
+        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 5 }]\n'), "can_id is not there"),
+        (("node = 1\n", 'node = 1\nmapping = "dictionary"\n'), "expected a dictionary (EDS or DCF)"),
+    ],
+)  # fmt: skip
+def test_refused_in_one_line(change, expected):
+    text = bus_text()
+    assert change[0] in text
+    refused(text.replace(*change, 1), expected)
+
+
+def test_a_robot_without_a_bus_is_told():
+    text = bus_text()
+    with pytest.raises(AcquisitionError, match=r"r.toml: bus is not there: expected a \[bus\] section"):
+        resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
+
+
+@pytest.mark.parametrize("name", EDS)
+def test_every_real_dictionary_loads_or_is_refused_in_one_line(name):
+    path = needs_data("eds") / name
+    if name.startswith("infranor"):
+        with pytest.raises(AcquisitionError, match=r"line 2112: .ManufacturerObjects. holds '12' twice") as caught:
+            load_dictionary(path.read_bytes(), name, 1)
+        assert "\n" not in str(caught.value)
+        return
+    found = load_dictionary(path.read_bytes(), name, 5)
+    assert found.entries[0x6041, 0].type == "U16"
+    assert found.entries[0x6064, 0].type == "I32"
+    assert found.vendor in (0xFB, 0x9A, 0x26C, 0x1A3)
+    assert found.entries[0x1800, 1].type == "U32"
+
+
+@pytest.mark.parametrize(
+    ("name", "keys", "expected"),
+    [
+        ("elmo_Gold.dcf", 'reference = "6074"\nrated_torque_nm = 0.42', "6074:0 (torque demand"),
+        ("nanotec_CL4-E-2-12.eds", 'reference = "6074"\nrated_torque_nm = 0.42', "6074:0 (torque demand"),
+        ("maxon_EPOS4.eds", 'reference = "30D0"', "30D0:0 (current demand value (maxon EPOS4)), raw I32 in mA"),
+        ("maxon_EPOS2_347717.eds", 'reference = "2031"', "2031:0 (current demand value (maxon EPOS2)), raw I16 in mA"),
+        (
+            "ros2_canopen_cia402_slave_fake.eds",
+            'actual = "6077"\nactual_rule = "per mille of rated current"\nrated_current_a = 2.0',
+            "6077:0 (torque actual value (CiA 402)), the actual value standing in",
+        ),
+    ],
+)
+def test_each_vendors_own_reference(name, keys, expected):
+    data = (needs_data("eds") / name).read_bytes()
+    text = bus_text(1).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{keys}')
+    if "2031" in keys or "30D0" in keys or "current" in keys:
+        text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
+    drive = bus_of(robot_of(text, {dictionary_label(name): data})).drives[0]
+    assert expected in drive.effort.provenance
+    assert drive.dictionary is not None
+
+
+def test_an_object_the_dictionary_does_not_hold():
+    data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
+    refused(text, "reference = '6074': a.eds holds it not", {dictionary_label("a.eds"): data})
+    text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
+    nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
+    refused(text, "reference_rule is not there: 2031:0 (U32) is not known", {dictionary_label("a.eds"): nanotec})
+
+
+def test_mapping_of_a_dcf():
+    name = "maxon_EPOS4_Module_50_15_node1.dcf"
+    data = (needs_data("eds") / name).read_bytes()
+    text = bus_text(1).replace(
+        'reference = "6074"\nrated_torque_nm = 0.42',
+        f'dictionary = "{name}"\nreference = "30D0"\nmapping = "dictionary"',
+    )
+    text = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
+    with pytest.raises(AcquisitionError, match="no PDO from the drive carries"):
+        bus_of(robot_of(text, {dictionary_label(name): data}))  # this one maps no current demand
+    found = load_dictionary(data, name, 1)
+    values = {key: e.value for key, e in found.entries.items() if e.value is not None}
+    types = {key: e.type for key, e in found.entries.items()}
+    pdos = pdos_of("tpdo", values, types, name)
+    assert pdos[0].can_id == 0x181
+    assert str(pdos[0].entries[0]) == "6041:0"
+
+
+def test_damaged_dictionaries(tmp_path):
+    for data, expected in (
+        (b"", "holds no objects"),
+        (b"\xff\xfe\x00junk", "not an EDS or DCF"),
+        (b"[DeviceInfo]\nVendorNumber=\n", "line 2: VendorNumber is empty: expected a number"),
+        (b"[1000]\nObjectType=7\n", "not an EDS or DCF"),
+        (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
+    ):
+        with pytest.raises(AcquisitionError, match=re.escape(f"x.eds: {expected}")) as caught:
+            load_dictionary(data, "x.eds", 1)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "robot.toml").write_text(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "none.eds"\n'))
+    with pytest.raises(AcquisitionError, match=r"bus.drive\[0\].dictionary = 'none.eds': cannot be read: No such file"):
+        load_robot(tmp_path / "robot.toml")
+
+
+@given(st.binary(max_size=300))
+def test_any_bytes_as_a_dictionary_are_one_line_or_a_result(data):
+    with suppress(AcquisitionError):  # which is one line whatever it is made of
+        load_dictionary(b"[DeviceInfo]\n[6041]\nParameterName=x\nDataType=6\nAccessType=ro\n" + data, "x.eds", 1)
+
+
+def test_configuration_in_the_order_of_cia_301():
+    pdo = Pdo(number=2, can_id=0x285, entries=(ObjectEntry(index=0x6064, sub=0, type="I32"),))
+    assert list(configuration("tpdo", pdo)) == [
+        (0x1801, 1, 0x80000285, 4),
+        (0x1801, 2, 1, 1),
+        (0x1A01, 0, 0, 1),
+        (0x1A01, 1, 0x60640020, 4),
+        (0x1A01, 0, 1, 1),
+        (0x1801, 1, 0x285, 4),
+    ]
+    values = {(index, sub): value for index, sub, value, _ in configuration("tpdo", pdo)}
+    assert pdos_of("tpdo", values, {(0x6064, 0): "I32"}, "x") == (pdo,)
+
+
+def test_pdo_there_and_back():
+    drive = bus_of(robot_of(bus_text(1))).drives[0]
+    values = {(0x6041, 0): 0x1237, (0x6064, 0): -5, (0x6074, 0): -32768}
+    assert drive.tpdos[0].unpack(drive.tpdos[0].pack(values)) == values
+    with pytest.raises(AcquisitionError, match="PDO 0x181: 7 bytes: expected 8"):
+        drive.tpdos[0].unpack(b"1234567")
+
+
+@given(st.integers(0, 0xFFFF), st.integers(0, 255), st.integers(-(2**31), 2**31 - 1), st.sampled_from([1, 2, 3, 4]))
+def test_sdo_there_and_back(index, sub, value, size):
+    write = request_of(write_request(index, sub, value, size))
+    assert (write.kind, write.index, write.sub, write.number) == ("write", index, sub, value % 2 ** (8 * size))
+    answer = answer_of(value_answer(index, sub, value, size))
+    assert (answer.kind, answer.index, answer.sub, answer.number) == ("value", index, sub, value % 2 ** (8 * size))
+    assert request_of(read_request(index, sub)).kind == "read"
+    assert answer_of(written_answer(index, sub)).kind == "written"
+    with pytest.raises(AcquisitionError, match=r"node 1: refused by the drive: object does not exist \(0x06020000\)"):
+        check_answer(answer_of(abort_answer(index, sub, 0x06020000)), "value", "node 1")
+
+
+@given(st.binary(max_size=9))
+def test_any_bytes_as_sdo(data):
+    assert request_of(data).kind in ("read", "write", "abort", "other")
+    assert answer_of(data).kind in ("value", "written", "abort", "other")
