@@ -22,7 +22,8 @@ class Pass:
     """One pass of the instrumental variable method.
 
     Attributes:
-        instruments: `simulated`, or `reference` where the robot could not be simulated, with the `reason`.
+        instruments: `simulated`; where the robot could not be simulated with the estimate, for the `reason` given,
+            `stepped back` towards the one before, or along the `reference`.
         residual_norm: |Y - W beta| after the pass, weighted.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
             among those larger than two deviations; the parameter of the former.
@@ -32,7 +33,7 @@ class Pass:
         settled: whether residual and parameters changed less than the tolerance.
     """
 
-    instruments: Literal["simulated", "reference"]
+    instruments: Literal["simulated", "stepped back", "reference"]
     reason: str | None
     residual_norm: float
     change_sigma: float

@@ -32,6 +32,11 @@ Vector = NDArray[np.float64]
 Say = Callable[[str], None]
 
 
+ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, or rows at the threshold come and go for ever
+
+RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
+
+
 def _silent(text: str) -> None:
     pass
 
@@ -42,7 +47,7 @@ class Iteration:
 
     `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
     under the name they were read from. `low_speed_percent`: rows slower than this, in percent of the simulated peak speed,
-    are left out; None takes 3 deviations of the measured speed's noise.
+    are left out; None takes 4 %, or 3 deviations of the measured speed's noise where that is more.
     """
 
     start: str = "regular"
@@ -108,11 +113,15 @@ def identify_iv(
     if iteration.values is not None:
         beta = iteration.values(base)
     passes: list[Pass] = []
-    estimate, used, failure = ls, np.ones(len(Y)), None
+    estimate, used = ls, np.ones(len(Y))
+    good: Vector | None = None
+    failure: str | None = None
     while not (passes and passes[-1].settled) and len(passes) < iteration.max_iterations:
         say(f"pass {len(passes) + 1}: simulating the robot")
-        z = instruments(e, beta, gain_update=iteration.gain_update)  # Z = IDM(q_sim, dq_sim, ddq_sim)
-        used = fast_rows(e, z, iteration.low_speed_percent)
+        z = instruments(e, beta, good, gain_update=iteration.gain_update)  # Z = IDM(q_sim, dq_sim, ddq_sim)
+        good = good if z.kind == "reference" else z.beta
+        if len(passes) < ROWS_FREE:
+            used = fast_rows(e, z, iteration.low_speed_percent)
         try:
             estimate = instrumental_variables(  # beta = (ZᵀW)⁻¹ ZᵀY
                 z.Z[:, kept], W[:, kept], Y, joint_of_row, tuple(names[i] for i in kept), ls.weights, used
@@ -121,8 +130,10 @@ def identify_iv(
             failure = f"pass {len(passes) + 1}: {error}"
             break
         before = passes[-1] if passes else None
-        passes.append(compared(estimate, beta, z, observed, used, before, iteration.tolerance_percent))
+        passes.append(compared(estimate, z, observed, used, before, iteration.tolerance_percent))
         beta = estimate.among(names)
+        if len(passes) >= RELAXED_AFTER:
+            beta = 0.5 * (beta + z.beta)
     if not passes:
         raise IdentificationError(f"{signals.recording}: no instruments: {failure}")
     return judged_iv(

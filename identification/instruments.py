@@ -20,9 +20,11 @@ from .signals import Signals
 from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate_loop
 
 Vector = NDArray[np.float64]
+InstrumentKind = Literal["simulated", "stepped back", "reference"]
 
 RATE_PER_BANDWIDTH = 50.0  # instrument samples per period of the bandwidth, at least
 POSES = 300  # positions of the trajectory at which M must be positive
+LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 3.0  # of the speed noise: rows slower than this are left out
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 
@@ -34,12 +36,13 @@ class Experiment:
     Attributes:
         reference: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
         q_ref, dq_ref, ddq_ref: (K, n) at the controller's instants.
+        start: measured position and speed, filtered, (n,) each, at the first instant.
         q: (N, n) measured position, filtered, at the instruments' instants.
         poses: (P, n) positions at which M is checked.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for.
         period_s: of the controller; `grid_s`: (N,) instants of the instruments, `times_s`: (K,) of the controller.
-        decimation: of the instruments, to the rows of W.
+        decimation, border_rows: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
     """
@@ -50,6 +53,7 @@ class Experiment:
     q_ref: Vector
     dq_ref: Vector
     ddq_ref: Vector
+    start: tuple[Vector, Vector]
     q: Vector
     poses: Vector
     loop: Loop | None
@@ -59,9 +63,15 @@ class Experiment:
     grid_s: Vector
     times_s: Vector
     decimation: int
+    border_rows: int
     saturated_percent: float | None
     directions: Vector
     slip_noise: Vector
+
+    @property
+    def inside(self) -> slice:
+        """The decimated rows that count, borders left out, as in W."""
+        return slice(self.border_rows, -self.border_rows or None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,13 +91,14 @@ class SimulatedMotion:
 class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
-    `kind` says whether the loop was simulated, or Z had to be taken along the reference, for the `reason` given. `slip`
-    (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
+    `beta` (b,) are the parameters simulated. `kind` says whether they are those asked for, or why not, for the `reason`
+    given. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
+    beta: Vector
     Z: Vector
     slip: Vector
-    kind: Literal["simulated", "reference"]
+    kind: InstrumentKind
     reason: str | None
     gains: Vector
     tracking_percent: float | None
@@ -130,6 +141,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         q_ref=at[0],
         dq_ref=at[1],
         ddq_ref=at[2],
+        start=(measured.q[grid[0] - plan.start], measured.dq[grid[0] - plan.start]),
         q=q,
         poses=_poses(q),
         loop=loop,
@@ -139,28 +151,39 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         grid_s=grid / fs,
         times_s=times_s,
         decimation=plan.decimation // m,
+        border_rows=plan.border_rows,
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,
         slip_noise=_speed_noise(signals, plan, measured, cutoff_hz) @ np.abs(prior.directions.T),
     )
 
 
-def instruments(e: Experiment, beta: Vector, *, gain_update: bool = True) -> Instruments:
+def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update: bool = True) -> Instruments:
     """Instruments along the closed loop simulated with `beta` (b,).
 
-    Where the robot cannot be simulated, or the simulation leaves its reference, the instruments of this pass are taken
-    along the reference itself, and `reason` says why.
+    Where the robot cannot be simulated with it, or leaves its reference, this pass steps back: half, a quarter, an eighth
+    of the way from `good`, the parameters simulated last, to `beta`. Where that does not help either, instruments are taken
+    along the reference itself. `reason` says why in both cases.
     """
-    s = simulated_motion(e, beta, gain_update=gain_update)
+    s, simulated = simulated_motion(e, beta, gain_update=gain_update), beta
+    reason = s.reason
+    for share in (0.5, 0.25, 0.125) if reason is not None else ():
+        if good is None:
+            break
+        simulated = good + share * (beta - good)
+        s = simulated_motion(e, simulated, gain_update=gain_update)
+        if s.motion is not None:
+            break
     q, dq, ddq = (_on_grid(e, x) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
     motion = s.motion or Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
-    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation]
+    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation][e.inside]
     return Instruments(
-        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.base.b),
+        beta=beta if s.motion is None else simulated,
+        Z=np.ascontiguousarray(Z[..., e.inside].transpose(0, 2, 1)).reshape(-1, e.base.b),
         slip=kept @ e.directions.T,
-        kind="reference" if s.motion is None else "simulated",
-        reason=s.reason,
+        kind="reference" if s.motion is None else "simulated" if reason is None else "stepped back",
+        reason=reason,
         gains=s.gains,
         tracking_percent=s.tracking_percent,
     )
@@ -176,7 +199,7 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, e.rate_hz)
     travel = np.ptp(e.q_ref, axis=0)
     bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
-    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, bound=bound)
+    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound)
     if done.reason is not None:
         return SimulatedMotion(motion=None, reason=done.reason, gains=gains, tracking_percent=None)
     q, dq, ddq, tau = (_on_grid(e, x) for x in (done.q, done.dq, done.ddq, done.tau))
@@ -189,13 +212,14 @@ def fast_rows(e: Experiment, z: Instruments, low_speed_percent: float | None) ->
     """1 for the rows (r,) that count, 0 for those at low speed, where sign(dq) of a noisy velocity is biased.
 
     Chosen by the SIMULATED speed of each direction of Coulomb friction that acts on the row's joint, which is exogenous.
-    Slow is below `low_speed_percent` of the simulated peak, or by default below 3 deviations of the noise that W's own
-    velocity carries; behind a filter at the rule's cut-off that is nothing.
+    Slow is below `low_speed_percent` of the simulated peak. By default it is below 4 % of it, where joints stick and slip,
+    or below 3 deviations of the noise that W's own velocity carries, which is none behind a filter at the rule's cut-off.
     """
+    peak = np.abs(z.slip).max(axis=0)
     if low_speed_percent is None:
-        threshold = LOW_SPEED_DEVIATIONS * e.slip_noise
+        threshold = np.maximum(0.01 * LOW_SPEED_PERCENT * peak, LOW_SPEED_DEVIATIONS * e.slip_noise)
     else:
-        threshold = 0.01 * low_speed_percent * np.abs(z.slip).max(axis=0)
+        threshold = 0.01 * low_speed_percent * peak
     slow = np.abs(z.slip) < threshold  # (rows, c)
     acts = e.directions != 0  # (c, n)
     return np.asarray(1.0 - (slow.astype(float) @ acts > 0).T.reshape(-1))

@@ -71,22 +71,21 @@ def judged(
 
 def compared(
     estimate: Estimate,
-    beta: Vector,
     z: Instruments,
     observed: Regression,
     used: Vector,
     before: Pass | None,
     tolerance_percent: float,
 ) -> Pass:
-    """A pass that led from `beta` (b,) to `estimate`, and whether it settled.
+    """A pass that led from the parameters simulated to `estimate`, and whether it settled.
 
     Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
     half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves.
     """
     tolerance = 0.01 * tolerance_percent
-    old = np.array([beta[observed.base.names.index(name)] for name in estimate.names])
+    old = np.array([z.beta[observed.base.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
-    norm_before = before.residual_norm if before else _residual_norm(beta, observed, estimate.weights, used)
+    norm_before = before.residual_norm if before else _residual_norm(z.beta, observed, estimate.weights, used)
     residual_settled = abs(estimate.residual_norm - norm_before) <= tolerance * norm_before
     parameters_settled = bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all())
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -134,7 +133,7 @@ def judged_iv(
     tests = instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
     direct: list[DirectModelError] = []
     if final.motion is not None:
-        tau = decimate(final.motion.tau.T, e.decimation).T
+        tau = decimate(final.motion.tau.T, e.decimation).T[e.inside]
         for j, joint in enumerate(signals.robot.joints):
             off, q = final.motion.q[:, j] - e.q[:, j], e.q[:, j] - e.q[:, j].mean()
             direct.append(

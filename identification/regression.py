@@ -126,12 +126,12 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
     """
     n_d, start, stop = plan.decimation, plan.start, plan.stop
     margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
-    rows = -(-(stop - start) // n_d)
+    rows, border = -(-(stop - start) // n_d), plan.border_rows
     size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
-    for first in range(0, rows, size):
-        last = min(rows, first + size)
+    for first in range(border, rows - border, size):
+        last = min(rows - border, first + size)
         if rows - last < margin:
-            last = rows  # no block shorter than the filter's reach
+            last = rows - border  # no block shorter than the filter's reach
         low, high = max(0, first - margin), min(rows, last + margin)
         motion = motion_between(
             signals.q,
@@ -142,7 +142,7 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
             stop=stop - (rows - high) * n_d,
         )
         yield motion, slice(first - low, last - low), last / rows
-        if last == rows:
+        if last == rows - border:
             return
 
 

@@ -141,9 +141,17 @@ def surrogate_loop(bandwidth_hz: float, J: Vector, rate_hz: float) -> Loop:
 
 
 def simulate(
-    model: DirectModel, loop: Loop, q_ref: Vector, dq_ref: Vector, ddq_ref: Vector, *, bound: Vector, substeps: int = 1
+    model: DirectModel,
+    loop: Loop,
+    q_ref: Vector,
+    dq_ref: Vector,
+    ddq_ref: Vector,
+    *,
+    start: tuple[Vector, Vector],
+    bound: Vector,
+    substeps: int = 1,
 ) -> Simulated:
-    """Follow a reference (N, n) given once per controller period, from rest on the reference.
+    """Follow a reference (N, n) given once per controller period, from the `start` position and speed, (n,) each.
 
     The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
     stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
@@ -154,9 +162,9 @@ def simulate(
     h = loop.period_s / substeps
     q_out, dq_out, ddq_out, tau_out = np.empty((4, N, n))
     out = Simulated(q_out, dq_out, ddq_out, tau_out, 0, None)
-    q, v = q_ref[0].copy(), dq_ref[0].copy()
+    q, v = (x.copy() for x in start)
     friction = _Friction(model, dq_ref, v, h)
-    control = _Control(model, loop, q_ref, dq_ref, ddq_ref)
+    control = _Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
     offset = model.offset
     for k in range(N):
         tau = control.torque(k, q, v)
@@ -178,7 +186,9 @@ def simulate(
 class _Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
-    def __init__(self, model: DirectModel, loop: Loop, q_ref: Vector, dq_ref: Vector, ddq_ref: Vector) -> None:
+    def __init__(
+        self, model: DirectModel, loop: Loop, q_ref: Vector, dq_ref: Vector, ddq_ref: Vector, q: Vector, v: Vector
+    ) -> None:
         self._model, self._loop, self._T = model, loop, loop.period_s
         self._q_ref, self._dq_ref, self._ddq_ref = q_ref, dq_ref, ddq_ref
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
@@ -186,7 +196,7 @@ class _Control:
         self._to_joints = loop.R.T * loop.G
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._integral = np.zeros(len(loop.Kp))
-        self._q1, self._q2 = q_ref[0] - self._T * dq_ref[0], q_ref[0] - 2 * self._T * dq_ref[0]
+        self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
         self.saturated = 0
 
     def torque(self, k: int, q: Vector, v: Vector) -> Vector:

@@ -108,7 +108,8 @@ def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: No
     dq_ref = differentiate(q_ref, sample_rate_hz)
     ddq_ref = differentiate(dq_ref, sample_rate_hz)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
-    done = simulate(model, loop, q_ref, dq_ref, ddq_ref, bound=bound, substeps=SUBSTEPS)
+    start = (q_ref[0], dq_ref[0])
+    done = simulate(model, loop, q_ref, dq_ref, ddq_ref, start=start, bound=bound, substeps=SUBSTEPS)
     if done.reason:
         raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
     rng = np.random.default_rng(seed)

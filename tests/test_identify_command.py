@@ -84,9 +84,10 @@ def test_base_prints_expressions(capsys, tmp_path):
 def test_simulation_is_repeatable(capsys, tmp_path):
     from acquisition.recording import read_recording
 
+    options = ["--duration-s", 2, "--effort-noise-percent", 1]
+    asymmetric = REPLAY / "emps" / "robot_asymmetric.toml"
+    assert "no [parameters] to simulate with" in refused(capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap")
     for name in ("a.mcap", "b.mcap"):
-        options = ["--duration-s", 2, "--effort-noise-percent", 1]
-        assert run(capsys, "simulate", REPLAY / "emps" / "robot.toml", "-o", tmp_path / name, *options)[0] == 1
         assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", tmp_path / name, *options)[0] == 0
     a, b = (read_recording(tmp_path / name).samples for name in ("a.mcap", "b.mcap"))
     assert a.tobytes() == b.tobytes()
