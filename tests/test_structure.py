@@ -91,6 +91,16 @@ IDENTIFICATION = {
         "acquisition.robot",
         "acquisition.whole_file",
     },
+    "study": {
+        "__init__",
+        "base_parameters",
+        "dynamics",
+        "idim",
+        "instruments",
+        "plan",
+        "synthetic",
+        "acquisition.robot",
+    },
     "report": {
         "__init__",
         "base_parameters",
