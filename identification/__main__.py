@@ -89,13 +89,19 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
     simulate.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
     simulate.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap")
-    simulate.add_argument("--duration-s", type=_above_zero, default=10.0, metavar="S", help="length (default 10)")
-    simulate.add_argument("--rate-hz", type=_above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
-    simulate.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
-    simulate.add_argument("--encoder-step", type=float, default=0.0, metavar="Q", help="rad or m per count (default 0)")
-    simulate.add_argument("--position-noise", type=float, default=0.0, metavar="Q", help="rad or m, rms (default 0)")
-    simulate.add_argument("--effort-noise-percent", type=float, default=0.0, metavar="P", help="of each torque's rms")
+    _add_simulation_options(simulate)
     simulate.set_defaults(run=_simulate)
+
+    study = commands.add_parser("study", help="Monte-Carlo on a simulated robot: what to trust of least squares and iv")
+    study.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    study.add_argument("--runs", type=_positive, default=100, metavar="N", help="default 100")
+    study.add_argument("--cutoffs", type=_cutoffs, default=(5.0, 10.0, 0.0), metavar="A,B,none", help="x bandwidth")
+    study.add_argument("--starts", type=_factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x true inertia")
+    study.add_argument("--gain-errors", type=_factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
+    study.add_argument("--low-speed-percent", type=_share, metavar="P", help="as of fit --method iv")
+    _add_simulation_options(study)
+    study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
+    study.set_defaults(run=_study)
 
     demo = commands.add_parser("demo", help="fit the simulated recording that comes with the project")
     demo.add_argument(
@@ -103,6 +109,21 @@ def _parser() -> argparse.ArgumentParser:
     )
     demo.set_defaults(run=_demo)
     return parser
+
+
+def _add_simulation_options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--duration-s", type=_above_zero, default=10.0, metavar="S", help="length (default 10)")
+    parser.add_argument("--rate-hz", type=_above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
+    parser.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
+    parser.add_argument(
+        "--encoder-step", type=_not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
+    )
+    parser.add_argument(
+        "--position-noise", type=_not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
+    )
+    parser.add_argument(
+        "--effort-noise-percent", type=_not_negative, default=0.0, metavar="P", help="of each torque's rms"
+    )
 
 
 def _add_plan_options(parser: argparse.ArgumentParser) -> None:
@@ -117,6 +138,18 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--decimate", type=_positive, metavar="N", help="samples per decimated row")
     parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
+
+
+def _not_negative(text: str) -> float:
+    return 0.0 if float(text) == 0 else _above_zero(text)
+
+
+def _cutoffs(text: str) -> tuple[float, ...]:
+    return tuple(_cutoff(part) for part in text.split(","))
+
+
+def _factors(text: str) -> tuple[float, ...]:
+    return tuple(_above_zero(part) for part in text.split(","))
 
 
 def _share(text: str) -> float:
@@ -255,6 +288,43 @@ def _simulate(options: argparse.Namespace) -> None:
         signals = closed_loop(robot, q_ref, options.rate_hz, noise=noise, seed=options.seed)
         write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {options.seed}")
     _print(f"{options.out}: simulated, {options.duration_s:g} s at {options.rate_hz:g} Hz")
+
+
+def _study(options: argparse.Namespace) -> None:
+    from rich.console import Console
+    from rich.progress import track
+
+    from acquisition.robot import load_robot
+
+    from .report import study_table, write_json
+    from .study import Study, run_study, study_json, study_truth
+    from .synthetic import Noise
+
+    robot = load_robot(options.robot)
+    study = Study(
+        runs=options.runs,
+        noise=Noise(
+            encoder_step=options.encoder_step,
+            position=options.position_noise,
+            effort_percent=options.effort_noise_percent,
+        ),
+        cutoffs=options.cutoffs,
+        starts=options.starts,
+        gain_errors=options.gain_errors,
+        duration_s=options.duration_s,
+        sample_rate_hz=options.rate_hz,
+        low_speed_percent=options.low_speed_percent,
+        seed=options.seed,
+    )
+    base, true = study_truth(robot)
+    runs = list(
+        track(
+            run_study(robot, study), description="runs", total=study.runs, console=Console(stderr=True), transient=True
+        )
+    )
+    _print(study_table(robot.name, runs, true))
+    if options.json:
+        write_json(options.json, study_json(study, runs, base.names, true))
 
 
 def _demo(options: argparse.Namespace) -> None:

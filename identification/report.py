@@ -3,7 +3,7 @@
 import json
 import math
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from .filtering import forward_backward_3db_hz
 from .fit import Fit, InstrumentEvidence
 from .plan import Plan
 from .signals import Signals
+from .study import Run, summaries
 
 FORMAT = 1
 
@@ -293,6 +294,26 @@ def iv_lines(iv: InstrumentEvidence) -> list[str]:
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
     return [*lines, dwh, strength, used]
+
+
+def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> Table:
+    """A study's summaries: one row per cut-off and method."""
+    table = Table(title=f"{robot}: {len(runs)} runs", title_justify="left")
+    columns = ("cut-off", "method", "runs", "bias %", "spread %", "median error %", "worst error %", "sigma/spread")
+    for column in (*columns, "HAC/spread", "converged %", "passes", "false %"):
+        table.add_column(column, justify="left" if column in ("cut-off", "method") else "right")
+    for s in summaries(runs, true):
+        numbers = (s.bias_percent, s.spread_percent, s.median_error_percent, s.worst_error_percent)
+        table.add_row(
+            f"{s.cutoff:g} x bandwidth" if s.cutoff else "none",
+            s.method,
+            str(s.runs),
+            *(f"{x:.3f}" for x in numbers),
+            f"{s.sigma_over_spread:.2f}",
+            f"{s.hac_over_spread:.2f}",
+            *("" if x is None else f"{x:.1f}" for x in (s.converged_percent, s.mean_passes, s.false_percent)),
+        )
+    return table
 
 
 def truth_table(fit: Fit, values: NDArray[np.float64]) -> Table:

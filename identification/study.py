@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from acquisition.robot import Robot, robot_from_files
 
 from . import IdentificationError
-from .base_parameters import base_parameters
+from .base_parameters import BaseParameters, base_parameters
 from .dynamics import Dynamics, direct_model
 from .idim import Iteration, identify_iv, identify_ls
 from .instruments import inertias, not_positive, regular_start
@@ -26,6 +26,9 @@ from .plan import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .synthetic import Noise, closed_loop, random_reference, truth
 
 Vector = NDArray[np.float64]
+
+
+FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,10 +79,12 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Summary:
-    """Runs at one cut-off by one method: parameters' bias and spread in % of |true|'s largest deviations, and honesty.
+    """Runs at one cut-off by one method; of iv those that converged.
 
     `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
     `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one.
+    `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
+    times that of least squares at the rule's cut-off on the same recording.
     """
 
     method: str
@@ -93,6 +98,7 @@ class Summary:
     worst_error_percent: float
     converged_percent: float | None
     mean_passes: float | None
+    false_percent: float | None
 
 
 def run_study(robot: Robot, study: Study) -> Iterator[Run]:
@@ -170,6 +176,13 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     )
 
 
+def study_truth(robot: Robot) -> tuple[BaseParameters, Vector]:
+    """The base parameters of the robot and the values (b,) a study simulates with."""
+    idm = Dynamics(robot)
+    base = base_parameters(idm)
+    return base, truth(idm, base)
+
+
 def _misinformed(robot: Robot, factor: float) -> Robot:
     """The robot with its controller's gains as the fit is told them; of a surrogate, its bandwidth."""
     c = robot.controller
@@ -212,9 +225,15 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
                     worst_error_percent=float(errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
                     mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" else None,
+                    false_percent=100 * sum(map(_false, here)) / len(here) if method == "iv" else None,
                 )
             )
     return found
+
+
+def _false(run: Run) -> bool:
+    """Whether a run is called converged and should not be."""
+    return run.status == "converged" and not (run.positive and run.error_iv <= FALSE_ERROR * run.error_tuned_ls)
 
 
 def study_json(study: Study, runs: Sequence[Run], names: Sequence[str], true: Vector) -> dict[str, Any]:
