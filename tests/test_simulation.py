@@ -1,0 +1,227 @@
+"""The simulated robot against physics: energy, closed forms, friction that holds, instants that belong together."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import robot_named
+
+from acquisition.robot import robot_from_files
+from identification import IdentificationError
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics, direct_model
+from identification.instruments import inertias, not_positive, regular_start
+from identification.simulation import Loop, recorded_loop, simulate, surrogate_loop
+from identification.synthetic import known_parameters, random_reference, truth
+
+RATE = 1000.0
+
+
+def free(n: int, period_s: float = 1 / RATE) -> Loop:
+    """No control at all."""
+    loop = surrogate_loop(1.0, np.ones(n), 1 / period_s)
+    return dataclasses.replace(loop, Kp=np.zeros(n), Kd=np.zeros(n))
+
+
+def model_of(name: str, **values: float):
+    dynamics = Dynamics(robot_named(name))
+    base = base_parameters(dynamics)
+    chi = known_parameters(dynamics)
+    for key, value in values.items():
+        chi[[c for c, n in enumerate(dynamics.names) if n.startswith(key)]] = value
+    return dynamics, base, direct_model(dynamics, base.representative(base.K @ chi))
+
+
+def still(n: int, seconds: float) -> np.ndarray:
+    return np.zeros((round(seconds * RATE), n))
+
+
+def test_energy_is_kept_without_friction():
+    dynamics, _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
+    nothing = still(6, 1.0)
+    start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([0.5, 0.2, -0.4, 1.0, -0.5, 2.0]))
+    done = simulate(model, free(6), nothing, nothing, nothing, start=start, bound=np.full(6, 1e9), substeps=20)
+    kinetic = 0.5 * np.einsum("ti,tij,tj->t", done.dq, model.inertia(done.q), done.dq)
+    # What gravity does is the work of -g(q): its torque at rest, summed along the path.
+    g = np.array([model.inertia_and_bias(q, np.zeros(6))[1] for q in done.q])
+    work = np.cumsum(np.einsum("ti,ti->t", 0.5 * (g[1:] + g[:-1]), np.diff(done.q, axis=0)))
+    drift = kinetic[1:] - kinetic[0] + work
+    assert np.ptp(kinetic) > 5.0
+    assert np.abs(drift).max() < 2e-3 * np.ptp(kinetic)
+
+
+def test_a_pd_loop_is_the_double_integrator_it_is_designed_as():
+    """A step of a mass under the surrogate PD: the closed form of a second order system with zeta = 0.8."""
+    _, _, model = model_of("emps", Fv=0.0, Fc=0.0, Off=0.0)
+    rate = 20_000.0
+    loop = surrogate_loop(5.0, np.array([95.1089]), rate)
+    t = np.arange(int(0.3 * rate)) / rate
+    q_ref = np.full((len(t), 1), 0.01)
+    zero = np.zeros_like(q_ref)
+    done = simulate(model, loop, q_ref, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+    w, z = 2 * np.pi * 5.0, 0.8
+    wd = w * np.sqrt(1 - z**2)
+    expected = 0.01 * (1 - np.exp(-z * w * t) * (np.cos(wd * t) + z / np.sqrt(1 - z**2) * np.sin(wd * t)))
+    np.testing.assert_allclose(done.q[:, 0], expected, atol=2e-5)
+
+
+def test_coulomb_friction_holds_a_joint_that_is_pushed_too_little():
+    _, _, model = model_of("emps", Off=0.0)
+    zero = still(1, 0.5)
+    for force, moves in ((20.0, False), (21.0, True)):
+        pushed = dataclasses.replace(model, offset=np.array([-force]))
+        done = simulate(pushed, free(1), zero, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+        assert (np.abs(done.q[-1]) > 1e-4).all() == moves
+    stopping = simulate(model, free(1), zero, zero, zero, start=(np.zeros(1), np.array([0.05])), bound=np.ones(1))
+    # M dv/dt = -Fv v - Fc from v0 stops at (M/Fv) (v0 - (Fc/Fv) ln(1 + Fv v0/Fc)), and stays.
+    M, Fv, Fc, v0 = 95.1089, 203.5034, 20.3935, 0.05
+    stop = M / Fv * (v0 - Fc / Fv * np.log(1 + Fv * v0 / Fc))
+    assert np.abs(stopping.dq[-50:]).max() < 1e-6
+    assert stopping.q[-1, 0] == pytest.approx(stop, rel=0.01)
+
+
+def test_a_light_wrist_does_not_chatter():
+    """Fc h/M = 0.16 rad/s per step on joint 6: explicit friction would reverse its sign every step at standstill."""
+    _, _, model = model_of("tx40")
+    q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
+    zero = np.zeros_like(q_ref)
+    loop = surrogate_loop(10.0, inertias(model, q_ref[:1]), RATE)
+    done = simulate(model, loop, q_ref, zero, zero, start=(q_ref[0], zero[0]), bound=np.ones(6))
+    assert np.abs(done.ddq[500:]).max() < 0.05
+
+
+@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
+def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
+    """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
+    dynamics = Dynamics(robot_named(name))
+    base = base_parameters(dynamics)
+    beta = truth(dynamics, base)
+    model = direct_model(dynamics, base.representative(beta))
+    q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
+    dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
+    ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
+    loop = surrogate_loop(10.0, inertias(model, q_ref[::50]), RATE)
+    done = simulate(
+        model,
+        loop,
+        q_ref,
+        dq_ref,
+        ddq_ref,
+        start=(q_ref[0], dq_ref[0]),
+        bound=np.full(len(beta), 9.0)[: q_ref.shape[1]],
+    )
+    tau = dynamics.regressor(done.q, done.dq, done.ddq)[:, :, base.columns] @ beta
+    moving = (np.abs(done.dq @ model.directions.T) > 0.02 * np.abs(done.dq @ model.directions.T).max(axis=0)).all(
+        axis=1
+    )
+    assert moving.mean() > 0.5
+    rms = np.sqrt(np.mean(done.tau**2, axis=0))
+    # Viscous friction is taken at the end of the step: h Fv ddq.
+    assert (np.abs(tau - done.tau)[moving] < 0.02 * rms + 1e-3 * np.abs(done.ddq[moving]).max(axis=0)).all()
+    # A shift by one instant is far worse: the test would see it.
+    assert np.median(np.abs(tau[5:] - done.tau[:-5])[moving[5:]]) > 3 * np.median(np.abs(tau - done.tau)[moving])
+
+
+def controller_robot(structure: str, **keys: object):
+    text = (
+        'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
+        "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
+        '[[motor]]\nname = "m"\ndrive_gain = 10.0\ndrive_gain_unit = "N/A"\nratio = 2.0\nsaturation = 50.0\n'
+        f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = 1000\n'
+    )
+    text += "".join(f"{key} = {value}\n" for key, value in keys.items()) + "[parameters]\nM1 = 20.0\nFv1 = 5.0\n"
+    return robot_from_files({"robot.toml": text.encode()}, "axis.toml")
+
+
+@pytest.mark.parametrize(
+    ("structure", "gains", "settles"),
+    [
+        ("pd", {"position_gain": [500.0], "velocity_gain": [25.0]}, 2e-3),
+        ("pd_velocity_feedforward", {"position_gain": [500.0], "velocity_gain": [25.0]}, 2e-3),
+        ("cascade_p_p", {"position_gain": [20.0], "velocity_gain": [25.0]}, 2e-3),
+        ("cascade_p_pi", {"position_gain": [20.0], "velocity_gain": [25.0], "integral_gain": [10.0]}, 1e-4),
+        ("pid", {"position_gain": [500.0], "velocity_gain": [25.0], "integral_gain": [2000.0]}, 1e-4),
+        ("computed_torque", {"position_gain": [900.0], "velocity_gain": [50.0]}, 2e-3),
+    ],
+)
+@pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
+def test_every_control_law_holds_against_a_push(structure, gains, settles, estimate):
+    """A constant force: laws with an integral come back to the reference, the others rest at force / stiffness."""
+    robot = controller_robot(structure, **gains, velocity_estimate=f'"{estimate}"')
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    loop = recorded_loop(robot)
+    zero = still(1, 6.0)
+    pushed = dataclasses.replace(model, offset=np.array([8.0]))
+    if structure == "computed_torque":
+        pushed = model  # the law knows the model: it has nothing to hold against
+    done = simulate(pushed, loop, zero, zero, zero, start=(np.array([0.01]), np.zeros(1)), bound=np.ones(1))
+    assert done.reason is None
+    assert abs(done.q[-1, 0]) < settles
+    if structure in ("pd", "pd_velocity_feedforward", "cascade_p_p"):
+        stiffness = 500.0 * 10.0 * 2.0**2  # Kp G R²
+        assert done.q[-1, 0] == pytest.approx(-8.0 / stiffness, rel=1e-3)
+
+
+def test_saturation_limits_the_torque_and_is_counted():
+    robot = controller_robot("pd", position_gain=[50_000.0], velocity_gain=[2000.0])
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    zero = still(1, 0.3)
+    done = simulate(
+        model, recorded_loop(robot), zero, zero, zero, start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
+    )
+    assert np.abs(done.tau).max() == pytest.approx(50.0 * 10.0 * 2.0)
+    assert done.saturated > 10
+
+
+def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
+    _, _, model = model_of("emps", Off=500.0)
+    zero = still(1, 1.0)
+    done = simulate(model, free(1), zero, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.array([0.1]))
+    assert "leaves its reference at joint 1" in done.reason
+    assert 0 < len(done.q) < len(zero)
+
+
+def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
+    dynamics = Dynamics(robot_named("scara"))
+    base = base_parameters(dynamics)
+    beta = truth(dynamics, base)
+    for name, value in (("ZZ2", -0.01), ("Fc1", 0.0), ("Fc2", 0.0)):
+        beta[base.names.index(name)] = value
+    model = direct_model(dynamics, base.representative(beta))
+    zero = still(2, 0.1)
+    assert "not positive on the trajectory" in not_positive(model, zero[:1])
+    done = simulate(model, free(2), zero, zero, zero, start=(zero[0], zero[0]), bound=np.ones(2))
+    assert done.reason == "the inertia matrix is not positive definite"
+
+
+def test_direct_model_is_the_inverse_of_the_inverse_model():
+    """M(q) from the direct model against the regressor: the torque of a unit acceleration less that at rest."""
+    dynamics, base, model = model_of("tx40")
+    chi = known_parameters(dynamics)
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-2, 2, size=(5, 6))
+    M = model.inertia(q)
+    rest = dynamics.regressor(q, 0 * q, 0 * q) @ chi
+    for j in range(6):
+        unit = np.zeros_like(q)
+        unit[:, j] = 1.0
+        np.testing.assert_allclose(dynamics.regressor(q, 0 * q, unit) @ chi - rest, M[:, :, j], atol=1e-11)
+
+
+def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
+    dynamics = Dynamics(robot_named("tx40"))
+    base = base_parameters(dynamics)
+    beta = regular_start(dynamics, base)
+    start = {name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value}
+    assert start == {"ZZ1R": 1.0, "ZZ2R": 1.0, "Ia3": 1.0, "Ia4": 1.0, "Ia5": 2.0, "Ia6": 1.0}
+    assert not_positive(direct_model(dynamics, base.representative(beta)), np.zeros((1, 6))) is None
+
+
+def test_a_controller_described_in_part_names_what_is_missing():
+    robot = controller_robot("pid", position_gain=[1.0])
+    with pytest.raises(IdentificationError, match="velocity_gain, integral_gain missing; expected all of structure"):
+        recorded_loop(robot)
