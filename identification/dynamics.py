@@ -80,6 +80,20 @@ class Dynamics:
         W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
         return W
 
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
+        return tuple(int(parent) for parent in self.model.parents)[1:]
+
+    def placements(self, q: Vector) -> tuple[Vector, Vector]:
+        """Where the links' frames are at the positions q (N, n): origins (N, n, 3) in m, rotations (N, n, 3, 3), in the base."""
+        origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
+        for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
+            pin.forwardKinematics(self.model, self._data, qk)
+            for j, placement in enumerate(list(self._data.oMi)[1:]):
+                origins[k, j], rotations[k, j] = placement.translation, placement.rotation
+        return origins, rotations
+
     def _link_series(
         self, q: Vector, dq: Vector, ddq: Vector, places: NDArray[np.intp], picks: NDArray[np.intp], out: Vector
     ) -> None:
