@@ -166,15 +166,16 @@ class ObjectEntry:
 
 
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
-MODE_OF_OPERATION = 0x6060
+MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
+HEARTBEAT_TIME = 0x1017  # of CiA 301
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
 # Entries whose type CiA 402 (or 301) fixes.
 STANDARD = {
     (index, 0): kind
     for kind, indices in {
-        "U16": (CONTROLWORD, STATUSWORD, 0x1017),
-        "I8": (MODE_OF_OPERATION, 0x6061),
+        "U16": (CONTROLWORD, STATUSWORD, HEARTBEAT_TIME),
+        "I8": (MODE_OF_OPERATION, MODE_DISPLAY),
         "I32": (0x6062, 0x6063, POSITION_ACTUAL, 0x606C, TARGET_POSITION, 0x60F4, 0x60FC),
         "I16": (0x6071, 0x6074, 0x6077, 0x6078, 0x60B2),
         "U32": (RATED_CURRENT, RATED_TORQUE),
@@ -280,11 +281,14 @@ class EffortCodec:
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Between counts and rad (or m) of the motor: counts = zero_counts + sign · counts_per_unit · position."""
+    """Between counts and rad (or m) of the motor: counts = zero_counts + sign · counts_per_unit · position.
 
-    counts_per_unit: float
-    sign: int
-    zero_counts: int
+    Of one motor, or of n with a vector in each field.
+    """
+
+    counts_per_unit: float | Vector
+    sign: int | Vector
+    zero_counts: int | Vector
 
     def si(self, raw: NDArray[np.int64]) -> Vector:
         """Motor position in rad or m, of any shape."""

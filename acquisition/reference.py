@@ -1,12 +1,17 @@
-"""Reference trajectories that excite a robot: periodic Fourier series that begin and end at rest."""
+"""Reference trajectories: periodic Fourier series that excite a robot, tables, moves to a point; limits, checked before.
+
+All begin and end at rest.
+"""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .robot import Robot
+from .table_files import read_columns
 
 Vector = NDArray[np.float64]
 
@@ -66,3 +71,71 @@ def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierRef
     return FourierReference(
         period_s=period_s, center=center, sine=sine * scale[:, None], cosine=cosine * scale[:, None]
     )
+
+
+APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
+LARGEST_ROUNDING = 1e-9  # by which a reference may leave a limit
+
+
+def table_reference(path: Path, robot: Robot, period_s: float) -> Vector:
+    """Joint positions (N, n) every `period_s` through a CSV table: `time_s`, then each joint by name, in rad or m.
+
+    Cubic splines between rows. Raises `AcquisitionError` when the table cannot be read or its time does not grow.
+    """
+    from scipy.interpolate import CubicSpline
+
+    table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)])
+    time_s = table[:, 0]
+    if len(table) < 2 or not (np.diff(time_s) > 0).all():
+        raise AcquisitionError(f"{path}: time_s: expected two rows or more, with growing times")
+    count = int((time_s[-1] - time_s[0]) / period_s + 1e-6) + 1
+    spline = CubicSpline(time_s, table[:, 1:], bc_type="clamped")
+    q: Vector = spline(time_s[0] + np.arange(count) * period_s)
+    return q
+
+
+def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
+    """Position, speed and acceleration of every joint along (N, n), from rest to rest, against the stated limits.
+
+    Raises `AcquisitionError` naming the time, joint, value and limit; also where a joint states no limit.
+    """
+    for i, joint in enumerate(robot.joints):
+        for quantity in ("position", "speed", "acceleration", "following_error"):
+            if joint.si(quantity) is None:
+                raise AcquisitionError(
+                    f"{place}: joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}: "
+                    "expected one in robot.toml before anything moves"
+                )
+    at_rest = np.concatenate([q[:1], q, q[-1:]])
+    dq = np.diff(at_rest, axis=0) / period_s
+    ddq = np.diff(dq, axis=0) / period_s
+    for i, joint in enumerate(robot.joints):
+        low, high = joint.si("position")
+        unit = joint.position_unit
+        for name, values, bottom, top, per in (
+            ("position", q[:, i], low, high, ""),
+            ("speed", dq[:, i], -joint.si("speed"), joint.si("speed"), "/s"),
+            ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
+        ):
+            slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
+            bad = (values < bottom - slack) | (values > top + slack)
+            if bad.any():
+                k = int(np.argmax(bad))
+                raise AcquisitionError(
+                    f"{place}: at {k * period_s:.4g} s: {name} of {joint.name} = {values[k]:.4g} {unit}{per}: "
+                    f"expected {bottom:.4g} to {top:.4g}"
+                )
+
+
+def approach(start: Vector, end: Vector, robot: Robot, period_s: float) -> Vector:
+    """Joint positions (N, n) of a slow straight move from rest to rest, all joints together (minimum jerk)."""
+    distance = np.abs(end - start)
+    speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
+    acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
+    # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
+    duration_s = max(
+        0.2, float(np.max(1.875 * distance / speed)), float(np.max(np.sqrt(5.774 * distance / acceleration)))
+    )
+    x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
+    q: Vector = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    return q

@@ -1,0 +1,113 @@
+"""Simulated drives on a bus: in lock-step with a session in this process, or in real time for anyone's master."""
+
+import itertools
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from . import AcquisitionError
+from .bus import Link, LockStepLink, Tap, open_bus, open_link
+from .drives import Bus
+from .plants import Plant, typical_plant
+from .robot import Robot
+from .simulated_drives import Loops, SimulatedDrives, SimulatedFault
+
+_NUMBERS = itertools.count()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DryRun:
+    """A link in simulated time, and the drives at its other end; `close` both."""
+
+    link: LockStepLink
+    drives: SimulatedDrives
+    other_end: Link
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self.link.close()
+        self.other_end.close()
+
+
+def dry_run(
+    robot: Robot,
+    bus: Bus,
+    plant: Plant | None = None,
+    loops: Loops | None = None,
+    faults: Sequence[SimulatedFault] = (),
+    *,
+    tap: Tap | None = None,
+    passive: bool = False,
+) -> DryRun:
+    """Simulated drives on an in-process `virtual` bus, in lock-step with the link: simulated time, the same every run."""
+    drives = simulated_drives(robot, bus, plant, loops, faults)
+    file = msgspec.structs.replace(bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
+    other_end = Link(open_bus(file, passive=False), passive=False)
+    own = open_bus(file, passive=passive)
+
+    def others(now_ns: int) -> bool:
+        frame = other_end.take(0)
+        sent = [] if frame is None else drives.receive(now_ns, frame.can_id, frame.data)
+        if frame is None:
+            due = drives.due_ns()
+            if due is not None and due <= now_ns:
+                sent = drives.advance(now_ns)
+        for can_id, data in sent:
+            other_end.send(can_id, data)
+        return frame is not None or bool(sent)
+
+    link = LockStepLink(own, others, drives.due_ns, passive=passive, tap=tap)
+    for can_id, data in drives.boot():
+        other_end.send(can_id, data)
+    return DryRun(link=link, drives=drives, other_end=other_end)
+
+
+def serve(
+    robot: Robot,
+    bus: Bus,
+    stopped: Callable[[], bool],
+    plant: Plant | None = None,
+    loops: Loops | None = None,
+    faults: Sequence[SimulatedFault] = (),
+) -> SimulatedDrives:
+    """Simulated drives on the bus of the description, in real time, until `stopped()`."""
+    drives = simulated_drives(robot, bus, plant, loops, faults)
+    link = open_link(bus.file, passive=False)
+    try:
+        sent = drives.boot()
+        while not stopped():
+            for can_id, data in sent:
+                link.send(can_id, data)
+            now_ns = link.now_ns()
+            due = drives.due_ns()
+            frame = link.receive(min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000))
+            if frame is not None:
+                sent = drives.receive(link.now_ns(), frame.can_id, frame.data)
+            else:
+                sent = drives.advance(link.now_ns())
+    finally:
+        with suppress(AcquisitionError):
+            link.close()
+    return drives
+
+
+def simulated_drives(
+    robot: Robot, bus: Bus, plant: Plant | None, loops: Loops | None, faults: Sequence[SimulatedFault] = ()
+) -> SimulatedDrives:
+    """Drives in front of `plant`, or of a typical one, with loops that suit it where none are given."""
+    rated = np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])
+    if plant is None:
+        plant = typical_plant(robot, rated)
+    return SimulatedDrives(robot, bus, plant, loops or typical_loops(robot, rated), faults)
+
+
+def typical_loops(robot: Robot, rated_motor_effort: np.ndarray) -> Loops:
+    """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast."""
+    rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
+    inertia = 0.5 * rated / np.array([joint.si("acceleration") or 10.0 for joint in robot.joints])
+    w = 2 * np.pi * robot.controller.bandwidth_hz
+    ones = np.ones(robot.n)
+    return Loops(position=w * ones, velocity=4 * w * inertia, integral=w * ones)

@@ -1,0 +1,212 @@
+"""A CANopen master over a link: NMT, SDO, PDO configuration, and what every node last said. It decides nothing."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from . import AcquisitionError
+from .blocks import ERROR, EXTENDED, REMOTE
+from .bus import Frame
+from .cia402 import HEARTBEAT_TIME, MODE_DISPLAY, MODE_OF_OPERATION, Mode, State, state_of
+from .drives import Bus, Drive
+from .pdo import configuration
+from .sdo import ANSWER, REQUEST, answer_of, check_answer, read_request, write_request
+
+SDO_TIMEOUT_NS = 300_000_000
+START, PRE_OPERATIONAL, RESET_NODE = 1, 128, 129
+OPERATIONAL = 5
+INTERPOLATION_PERIOD = 0x60C2
+IDENTITY = 0x1018
+
+
+class Wire(Protocol):
+    """What a master needs of a link."""
+
+    def now_ns(self) -> int:
+        """Time of frames and deadlines."""
+        ...
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame."""
+        ...
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame before `until_ns`, or None."""
+        ...
+
+
+@dataclass(kw_only=True)
+class NodeWatch:
+    """What a drive last said; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one."""
+
+    drive: Drive
+    statusword: int | None = None
+    counts: int | None = None
+    effort: int | None = None
+    answers: int = 0
+    silent_syncs: int = 0
+    nmt: int | None = None
+    heard_ns: int = 0
+    emergency: int | None = None
+    booted: bool = False
+
+    @property
+    def state(self) -> State | None:
+        """State by the last statusword, None before the first or for bits that tell none."""
+        try:
+            return None if self.statusword is None else state_of(self.statusword)
+        except AcquisitionError:
+            return None
+
+
+class Master:
+    """Sends, and keeps what comes. Every frame passes `dispatch`, whatever is being waited for."""
+
+    def __init__(self, link: Wire, bus: Bus) -> None:
+        self.link, self.bus = link, bus
+        self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
+        self.bus_error: str | None = None
+        self._by_node = {watch.drive.node: watch for watch in self.nodes}
+        self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
+        self._answers: dict[int, bytes] = {}
+        self.sync_times: list[int] = []
+
+    def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
+        """Receive until then; with `for_answers` only until every drive has answered SYNC."""
+        while not (for_answers and all(watch.answers for watch in self.nodes)):
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return
+            self.dispatch(frame)
+
+    def wait_for_sync(self, until_ns: int) -> bool:
+        """Receive until another producer's SYNC came; False when none did."""
+        count = len(self.sync_times)
+        while len(self.sync_times) == count:
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return False
+            self.dispatch(frame)
+        return True
+
+    def dispatch(self, frame: Frame) -> None:
+        """Note what a frame says."""
+        if frame.flags & ERROR:
+            self.bus_error = f"error frame {frame.data.hex()}"
+            return
+        if frame.flags & (EXTENDED | REMOTE):
+            return
+        function, node = frame.can_id & 0x780, frame.can_id & 0x7F
+        if frame.can_id in self._by_pdo:
+            self._process_data(frame)
+        elif frame.can_id == self.bus.file.sync_can_id:
+            self.sync_times.append(frame.time_ns)
+            for watch in self.nodes:
+                watch.answers = 0
+        elif function == ANSWER:
+            self._answers[node] = frame.data
+        elif node in self._by_node and function == 0x700 and frame.data:
+            watch = self._by_node[node]
+            watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, frame.time_ns
+            watch.booted |= frame.data[0] == 0
+        elif node in self._by_node and function == 0x80 and len(frame.data) >= 2:
+            code = int.from_bytes(frame.data[:2], "little")
+            if code:  # 0 says that an error is gone
+                self._by_node[node].emergency = code
+
+    def _process_data(self, frame: Frame) -> None:
+        watch, pdo = self._by_pdo[frame.can_id]
+        if len(frame.data) < pdo.length:
+            return  # too short: as if it had not come
+        values, drive = pdo.unpack(frame.data), watch.drive
+        watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
+        watch.effort = values.get((drive.effort.entry.index, drive.effort.entry.sub), watch.effort)
+        counts = values.get((drive.position.index, drive.position.sub))
+        if counts is not None:
+            watch.counts = counts
+            watch.answers += 1
+
+    def sync(self) -> None:
+        """Send SYNC; count who did not answer the one before."""
+        for watch in self.nodes:
+            watch.silent_syncs = 0 if watch.answers else watch.silent_syncs + 1
+            watch.answers = 0
+        self.link.send(self.bus.file.sync_can_id, b"")
+
+    def nmt(self, command: int, node: int = 0) -> None:
+        """Network management to one node, 0 to all."""
+        self.link.send(0, bytes([command, node]))
+
+    def read(self, node: int, index: int, sub: int = 0) -> int:
+        """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub}"
+        return check_answer(answer_of(self._exchange(node, read_request(index, sub), place)), "value", place)
+
+    def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
+        """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub} = {value}"
+        check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
+
+    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+        self._answers.pop(node, None)
+        self.link.send(REQUEST + node, request)
+        until_ns = self.link.now_ns() + SDO_TIMEOUT_NS
+        while True:
+            answer = self._answers.pop(node, None)
+            if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4]:
+                return answer
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                raise AcquisitionError(
+                    f"{place}: no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+                )
+            self.dispatch(frame)
+
+    def configure(self) -> None:
+        """In PRE-OPERATIONAL: heartbeat and PDOs of every drive, as the description has them."""
+        self.nmt(PRE_OPERATIONAL)
+        self.wait(self.link.now_ns() + 20_000_000)
+        every_ms = round(self.bus.file.heartbeat_s * 1000)
+        for drive in self.bus.drives:
+            self.write(drive.node, HEARTBEAT_TIME, 0, every_ms, 2)
+            for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
+                for pdo in pdos:
+                    for write in configuration(way, pdo):
+                        self.write(drive.node, *write)
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Mode of operation and interpolation period of every drive. Raises `AcquisitionError` when one does not follow."""
+        period_us = round(self.bus.file.sync_period_s * 1e6)
+        unit, count = (-3, period_us // 1000) if period_us % 1000 == 0 else (-4, period_us // 100)
+        for drive in self.bus.drives:
+            if drive.dictionary is None or (INTERPOLATION_PERIOD, 1) in drive.dictionary.entries:
+                self.write(drive.node, INTERPOLATION_PERIOD, 1, count, 1)
+                self.write(drive.node, INTERPOLATION_PERIOD, 2, unit, 1)
+            self.write(drive.node, MODE_OF_OPERATION, 0, mode, 1)
+            if drive.dictionary is None or (MODE_DISPLAY, 0) in drive.dictionary.entries:
+                until_ns = self.link.now_ns() + 500_000_000
+                while (shown := self.read(drive.node, MODE_DISPLAY)) != mode:
+                    if self.link.now_ns() > until_ns:
+                        told = f"node {drive.node}: mode of operation (6061:0) = {shown}"
+                        raise AcquisitionError(f"{told}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})")
+                    self.wait(self.link.now_ns() + 10_000_000)
+
+    def differences(self) -> list[str]:
+        """What drives say of themselves that disagrees with the description: identity, rated values. One line each."""
+        found = []
+        for drive in self.bus.drives:
+            dictionary = drive.dictionary
+            for sub, name in ((1, "vendor"), (2, "product")) if dictionary is not None else ():
+                expected = dictionary.entries.get((IDENTITY, sub)) if dictionary is not None else None
+                if expected is not None and expected.value:
+                    said = self.read(drive.node, IDENTITY, sub)
+                    if said != expected.value:
+                        told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
+                        found.append(f"{told}: expected 0x{expected.value:X} as its dictionary says")
+            for index, rated in drive.rated.items():
+                if dictionary is None or (index, 0) in dictionary.entries:
+                    raw = self.read(drive.node, index)
+                    if raw != rated:
+                        found.append(
+                            f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
+                        )
+        return found

@@ -1,0 +1,213 @@
+"""The recorder as a process of its own: it receives, appends and writes, whatever the session's process is busy with.
+
+Where an interface can be opened once only, the session hands its frames over; else the recorder opens the bus itself.
+"""
+
+import multiprocessing
+import signal
+import threading
+import time
+from collections.abc import Mapping
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import AcquisitionError
+from .blocks import FRAME
+from .bus import Frame, Receiver, block_of, kernel_drops, open_bus
+from .recorder import Recorded, Recorder, Status
+from .robot import Robot, robot_from_files
+
+BLOCK_S = 0.1
+START_S = 20.0  # for the process to come up
+FINISH_S = 600.0  # to decode a long session
+
+
+class InlineLog:
+    """A recorder in the session's own process, for simulated time: `tap` takes the link's frames."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder, self._frames = recorder, list[Frame]()
+
+    def tap(self, frame: Frame) -> None:
+        """A frame sent or received."""
+        self._frames.append(frame)
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        self._recorder.event(stamp_ns, kind, text)
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Write what came; a status every half second."""
+        if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
+            self._write()
+        return self._recorder.tick(stamp_ns, 0)
+
+    def finish(self, stamp_ns: int) -> Recorded:
+        """End the recording."""
+        self._write()
+        self._recorder.tick(stamp_ns, 0, now=True)
+        return self._recorder.finish(stamp_ns)
+
+    def close(self) -> None:
+        """End the file as it is."""
+        self._recorder.close()
+
+    def _write(self) -> None:
+        frames, self._frames = self._frames, []
+        self._recorder.add(block_of(frames))
+
+
+class ProcessLog:
+    """A recorder in a process of its own. With `feed` the session's link must be tapped by `tap`.
+
+    Raises `AcquisitionError` where the process cannot open the bus or the file.
+    """
+
+    def __init__(self, path: Path, robot: Robot, *, source: str, place: str, feed: bool, passive: bool) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        self._frames: list[Frame] | None = [] if feed else None
+        arguments = (other, str(path.absolute()), dict(robot.files), source, place, feed, passive)
+        self._process = context.Process(target=_main, args=arguments, name="recorder", daemon=True)
+        self._process.start()
+        other.close()
+        self._expect("ready", START_S)
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the recorder."""
+        return self._process.pid
+
+    def tap(self, frame: Frame) -> None:
+        """A frame sent or received by the session, where it feeds the recorder."""
+        if self._frames is not None:
+            self._frames.append(frame)
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        self._send(("event", stamp_ns, kind, text))
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended."""
+        if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
+            self._hand_over()
+        status = None
+        try:
+            while self._connection.poll():
+                kind, content = self._connection.recv()
+                if kind == "failed":
+                    raise AcquisitionError(content)
+                status = content if kind == "status" else status
+        except (EOFError, OSError) as error:
+            raise AcquisitionError("the recorder has ended: expected it to go on until the session ends") from error
+        return status
+
+    def finish(self, stamp_ns: int) -> Recorded:
+        """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
+        if self._frames:
+            self._hand_over()
+        self._send(("stop", stamp_ns))
+        found = self._expect("done", FINISH_S)
+        self._process.join(5)
+        assert isinstance(found, Recorded)
+        return found
+
+    def close(self) -> None:
+        """Let go of the process; it ends its file by itself when nobody is there any more."""
+        self._connection.close()
+        self._process.join(30)
+
+    def _hand_over(self) -> None:
+        frames, self._frames = self._frames or [], []
+        self._send(("frames", block_of(frames).tobytes()))
+
+    def _send(self, message: tuple[Any, ...]) -> None:
+        try:
+            self._connection.send(message)
+        except OSError as error:
+            raise AcquisitionError("the recorder has ended: expected it to go on until the session ends") from error
+
+    def _expect(self, wanted: str, timeout_s: float) -> Any:
+        until_s = time.monotonic() + timeout_s
+        try:
+            while self._connection.poll(max(0.0, until_s - time.monotonic())):
+                kind, content = self._connection.recv()
+                if kind == "failed":
+                    raise AcquisitionError(content)
+                if kind == wanted:
+                    return content
+        except (EOFError, OSError) as error:
+            raise AcquisitionError("the recorder has ended: expected it to go on until the session ends") from error
+        raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s: expected {wanted}")
+
+
+def _main(
+    connection: Connection, path: str, files: Mapping[str, bytes], source: str, place: str, feed: bool, passive: bool
+) -> None:
+    """The recorder's process. Ctrl-C and SIGTERM are the session's business: it ends when told, or left alone."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
+    bus = None
+    try:
+        robot = robot_from_files(files, place)
+        assert robot.bus is not None
+        # A recorder never sends, whatever the session does.
+        bus = None if feed else open_bus(robot.bus, passive=True)
+        recorder = Recorder(Path(path), robot, source=source, place=place)
+        receiver = None if bus is None else Receiver(bus)
+        try:
+            done = _record(connection, recorder, receiver)
+        finally:
+            recorder.close()
+        if done is not None:
+            connection.send(("done", done))
+    except (AcquisitionError, OSError) as error:
+        told = str(error) if isinstance(error, AcquisitionError) else f"{path}: cannot be written: {error.strerror}"
+        try:
+            connection.send(("failed", told))
+        except OSError:
+            return
+    finally:
+        if bus is not None:
+            bus.shutdown()
+
+
+def _record(connection: Connection, recorder: Recorder, receiver: Receiver | None) -> Recorded | None:
+    """Until told to stop, or until the session is gone."""
+    thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
+    if thread is not None:
+        thread.start()
+    connection.send(("ready", None))
+    stop_ns = None
+    while stop_ns is None:
+        try:
+            if connection.poll(BLOCK_S):
+                message = connection.recv()
+                if message[0] == "event":
+                    recorder.event(*message[1:])
+                elif message[0] == "frames":
+                    recorder.add(np.frombuffer(message[1], FRAME))
+                elif message[0] == "stop":
+                    stop_ns = message[1]
+        except (EOFError, OSError):
+            recorder.event(time.time_ns(), "fault", "the session's process is gone")
+            stop_ns = time.time_ns()
+        if receiver is not None:
+            if stop_ns is not None:
+                receiver.stopped = True
+                assert thread is not None
+                thread.join(1.0)
+            recorder.add(receiver.take())
+            if receiver.error is not None:
+                recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
+                raise AcquisitionError(f"bus: cannot be read: {receiver.error}")
+        status = recorder.tick(time.time_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
+        if status is not None:
+            try:
+                connection.send(("status", status))
+            except OSError:
+                continue  # the next `poll` finds that nobody is there
+    return recorder.finish(stop_ns)

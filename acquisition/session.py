@@ -1,0 +1,341 @@
+"""The only loop: listen, or configure and record, or enable, approach, track, stop. Safe state in `finally`.
+
+Nothing moves unless a plan has a reference. Whatever ends a session that touched the drives, its last act is to disable
+every one of them and to write down which ones confirmed it.
+"""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from . import AcquisitionError
+from .cia402 import CONTROLWORD, DISABLED, STATUSWORD, Command, Mode, State, state_of, toward
+from .guards import Motion, motion_fault, node_fault
+from .master import PRE_OPERATIONAL, START, Master
+from .recorder import Status
+from .reference import approach, check_limits
+from .robot import Robot
+
+Vector = NDArray[np.float64]
+Orders = list[tuple[int, int]]  # controlword and target counts of each drive
+
+ENABLE_S = 5.0  # for all drives to be enabled, or disabled
+HOLD_S = 0.3  # at the end of motion, before drives are disabled
+SLOW_STOP_S = 0.5  # in which a stop asked for comes to rest along the path
+QUICK_STOP_S = 0.5  # for drives to come to rest after a fault, before voltage is taken away
+# Down in order, so that a drive may brake and hold before it lets go.
+_DOWN = {
+    State.OPERATION_ENABLED: Command.SWITCH_ON,
+    State.SWITCHED_ON: Command.SHUTDOWN,
+    State.READY_TO_SWITCH_ON: Command.DISABLE_VOLTAGE,
+    State.QUICK_STOP_ACTIVE: Command.DISABLE_VOLTAGE,
+}
+
+
+class Log(Protocol):
+    """Where a session writes down what happens; the frames come to it by themselves."""
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        ...
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Latest news of the recorder, None when there are none. Raises `AcquisitionError` when it has ended."""
+        ...
+
+
+@dataclass(kw_only=True)
+class Stop:
+    """Set from outside (Ctrl-C, SIGTERM) to end a session in order."""
+
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC."""
+
+    duration_s: float | None = None
+    reference: Vector | None = None
+    place: str = "reference"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a session ended: in order or by a fault, and whether every drive confirmed that it is disabled."""
+
+    reason: str
+    fault: bool
+    all_disabled: bool
+
+
+@dataclass(kw_only=True)
+class _Beat:
+    """The rhythm of SYNC."""
+
+    next_ns: int
+    until_ns: int | None
+    motion: Motion | None = None
+    targets: list[Vector] = field(default_factory=list)
+
+
+def run_active(robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -> Ending:
+    """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
+
+    Raises what was raised inside, after the drives were disabled.
+    """
+    link = master.link
+    session = _Session(robot, master, log, plan, stop)
+    reason, fault = "", True
+    try:
+        session.prepare()
+        session.phases()
+        reason, fault = stop.reason or "finished", False
+    except AcquisitionError as error:
+        reason = str(error)
+    except BaseException as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise
+    finally:
+        try:
+            log.event(link.now_ns(), "fault" if fault else "end", reason)
+        finally:
+            unconfirmed = session.make_safe()
+            text = f"nodes {unconfirmed} did not confirm" if unconfirmed else "every drive confirmed"
+            log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
+    return Ending(reason=reason, fault=fault, all_disabled=not unconfirmed)
+
+
+class _Session:
+    """One run: every method below either yields orders for one SYNC after the other, or carries them out."""
+
+    def __init__(self, robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -> None:
+        self._robot, self._master, self._log, self._plan, self._stop = robot, master, log, plan, stop
+        self._link, self._bus = master.link, master.bus
+        self._period_s = master.bus.file.sync_period_s
+        self._beat = _Beat(next_ns=0, until_ns=None)
+        self._last_orders: Orders | None = None
+
+    def prepare(self) -> None:
+        """Everything that can be refused before a node is started."""
+        if self._plan.reference is not None:
+            check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
+            for drive in self._bus.drives:
+                for entry in (drive.control, drive.target):
+                    if drive.carrier(entry, "rpdo") is None:
+                        raise AcquisitionError(
+                            f"node {drive.node}: no PDO to the drive carries {entry}: expected one to track"
+                        )
+                if drive.carrier(drive.status, "tpdo") is None:
+                    raise AcquisitionError(
+                        f"node {drive.node}: no PDO from the drive carries {drive.status}: expected one to track"
+                    )
+        self._log.event(self._link.now_ns(), "phase", "configure")
+        self._master.configure()
+        differences = self._master.differences()
+        if differences:
+            raise AcquisitionError("; ".join(differences))
+        if self._plan.reference is not None:
+            self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+        for watch in self._master.nodes:
+            watch.booted, watch.emergency, watch.nmt, watch.heard_ns = False, None, None, 0
+        self._master.nmt(START)
+        now_ns = self._link.now_ns()
+        for watch in self._master.nodes:
+            watch.heard_ns = now_ns
+        self._beat.next_ns = now_ns + self._bus.period_ns
+        if self._plan.duration_s is not None:
+            self._beat.until_ns = now_ns + round(self._plan.duration_s * 1e9)
+
+    def phases(self) -> None:
+        """One phase after the other, each until it ends."""
+        if self._plan.reference is None:
+            self._run("record", self._record())
+            return
+        reference = self._plan.reference
+        self._run("enable", self._enable())
+        self._beat.motion = Motion(measured=[])
+        if not self._stop.reason:
+            way = approach(self._positions(), reference[0], self._robot, self._period_s)
+            check_limits(way, self._robot, self._period_s, "the approach to the reference's start")
+            self._run("approach", self._follow(way))
+        if not self._stop.reason:
+            self._run("track", self._follow(reference))
+        self._run("stop", self._hold())
+        self._beat.motion = None
+        self._run("disable", self._disable())
+
+    def _run(self, name: str, orders: Iterator[Orders | None]) -> None:
+        """Carry out a phase: at each SYNC answers, guards, then the next orders, in force from the SYNC after."""
+        self._log.event(max(self._beat.next_ns, self._link.now_ns()), "phase", name)
+        for order in orders:
+            if order is not None:
+                self._send(order)
+            self._sync()
+
+    def _sync(self) -> None:
+        """SYNC at its time, the answers to it, and the guards."""
+        beat, period_ns = self._beat, self._bus.period_ns
+        if self._bus.file.sync_producer == "recorder":
+            self._master.wait(beat.next_ns)
+            if self._link.now_ns() > beat.next_ns + period_ns:
+                beat.next_ns = self._link.now_ns()  # after a stall time goes on from here: no burst of SYNCs
+            self._master.sync()
+        elif not self._master.wait_for_sync(beat.next_ns + 50 * period_ns):
+            raise AcquisitionError(
+                "bus: no SYNC in 50 periods: expected the other producer's; or sync_producer = 'recorder'"
+            )
+        else:
+            beat.next_ns = self._link.now_ns()
+        self._master.wait(beat.next_ns + round(0.7 * period_ns), for_answers=True)
+        beat.next_ns += period_ns
+        now_ns = self._link.now_ns()
+        reason = node_fault(self._master, now_ns)
+        if reason is None and beat.motion is not None:
+            beat.motion.measured = [*beat.motion.measured[-10:], self._positions()]
+            # The target of the SYNC before the last is where a drive stands now: it takes a period to get there.
+            beat.motion.target = beat.targets[-2] if len(beat.targets) >= 2 else None
+            reason = motion_fault(self._master, self._robot, beat.motion)
+        if reason is not None:
+            raise AcquisitionError(reason)
+        status = self._log.poll(now_ns)
+        if status is not None and status.disk_full and not self._stop.reason:
+            self._stop.reason = "disk nearly full"
+
+    def _positions(self) -> Vector:
+        """Measured joint positions (n,)."""
+        motors = []
+        for watch in self._master.nodes:
+            if watch.counts is None:
+                raise AcquisitionError(f"node {watch.drive.node}: no position yet: expected an answer to SYNC")
+            motors.append(watch.drive.position_codec.si(np.array(watch.counts)))
+        q: Vector = self._robot.joint_position(np.array(motors)[None])[0]
+        return q
+
+    def _send(self, orders: Orders) -> None:
+        self._last_orders = orders
+        for watch, (control, target) in zip(self._master.nodes, orders, strict=True):
+            drive = watch.drive
+            values = {(drive.control.index, 0): control, (drive.target.index, drive.target.sub): target}
+            for pdo in drive.rpdos:
+                keys = {(e.index, e.sub) for e in pdo.entries}
+                if keys & values.keys():
+                    self._link.send(pdo.can_id, pdo.pack({key: values.get(key, 0) for key in keys}))
+
+    def _orders(self, controls: list[int], q: Vector | None = None) -> Orders:
+        """Controlwords with joint targets, or with the positions at hand."""
+        if q is None:
+            self._beat.targets.clear()
+            return [(c, watch.counts or 0) for c, watch in zip(controls, self._master.nodes, strict=True)]
+        self._beat.targets = [*self._beat.targets[-3:], q]
+        motor = self._robot.motor_position(q[None])[0]
+        counts = [int(watch.drive.position_codec.raw(motor[i])) for i, watch in enumerate(self._master.nodes)]
+        return list(zip(controls, counts, strict=True))
+
+    def _record(self) -> Iterator[None]:
+        while not self._stop.reason and (self._beat.until_ns is None or self._link.now_ns() < self._beat.until_ns):
+            yield None
+
+    def _enable(self) -> Iterator[Orders | None]:
+        """All drives to operation enabled, each targeted at where it stands."""
+        cycles = round(ENABLE_S / self._period_s)
+        for k in range(cycles):
+            states = [watch.state for watch in self._master.nodes]
+            if self._stop.reason or all(state is State.OPERATION_ENABLED for state in states):
+                return
+            if any(watch.counts is None or watch.state is None for watch in self._master.nodes):
+                yield None
+                continue
+            controls = []
+            for state in states:
+                command = toward(state, State.OPERATION_ENABLED) if state is not None else None
+                if state is State.OPERATION_ENABLED:
+                    command = Command.ENABLE_OPERATION
+                if command is Command.FAULT_RESET and k % 2:
+                    command = None  # it acts on the rising edge
+                controls.append(command.controlword if command else 0)
+            yield self._orders(controls)
+        told = ", ".join(
+            f"node {w.drive.node} {w.state.words if w.state else 'silent'}"
+            for w in self._master.nodes
+            if w.state is not State.OPERATION_ENABLED
+        )
+        raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {told}: expected operation enabled")
+
+    def _follow(self, path: Vector) -> Iterator[Orders]:
+        """Along a path, one row a SYNC; when a stop is asked for, ever slower until at rest."""
+        at, rate = 0.0, 1.0
+        enabled = [Command.ENABLE_OPERATION.controlword] * self._robot.n
+        while at < len(path) - 1 and rate > 0.0:
+            yield self._orders(enabled, _between(path, at))
+            if self._stop.reason:
+                rate = max(0.0, rate - self._period_s / SLOW_STOP_S)
+            at = min(at + rate, len(path) - 1.0)
+        yield self._orders(enabled, _between(path, at))
+
+    def _hold(self) -> Iterator[Orders]:
+        where = self._beat.targets[-1] if self._beat.targets else self._positions()
+        for _ in range(max(3, round(HOLD_S / self._period_s))):
+            yield self._orders([Command.ENABLE_OPERATION.controlword] * self._robot.n, where)
+
+    def _disable(self) -> Iterator[Orders]:
+        """Down in order, all drives together."""
+        for _ in range(round(ENABLE_S / self._period_s)):
+            states = [watch.state for watch in self._master.nodes]
+            if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
+                return
+            downs = [_DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states if state is not None]
+            yield self._orders([command.controlword for command in downs])
+        raise AcquisitionError(f"not disabled after {ENABLE_S:g} s: expected switch on disabled")
+
+    def make_safe(self) -> list[int]:
+        """Stop and disable every drive, whatever happened; nodes that did not confirm.
+
+        Quick stop by PDO while SYNC goes on, then voltage off by PDO and by SDO. No step may keep the next from being tried.
+        """
+        if self._beat.next_ns == 0:
+            return []  # no node was ever started
+        self._stop.reason = self._stop.reason or "safe state"
+        cycles = max(5, round(QUICK_STOP_S / self._period_s))
+        for k in range(2 * cycles if self._last_orders is not None else 0):  # else nothing was ever commanded
+            if all(watch.state in DISABLED and watch.answers for watch in self._master.nodes):
+                break
+            quick = Command.QUICK_STOP if k < cycles else Command.DISABLE_VOLTAGE
+            with suppress(AcquisitionError):
+                self._send(self._orders([quick.controlword] * self._robot.n))
+            with suppress(AcquisitionError):
+                self._one_more_sync()
+        unconfirmed = []
+        for watch in self._master.nodes:
+            node = watch.drive.node
+            try:
+                if self._plan.reference is not None:
+                    self._master.write(node, CONTROLWORD, 0, Command.DISABLE_VOLTAGE.controlword, 2)
+                state = state_of(self._master.read(node, STATUSWORD))
+                if state not in DISABLED:
+                    unconfirmed.append(node)
+            except AcquisitionError:
+                unconfirmed.append(node)
+        with suppress(AcquisitionError):
+            self._master.nmt(PRE_OPERATIONAL)
+        return unconfirmed
+
+    def _one_more_sync(self) -> None:
+        """SYNC and its answers, without guards."""
+        if self._bus.file.sync_producer == "recorder":
+            with suppress(AcquisitionError):
+                self._master.sync()
+        self._master.wait(self._link.now_ns() + self._bus.period_ns)
+        self._log.poll(self._link.now_ns())
+
+
+def _between(path: Vector, at: float) -> Vector:
+    """Row of a path at a place between rows."""
+    k = min(int(at), len(path) - 2) if len(path) > 1 else 0
+    then = path[min(k + 1, len(path) - 1)]
+    q: Vector = path[k] + (at - k) * (then - path[k])
+    return q

@@ -1,0 +1,83 @@
+"""Sessions on simulated drives in simulated time, for tests."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.bus import Frame
+from acquisition.drives import Bus
+from acquisition.dry_run import dry_run
+from acquisition.master import Master
+from acquisition.plants import Plant
+from acquisition.recorder import Recorded, Recorder
+from acquisition.recorder_process import InlineLog
+from acquisition.recording import Recording, read_recording
+from acquisition.robot import Robot
+from acquisition.session import Ending, Plan, Stop, run_active
+from acquisition.simulated_drives import SimulatedDrives, SimulatedFault
+
+
+def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:
+    """A reference that begins and ends at rest."""
+    t = np.arange(round(seconds / period_s) + 1) * period_s
+    return np.repeat(amplitude * (1 - np.cos(2 * np.pi * t / seconds))[:, None], n, axis=1)
+
+
+@dataclass(kw_only=True)
+class Through:
+    """A link that passes everything on; tests override what they damage."""
+
+    link: object
+
+    def now_ns(self) -> int:
+        return self.link.now_ns()  # type: ignore[attr-defined,no-any-return]
+
+    def send(self, can_id: int, data: bytes) -> None:
+        self.link.send(can_id, data)  # type: ignore[attr-defined]
+
+    def receive(self, until_ns: int) -> Frame | None:
+        return self.link.receive(until_ns)  # type: ignore[attr-defined,no-any-return]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    ending: Ending | None
+    raised: BaseException | None
+    drives: SimulatedDrives
+    recorded: Recorded
+    recording: Recording
+
+    def events(self, kind: str) -> list[str]:
+        return [e.text for e in self.recording.events if e.kind == kind]
+
+
+def dry_session(
+    path: Path,
+    plan: Plan,
+    *,
+    robot: Robot | None = None,
+    bus: Bus | None = None,
+    faults: Sequence[SimulatedFault] = (),
+    plant: Plant | None = None,
+    through: type[Through] = Through,
+    stop: Stop | None = None,
+) -> Outcome:
+    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised."""
+    robot = robot or robot_of(bus_text(2))
+    bus = bus or bus_of(robot)
+    log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
+    run = dry_run(robot, bus, plant, faults=faults, tap=log.tap)
+    ending, raised = None, None
+    try:
+        ending = run_active(robot, Master(through(link=run.link), bus), log, plan, stop or Stop())
+    except BaseException as error:
+        raised = error
+    until_ns = run.link.now_ns() + 200_000_000
+    while run.link.receive(until_ns):
+        pass
+    recorded = log.finish(run.link.now_ns())
+    run.close()
+    return Outcome(ending=ending, raised=raised, drives=run.drives, recorded=recorded, recording=read_recording(path))

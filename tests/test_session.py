@@ -1,0 +1,331 @@
+"""Sessions on simulated drives: what they record, and that whatever goes wrong every drive ends disabled."""
+
+import re
+import shutil
+from collections import namedtuple
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+from dry_sessions import Through, dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError
+from acquisition.blocks import SENT
+from acquisition.bus import Link, open_bus
+from acquisition.cia402 import State
+from acquisition.dry_run import dry_run
+from acquisition.master import Master
+from acquisition.reference import approach, check_limits, table_reference
+from acquisition.session import Plan, Stop, _Session
+from acquisition.simulated_drives import SimulatedFault
+
+TRACK = Plan(reference=swing(2))
+
+
+def test_a_reference_is_tracked_and_recorded(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending is not None
+    assert (outcome.ending.reason, outcome.ending.fault, outcome.ending.all_disabled) == ("finished", False, True)
+    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert outcome.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
+    assert outcome.events("end") == ["finished"]
+    assert outcome.events("disabled") == ["every drive confirmed"]
+    assert outcome.recorded.warnings == ()
+    samples = outcome.recording.samples
+    stamps = {e.text: e.stamp_ns for e in outcome.recording.events}
+    track = (samples["stamp_ns"] >= stamps["track"]) & (samples["stamp_ns"] < stamps["stop"])
+    assert samples["reference"][track] == pytest.approx(swing(2), abs=2e-6)
+    assert np.abs(samples["position"] - samples["reference"])[track].max() < 0.01
+    assert (np.diff(samples["stamp_ns"]) == 2_000_000).all()
+    frames = outcome.recording.frames["test"]
+    assert 0.4 < np.mean(frames["flags"] & SENT != 0) < 0.6
+
+
+def test_runs_repeat_bit_for_bit(tmp_path):
+    a, b = (dry_session(tmp_path / name, TRACK).recording for name in ("a.mcap", "b.mcap"))
+    assert a.frames["test"].tobytes() == b.frames["test"].tobytes()
+    assert a.samples.tobytes() == b.samples.tobytes()
+    assert a.events == b.events
+
+
+def test_nothing_moves_without_a_reference(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.5))
+    assert outcome.events("phase") == ["configure", "record"]
+    assert np.ptp(outcome.recording.samples["position"]) == 0
+    sent = outcome.recording.frames["test"]
+    sent = sent[(sent["flags"] & SENT) != 0]
+    assert not np.isin(sent["can_id"], [0x201, 0x202]).any()
+    sdo = sent[(sent["can_id"] > 0x600) & (sent["can_id"] < 0x680)]
+    assert not ((sdo["data"][:, 1] == 0x40) & (sdo["data"][:, 2] == 0x60) & (sdo["data"][:, 0] != 0x40)).any()
+    assert len(outcome.recording.samples) == pytest.approx(250, abs=3)
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        (SimulatedFault(kind="emergency", node=2, sync=300), r"node 2 \(motor_2\): emergency 0x2310"),
+        (SimulatedFault(kind="silent", node=1, sync=300), r"node 1 \(motor_1\): 3 SYNC not answered"),
+        (SimulatedFault(kind="reset", node=2, sync=300), r"node 2 \(motor_2\): has restarted"),
+        (SimulatedFault(kind="missing", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (SimulatedFault(kind="short", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (SimulatedFault(kind="stuck", node=2, sync=300), "joint_2: following error .* rad: expected 0.08727 at most"),
+        (SimulatedFault(kind="emergency", node=1, sync=5), "emergency 0x2310"),  # while being enabled
+        (SimulatedFault(kind="silent", node=1, sync=20), "3 SYNC not answered"),  # in the approach
+        (SimulatedFault(kind="emergency", node=1, sync=640), "emergency 0x2310"),  # in the stop
+    ],
+)
+def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reason):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, faults=[fault])
+    assert outcome.ending is not None
+    assert outcome.ending.fault
+    assert re.search(reason, outcome.ending.reason)
+    assert outcome.drives.all_disabled
+    assert outcome.events("fault") == [outcome.ending.reason]
+    silent = fault.kind == "silent"
+    assert outcome.ending.all_disabled is not silent
+    assert outcome.events("not disabled" if silent else "disabled")
+    assert outcome.recording.cut is False
+    assert outcome.recorded.samples > 0
+
+
+@pytest.mark.parametrize("kind", ["late", "missing", "duplicate", "short"])
+def test_a_single_bad_pdo_is_counted_and_the_session_goes_on(tmp_path, kind):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, faults=[SimulatedFault(kind=kind, node=1, sync=200)])
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert outcome.drives.all_disabled
+    assert any(f"1 {kind}" in warning for warning in outcome.recorded.warnings)
+    assert outcome.recording.health[-1].counters[kind] == 1
+    gaps = int((np.diff(outcome.recording.samples["stamp_ns"]) != 2_000_000).sum())
+    assert gaps == (1 if kind in ("missing", "short") else 0)
+
+
+@dataclass(kw_only=True)
+class DeadBus(Through):
+    """Nothing can be sent any more from some frame on."""
+
+    count: int = 0
+    ends: int = 10**9
+
+    def send(self, can_id, data):
+        self.count += 1
+        if 1000 <= self.count < self.ends:
+            raise AcquisitionError("bus: frame cannot be sent: transmit buffer full")
+        super().send(can_id, data)
+
+
+@dataclass(kw_only=True)
+class ShortlyDeadBus(DeadBus):
+    ends: int = 1003
+
+
+@pytest.mark.parametrize("through", [DeadBus, ShortlyDeadBus])
+def test_a_bus_that_takes_no_frames(tmp_path, through):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=through)
+    assert outcome.ending is not None
+    assert "transmit buffer full" in outcome.ending.reason
+    # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
+    assert outcome.drives.all_disabled
+    assert outcome.ending.all_disabled is (through is ShortlyDeadBus)
+    assert outcome.events("fault") == [outcome.ending.reason]
+
+
+@dataclass(kw_only=True)
+class ErrorFrames(Through):
+    count: int = 0
+
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        self.count += 1
+        return frame._replace(flags=4, data=b"\0\0\0\x19") if frame and self.count == 2000 else frame
+
+
+def test_an_error_frame_stops_motion(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "bus: error frame 00000019"
+    assert outcome.drives.all_disabled
+
+
+@dataclass(kw_only=True)
+class Jittery(Through):
+    """SYNC comes up to a millisecond late."""
+
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+
+    def receive(self, until_ns):
+        return super().receive(until_ns + int(self.rng.integers(0, 1_000_000)))
+
+
+def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=Jittery)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert outcome.drives.all_disabled
+    assert 1e-4 < outcome.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
+    assert (np.diff(outcome.recording.samples["stamp_ns"]) == 2_000_000).all()
+
+
+def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
+    usage = namedtuple("usage", "total used free")
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending is not None
+    assert (outcome.ending.reason, outcome.ending.fault) == ("disk nearly full", False)
+    assert outcome.drives.all_disabled
+    assert outcome.recorded.samples > 0
+
+
+def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
+    from acquisition.recording import RecordingWriter
+
+    real, count = RecordingWriter.frames, [0]
+
+    def frames(self, channel, block):
+        count[0] += 1
+        if count[0] == 8:
+            raise AcquisitionError("a.mcap: cannot be written: No space left on device")
+        real(self, channel, block)
+
+    monkeypatch.setattr(RecordingWriter, "frames", frames)
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending is not None
+    assert "No space left" in outcome.ending.reason
+    assert outcome.drives.all_disabled
+
+
+@pytest.mark.parametrize("at", [0.05, 0.3, 0.6])
+def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
+    """At any time: while enabling, in the approach, while tracking."""
+    stop = Stop()
+
+    @dataclass(kw_only=True)
+    class Interrupting(Through):
+        def receive(self, until_ns):
+            if self.now_ns() > 1_000_000_000 + at * 1e9 and not stop.reason:
+                stop.reason = "stopped by SIGINT"
+            return super().receive(until_ns)
+
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=Interrupting, stop=stop)
+    assert outcome.ending is not None
+    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGINT", False)
+    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    q = outcome.recording.samples["position"]
+    assert np.abs(np.diff(q, 2, axis=0)).max() / 0.002**2 < 70  # rad/s²: the stated limit
+    assert np.ptp(q[-20:]) < 1e-3
+
+
+@pytest.mark.parametrize("method", ["_enable", "_follow", "_hold", "_disable", "_positions"])
+@pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt(), SystemExit(3)])
+def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
+    real = getattr(_Session, method)
+
+    def broken(self, *arguments):
+        if method == "_positions":
+            raise error
+        for k, order in enumerate(real(self, *arguments)):
+            if k == 3:
+                raise error
+            yield order
+
+    if method == "_positions":
+
+        def broken(self, *arguments):
+            raise error
+
+    monkeypatch.setattr(_Session, method, broken)
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.raised is error
+    assert outcome.drives.all_disabled
+    assert outcome.events("fault")[0].startswith(type(error).__name__)
+    assert outcome.events("disabled") == ["every drive confirmed"]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (
+            ("rated_torque_nm = 0.42", "rated_torque_nm = 0.5"),
+            "rated value (6076:0) = 420: expected 500 as robot.toml says",
+        ),
+        (("node = 2", "node = 9"), "node 9: object 1017:0 = 100: no answer in 0.3 s"),
+    ],
+)
+def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp_path, change, expected):
+    robot = robot_of(bus_text(2))
+    other = robot_of(bus_text(2).replace(*change))
+    run = dry_run(robot, bus_of(robot))
+    session_bus = bus_of(other)
+    session = _Session(other, Master(run.link, session_bus), _NoLog(), Plan(duration_s=1.0), Stop())
+    with pytest.raises(AcquisitionError, match=re.escape(expected)):
+        session.prepare()
+    assert not any(node.operational for node in run.drives.nodes)
+    run.close()
+
+
+class _NoLog:
+    def event(self, *_):
+        pass
+
+    def poll(self, _):
+        return None
+
+
+@pytest.mark.parametrize(
+    ("reference", "expected"),
+    [
+        (swing(2, amplitude=2.0), "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
+        (swing(2, seconds=0.2), "speed of joint_1 = 3.5"),
+        (swing(2)[100:], "acceleration of joint_1"),  # it does not begin at rest
+        (swing(2)[:-100], "acceleration of joint_1"),
+    ],
+)
+def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, expected):
+    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=reference, place="ref.csv"))
+    assert outcome.ending is not None
+    assert "ref.csv: at " in outcome.ending.reason
+    assert expected in outcome.ending.reason
+    frames = outcome.recording.frames["test"]
+    assert not (frames["flags"] & SENT).any()  # nothing was ever sent
+
+
+def test_joints_without_limits_are_refused():
+    robot = robot_of(bus_text(1).replace("acceleration_deg_s2 = 4000\n", ""))
+    with pytest.raises(AcquisitionError, match="no limit of acceleration: expected one in robot"):
+        check_limits(swing(1), robot, 0.002, "x")
+
+
+def test_an_approach_is_slow_and_from_rest_to_rest():
+    robot = robot_of(bus_text(2))
+    way = approach(np.array([0.0, -1.0]), np.array([1.0, 0.5]), robot, 0.002)
+    check_limits(way, robot, 0.002, "x")
+    assert way[0].tolist() == [0.0, -1.0]
+    assert way[-1] == pytest.approx([1.0, 0.5])
+    assert np.abs(np.diff(way, axis=0)).max() / 0.002 <= 0.1 * np.radians(200) * 1.01
+
+
+def test_a_table_of_a_reference(tmp_path):
+    robot = robot_of(bus_text(2))
+    path = tmp_path / "ref.csv"
+    path.write_text("time_s,joint_2,joint_1\n0,0,1\n1,2,1\n")
+    q = table_reference(path, robot, 0.1)
+    assert q.shape == (11, 2)
+    assert q[:, 0] == pytest.approx(1.0)
+    assert q[[0, 5, 10], 1] == pytest.approx([0.0, 1.0, 2.0])
+    path.write_text("time_s,joint_2,joint_1\n0,0,1\n0,2,1\n")
+    with pytest.raises(AcquisitionError, match="time_s: expected two rows or more, with growing times"):
+        table_reference(path, robot, 0.1)
+    path.write_text("time_s,joint_1\n0,0\n1,1\n")
+    with pytest.raises(AcquisitionError, match="'joint_2' is not there"):
+        table_reference(path, robot, 0.1)
+
+
+def test_a_passive_link_refuses_to_send():
+    robot = robot_of(bus_text(1, channel="passive"))
+    bus = open_bus(robot.bus, passive=True)
+    link = Link(bus, passive=True)
+    for send in (lambda: link.send(0x80, b""), lambda: bus.send(None), lambda: bus.send_periodic(None, 1.0)):
+        with pytest.raises(AcquisitionError, match="passive: nothing is ever sent"):
+            send()
+    link.close()
