@@ -16,6 +16,7 @@ Vector = NDArray[np.float64]
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
+END_REACH = 150  # samples per unit of the factor in which the decimation filter's ringing dies away
 LARGEST_PASS = 13  # a decimation by more goes in several passes
 
 
@@ -67,6 +68,26 @@ def differentiate(x: Vector, sample_rate_hz: float) -> Vector:
     return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
 
+@dataclass(frozen=True, kw_only=True)
+class Decimation:
+    """Parallel decimation by `factor`; `smooth_ends` as in `decimate`."""
+
+    factor: int = 1
+    smooth_ends: bool = False
+
+    def rows(self, samples: int) -> int:
+        """Number of rows that so many samples give."""
+        return -(-samples // self.factor)
+
+    def filtered(self, x: Vector) -> Vector:
+        """x decimated along its last axis: low-pass, then every `factor`-th sample."""
+        return decimate(x, self.factor, smooth_ends=self.smooth_ends)
+
+    def kept(self, x: Vector) -> Vector:
+        """The samples of x (N, n) at the instants that are kept, unfiltered."""
+        return x[(len(x) - 1) % self.factor :: self.factor]
+
+
 def decimation_passes(factor: int) -> tuple[int, ...]:
     """Factors, each at most 13 where the number allows it, whose product is `factor`: 100 is two passes by 10."""
     if factor == 1:
@@ -81,11 +102,14 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
     return min(plans, key=lambda plan: (max(plan) > LARGEST_PASS, len(plan), max(plan)))
 
 
-def decimate(x: Vector, factor: int) -> Vector:
+def decimate(x: Vector, factor: int, *, smooth_ends: bool = False) -> Vector:
     """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then every `factor`-th sample.
 
     Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's `decimate` does. The
     paper's equation (6): the same filter for the torque and for every column of the regressor.
+
+    MATLAB extends the signal by reflection at its end samples, so the noise of these two samples stands at full size in the
+    rows beside them. `smooth_ends` reflects at a line through the last samples instead, as far as the filter reaches.
     """
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
@@ -94,9 +118,24 @@ def decimate(x: Vector, factor: int) -> Vector:
                 f"{x.shape[-1]} samples are too few to decimate by {r}; expected more than {padding}"
             )
         sos = signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos")
-        filtered = signal.sosfiltfilt(sos, x, axis=-1, padlen=padding)
+        if smooth_ends:
+            extended, reach = _extended(x, r)
+            filtered = signal.sosfiltfilt(sos, extended, axis=-1, padtype=None, padlen=0)[..., reach:-reach]
+        else:
+            filtered = signal.sosfiltfilt(sos, x, axis=-1, padlen=padding)
         x = filtered[..., (x.shape[-1] - 1) % r :: r]
     return np.ascontiguousarray(x)
+
+
+def _extended(x: Vector, r: int) -> tuple[Vector, int]:
+    """x with both ends extended by odd reflection at the end of a line fitted to its last 6 r samples; by how many."""
+    reach, near = min(END_REACH * r, x.shape[-1] - 1), min(6 * r, x.shape[-1])
+    # Weights that give the value at the end of the line through `near` samples.
+    weights = np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0]
+    first = (x[..., :near] @ weights)[..., None]
+    last = (x[..., : -near - 1 : -1] @ weights)[..., None]
+    before, after = 2 * first - x[..., reach:0:-1], 2 * last - x[..., -2 : -reach - 2 : -1]
+    return np.concatenate([before, x, after], axis=-1), reach
 
 
 def decimation_reach(factor: int) -> int:

@@ -5,7 +5,7 @@ approach for rigid industrial robots identification", Control Engineering Practi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -24,7 +24,7 @@ from .estimators import (
 from .fit import Fit, Pass
 from .instruments import experiment, fast_rows, instruments, regular_start
 from .judgement import compared, judged, judged_iv, predicted_rows
-from .plan import Overrides, Plan, make_plan
+from .plan import CUTOFF_PER_BANDWIDTH, Overrides, Plan, make_plan
 from .regression import regression_of_recording, torque_of_recording
 from .signals import Signals
 
@@ -108,7 +108,13 @@ def identify_iv(
         W, Y, joint_of_row, observed.rows, ls, correlation=lag_one(rho * ls.weights) or 0.0
     )
     kept = reduction.kept if essential else np.arange(base.b)
-    e = experiment(signals, plan, idm, base, ls.beta)
+    prior = ls.beta
+    if plan.smooth_ends:  # least squares without the rule's filter says little about the inertias
+        tuned = replace(
+            overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * signals.robot.controller.bandwidth_hz, decimation=None
+        )
+        prior = identify_ls(signals, tuned).beta
+    e = experiment(signals, plan, idm, base, prior)
     beta = ls.beta if iteration.start == "ls" else regular_start(idm, base)
     if iteration.values is not None:
         beta = iteration.values(base)

@@ -1,6 +1,6 @@
 """From a base estimate to instruments: simulate the closed loop, evaluate the model along it, decimate as W was.
 
-What is simulated needs no more samples than its bandwidth asks for: instruments carry no noise. They are evaluated at 50
+What is simulated needs no more samples than its bandwidth asks for: instruments carry no noise. They are evaluated at 100
 times the bandwidth or more, at instants that the decimated rows of W have too.
 """
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from . import IdentificationError
 from .base_parameters import BaseParameters
 from .dynamics import DirectModel, Dynamics, direct_model
-from .filtering import Motion, differentiate, motion_between
+from .filtering import Decimation, Motion, differentiate, motion_between
 from .plan import CUTOFF_PER_BANDWIDTH, Plan
 from .regression import decimated_regressor
 from .signals import Signals
@@ -22,7 +22,7 @@ from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate
 Vector = NDArray[np.float64]
 InstrumentKind = Literal["simulated", "stepped back", "reference"]
 
-RATE_PER_BANDWIDTH = 50.0  # instrument samples per period of the bandwidth, at least
+RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 POSES = 300  # positions of the trajectory at which M must be positive
 LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 3.0  # of the speed noise: rows slower than this are left out
@@ -42,7 +42,7 @@ class Experiment:
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for.
         period_s: of the controller; `grid_s`: (N,) instants of the instruments, `times_s`: (K,) of the controller.
-        decimation, border_rows: of the instruments, to the rows of W.
+        decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
     """
@@ -62,16 +62,10 @@ class Experiment:
     rate_hz: float
     grid_s: Vector
     times_s: Vector
-    decimation: int
-    border_rows: int
+    decimation: Decimation
     saturated_percent: float | None
     directions: Vector
     slip_noise: Vector
-
-    @property
-    def inside(self) -> slice:
-        """The decimated rows that count, borders left out, as in W."""
-        return slice(self.border_rows, -self.border_rows or None)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -150,8 +144,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         rate_hz=rate_hz,
         grid_s=grid / fs,
         times_s=times_s,
-        decimation=plan.decimation // m,
-        border_rows=plan.border_rows,
+        decimation=Decimation(factor=plan.decimation // m, smooth_ends=plan.smooth_ends),
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,
         slip_noise=_speed_noise(signals, plan, measured, cutoff_hz) @ np.abs(prior.directions.T),
@@ -177,11 +170,10 @@ def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update
     q, dq, ddq = (_on_grid(e, x) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
     motion = s.motion or Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
-    kept = motion.dq[(len(motion.dq) - 1) % e.decimation :: e.decimation][e.inside]
     return Instruments(
         beta=beta if s.motion is None else simulated,
-        Z=np.ascontiguousarray(Z[..., e.inside].transpose(0, 2, 1)).reshape(-1, e.base.b),
-        slip=kept @ e.directions.T,
+        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.base.b),
+        slip=e.decimation.kept(motion.dq) @ e.directions.T,
         kind="reference" if s.motion is None else "simulated" if reason is None else "stepped back",
         reason=reason,
         gains=s.gains,
@@ -270,7 +262,7 @@ def _on_grid(e: Experiment, x: Vector) -> Vector:
 
 
 def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
-    """The largest divisor of the decimation that leaves 50 samples per period of the bandwidth."""
+    """The largest divisor of the decimation that leaves 100 samples per period of the bandwidth."""
     divisors = [m for m in range(1, decimation + 1) if decimation % m == 0]
     return max((m for m in divisors if fs / m >= RATE_PER_BANDWIDTH * bandwidth_hz), default=1)
 

@@ -13,7 +13,6 @@ from .diagnostics import (
 )
 from .dynamics import Dynamics
 from .estimators import Estimate, Reduction
-from .filtering import decimate
 from .fit import DirectModelError, Fit, InstrumentEvidence, Method, Pass, Status
 from .instruments import Experiment, Instruments, simulated_motion
 from .plan import Plan
@@ -133,7 +132,7 @@ def judged_iv(
     tests = instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
     direct: list[DirectModelError] = []
     if final.motion is not None:
-        tau = decimate(final.motion.tau.T, e.decimation).T[e.inside]
+        tau = e.decimation.filtered(final.motion.tau.T).T
         for j, joint in enumerate(signals.robot.joints):
             off, q = final.motion.q[:, j] - e.q[:, j], e.q[:, j] - e.q[:, j].mean()
             direct.append(

@@ -122,7 +122,7 @@ def observed(signals: Signals, fit: Fit) -> Observed:
         measured=thinned(None, 0, len(signals.q), model=False),
         modelled=thinned(plan.cutoff_hz, plan.start, plan.stop, model=True),
         # Decimation keeps the last sample and every n_d-th before it.
-        rows_t_s=signals.t_s[plan.stop - 1 - plan.decimation * (np.arange(len(tau))[::-1] + plan.border_rows)],
+        rows_t_s=signals.t_s[plan.stop - 1 - plan.decimation * np.arange(len(tau))[::-1]],
         residual=tau - predicted,
     )
 

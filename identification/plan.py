@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from . import IdentificationError
-from .filtering import LARGEST_PASS, decimation_passes, motion_between
+from .filtering import LARGEST_PASS, Decimation, decimation_passes, motion_between
 from .signals import Signals
 
 Span = Literal["motion", "all"]
@@ -15,7 +15,6 @@ Span = Literal["motion", "all"]
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-BORDER_ROWS = 5  # beyond them the decimation filter's ringing is small; noise at the ends is most of the error without
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _BLOCK = 200_000  # samples looked through at a time for the span of motion
 
@@ -40,8 +39,8 @@ class Plan:
         cutoff_hz: low-pass of the position in Hz (one direction), None without.
         decimation: samples per decimated row, n_d.
         start, stop: range of the samples used.
-        border_rows: decimated rows left out at each end. The decimation's edge rules carry the noise of the end samples into
-            the rows beside them; behind the rule's filter there is none to carry, and no row is left out.
+        smooth_ends: whether the decimation smooths the ends (`filtering.decimate`). It does where the position's noise is not
+            filtered; behind the rule's filter MATLAB's edge rules hold, on which published digits rest.
         span: what that range is, in words.
         warnings: rules of the method that the settings leave.
     """
@@ -50,9 +49,14 @@ class Plan:
     decimation: int
     start: int
     stop: int
-    border_rows: int
+    smooth_ends: bool
     span: str
     warnings: tuple[str, ...]
+
+    @property
+    def decimator(self) -> Decimation:
+        """The decimation that torque and regressor go through alike."""
+        return Decimation(factor=self.decimation, smooth_ends=self.smooth_ends)
 
 
 def make_plan(signals: Signals, overrides: Overrides) -> Plan:
@@ -92,19 +96,17 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
-    border_rows = 0 if filtered or decimation == 1 else BORDER_ROWS
-    least = (30 + 2 * border_rows) * decimation
-    if stop - start < least:
+    if stop - start < 30 * decimation:
         raise IdentificationError(
             f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
-            f"expected at least {least}, {30 + 2 * border_rows} decimated rows"
+            f"expected at least {30 * decimation}, 30 decimated rows"
         )
     return Plan(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
         start=start,
         stop=stop,
-        border_rows=border_rows,
+        smooth_ends=not filtered,
         span=span,
         warnings=tuple(warnings),
     )

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from .base_parameters import BaseParameters
 from .dynamics import Dynamics
-from .filtering import Motion, decimate, decimation_reach, motion_between
+from .filtering import Decimation, Motion, decimation_reach, motion_between
 from .plan import Plan
 from .signals import Signals
 
@@ -53,9 +53,9 @@ class Regression:
         return int(self.rows.sum()) != len(self.Y)
 
 
-def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: int = 1) -> Regression:
-    """W and Y of a motion held in memory, at most a block long; `decimation` 1 keeps every sample."""
-    return _stacked([_block(motion, slice(None), dynamics, base, decimation)], base)
+def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameters) -> Regression:
+    """W and Y of a motion held in memory, every sample of it, not decimated."""
+    return _stacked([_block(motion, slice(None), dynamics, base, Decimation())], base)
 
 
 def regression_of_recording(
@@ -69,7 +69,7 @@ def regression_of_recording(
     blocks: list[_Block] = []
     reduced: Regression | None = None
     for motion, inside, done in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
-        blocks.append(_block(motion, inside, dynamics, base, plan.decimation))
+        blocks.append(_block(motion, inside, dynamics, base, plan.decimator))
         say(f"regressor: {done:.0%}")
         if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
             reduced = _reduce(_stacked(blocks, base), reduced)
@@ -87,8 +87,8 @@ def torque_of_recording(
     parts: list[tuple[Vector, ...]] = []
     for motion, inside, _ in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
         predicted = predicted_torque(motion, dynamics, base, beta)
-        measured, modelled = (decimate(tau.T, plan.decimation)[:, inside].T for tau in (motion.tau, predicted))
-        parts.append((measured, modelled, _kept(motion.dq, plan.decimation)[inside]))
+        measured, modelled = (plan.decimator.filtered(tau.T)[:, inside].T for tau in (motion.tau, predicted))
+        parts.append((measured, modelled, plan.decimator.kept(motion.dq)[inside]))
     tau, tau_predicted, speed = ([part[i] for part in parts] for i in range(3))
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
@@ -107,14 +107,14 @@ def predicted_torque(motion: Motion, dynamics: Dynamics, base: BaseParameters, b
     return tau
 
 
-def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: int) -> Vector:
+def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: Decimation) -> Vector:
     """Regressor (n, b, rows) of the base parameters along a motion, every column decimated."""
     entries = dynamics.entries(base.columns)
     series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
-    W = np.zeros((motion.q.shape[1], base.b, -(-len(motion.q) // decimation)))
+    W = np.zeros((motion.q.shape[1], base.b, decimation.rows(len(motion.q))))
     for k in range(0, len(entries), _GROUP):
         group = slice(k, k + _GROUP)
-        W[entries[group, 0], entries[group, 1]] = decimate(series[group], decimation)
+        W[entries[group, 0], entries[group, 1]] = decimation.filtered(series[group])
     return W
 
 
@@ -126,12 +126,12 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
     """
     n_d, start, stop = plan.decimation, plan.start, plan.stop
     margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
-    rows, border = -(-(stop - start) // n_d), plan.border_rows
+    rows = -(-(stop - start) // n_d)
     size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
-    for first in range(border, rows - border, size):
-        last = min(rows - border, first + size)
+    for first in range(0, rows, size):
+        last = min(rows, first + size)
         if rows - last < margin:
-            last = rows - border  # no block shorter than the filter's reach
+            last = rows  # no block shorter than the filter's reach
         low, high = max(0, first - margin), min(rows, last + margin)
         motion = motion_between(
             signals.q,
@@ -142,7 +142,7 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
             stop=stop - (rows - high) * n_d,
         )
         yield motion, slice(first - low, last - low), last / rows
-        if last == rows - border:
+        if last == rows:
             return
 
 
@@ -155,17 +155,12 @@ class _Block:
     speed: Vector
 
 
-def _block(motion: Motion, inside: slice, dynamics: Dynamics, base: BaseParameters, decimation: int) -> _Block:
+def _block(motion: Motion, inside: slice, dynamics: Dynamics, base: BaseParameters, decimation: Decimation) -> _Block:
     return _Block(
         W=decimated_regressor(motion, dynamics, base, decimation)[..., inside],
-        Y=decimate(motion.tau.T, decimation)[:, inside],
-        speed=_kept(motion.dq, decimation)[inside],
+        Y=decimation.filtered(motion.tau.T)[:, inside],
+        speed=decimation.kept(motion.dq)[inside],
     )
-
-
-def _kept(x: Vector, decimation: int) -> Vector:
-    """The samples (rows, n) of x (N, n) at the instants that decimation keeps."""
-    return x[(len(x) - 1) % decimation :: decimation]
 
 
 def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
