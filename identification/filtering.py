@@ -4,6 +4,7 @@ Those rules (padding by three times the filter's order, keeping the last sample)
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -117,7 +118,7 @@ def decimate(x: Vector, factor: int, *, smooth_ends: bool = False) -> Vector:
             raise IdentificationError(
                 f"{x.shape[-1]} samples are too few to decimate by {r}; expected more than {padding}"
             )
-        sos = signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos")
+        sos = _chebyshev(r)
         if smooth_ends:
             extended, reach = _extended(x, r)
             filtered = signal.sosfiltfilt(sos, extended, axis=-1, padtype=None, padlen=0)[..., reach:-reach]
@@ -125,6 +126,12 @@ def decimate(x: Vector, factor: int, *, smooth_ends: bool = False) -> Vector:
             filtered = signal.sosfiltfilt(sos, x, axis=-1, padlen=padding)
         x = filtered[..., (x.shape[-1] - 1) % r :: r]
     return np.ascontiguousarray(x)
+
+
+@lru_cache
+def _chebyshev(r: int) -> Vector:
+    """Second order sections of the filter before every r-th sample is kept; its design costs as much as its use."""
+    return np.asarray(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos"))
 
 
 def _extended(x: Vector, r: int) -> tuple[Vector, int]:

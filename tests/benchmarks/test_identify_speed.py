@@ -20,11 +20,11 @@ from acquisition.blocks import sample_dtype
 from acquisition.recording import RecordingWriter
 from acquisition.reference import fourier_reference
 from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics
-from identification.idim import identify_ls
+from identification.dynamics import Dynamics, direct_model
+from identification.idim import Iteration, identify_iv, identify_ls
 from identification.plan import Overrides
 from identification.signals import load_signals
-from identification.synthetic import known_parameters
+from identification.synthetic import known_parameters, truth
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
@@ -75,6 +75,29 @@ def test_fit_of_the_tx40_recording(tx40, capsys):
     found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
     with capsys.disabled():
         print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
+
+
+def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
+    """Floor of a pass: bare loops of computeJointTorqueRegressor and of aba over the samples of the recording."""
+    signals = load_signals(tx40)
+    dynamics = Dynamics(signals.robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    q = np.ascontiguousarray(signals.q)
+    regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
+    passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
+
+    def floor_of_the_passes() -> None:
+        for _ in range(passes):
+            regressors()
+            for qk in q:
+                pin.aba(model.rigid, data, qk, qk, qk)
+
+    found, floor_s = ratio(
+        lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()), floor_of_the_passes, rounds=5
+    )
+    with capsys.disabled():
+        print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 2, aim 1)")
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
