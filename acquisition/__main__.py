@@ -1,4 +1,4 @@
-"""`robot-acquire`: tables into recordings, what a recording holds, recovery of a cut one.
+"""`robot-acquire`: recordings of drives and out of tables, what they hold, decoding, recovery, simulated drives.
 
 Parse, one library call, print. Libraries are imported by the commands that use them, so that `--help` answers at once.
 """
@@ -10,8 +10,14 @@ import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from . import AcquisitionError, one_line
+
+if TYPE_CHECKING:
+    from .conversions import Converted
+    from .record import Told
+    from .robot import Robot
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -42,12 +48,33 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="robot-acquire", description="Recordings of robots and their drives.")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
-    command = commands.add_parser("import", help="tables recorded elsewhere (CSV, MAT) into a recording")
+    command = commands.add_parser("check", help="who answers on the bus, and whether it is as described")
+    command.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    command.set_defaults(run=_check)
+
+    command = commands.add_parser("record", help="record drives; nothing moves without --track")
+    command.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    command.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
+    command.add_argument("--passive", action="store_true", help="another master owns the bus: send nothing, ever")
+    command.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
     command.add_argument(
-        "tables", nargs="+", type=Path, metavar="TABLE", help="CSV or MAT files, as the map counts them"
+        "--track", type=Path, metavar="REFERENCE.csv", help="MOVES THE ROBOT along time_s and each joint's rad or m"
+    )
+    command.add_argument("--dry-run", action="store_true", help="all of it on simulated drives, without any bus")
+    command.set_defaults(run=_record)
+
+    command = commands.add_parser("simulate", help="simulated drives on the bus of a description, for anyone's master")
+    command.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    command.add_argument("--replay", type=Path, metavar="LOG.mcap", help="drives that replay a recording's samples")
+    command.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
+    command.set_defaults(run=_simulate)
+
+    command = commands.add_parser("import", help="tables (CSV, MAT) or CAN logs (candump, ASC, BLF) into a recording")
+    command.add_argument(
+        "tables", nargs="+", type=Path, metavar="FILE", help="CSV or MAT files, as the map counts them; or one CAN log"
     )
     command.add_argument("--robot", required=True, type=Path, metavar="ROBOT.toml", help="the robot's description")
-    command.add_argument("--map", required=True, type=Path, metavar="MAP.toml", help="which column is what")
+    command.add_argument("--map", type=Path, metavar="MAP.toml", help="which column is what (for tables)")
     command.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
     command.set_defaults(run=_import)
 
@@ -56,6 +83,24 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--json", action="store_true", help="as JSON, for programs")
     command.set_defaults(run=_info)
 
+    command = commands.add_parser("decode", help="a recording's CAN frames into joint samples again")
+    command.add_argument("recording", type=Path, metavar="LOG.mcap")
+    command.add_argument("--robot", type=Path, metavar="CORRECTED.toml", help="in place of the description inside")
+    command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+    command.set_defaults(run=_decode)
+
+    command = commands.add_parser("export", help="joint samples as CSV")
+    command.add_argument("recording", type=Path, metavar="LOG.mcap")
+    command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.csv", help="the table to write")
+    command.set_defaults(run=_export)
+
+    command = commands.add_parser("replay", help="put a recording's frames back on a bus, with their timing")
+    command.add_argument("recording", type=Path, metavar="LOG.mcap")
+    command.add_argument("--interface", required=True, help="python-can's name: socketcan, udp_multicast, ...")
+    command.add_argument("--channel", required=True, help="can0, or a multicast group")
+    command.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; default 1")
+    command.set_defaults(run=_replay)
+
     command = commands.add_parser("recover", help="a whole recording from one that was cut")
     command.add_argument("recording", type=Path, metavar="CUT.mcap")
     command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
@@ -63,7 +108,81 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _check(arguments: argparse.Namespace) -> None:
+    from .check import check
+    from .drives import resolve
+    from .robot import load_robot
+
+    robot = load_robot(arguments.robot)
+    findings = check(robot, resolve(robot, str(arguments.robot)))
+    for finding in findings:
+        print(one_line(f"{'ok' if finding.ok else 'NO'}: {finding.subject}: {finding.found}"))
+    against = [finding.subject for finding in findings if not finding.ok]
+    if against:
+        raise AcquisitionError(f"no go: {', '.join(dict.fromkeys(against))}")
+    print("go")
+
+
+def _record(arguments: argparse.Namespace) -> None:
+    from .record import Wanted, record, stop_on_signals
+    from .robot import load_robot
+    from .session import Stop
+
+    if arguments.duration is not None and not arguments.duration > 0:
+        raise AcquisitionError(f"--duration {arguments.duration:g}: expected more than 0")
+    robot = load_robot(arguments.robot)
+    if robot.bus is None:
+        raise AcquisitionError(
+            f"{arguments.robot}: bus is not there: expected a [bus] section with one drive per motor"
+        )
+    wanted = Wanted(
+        passive=arguments.passive, dry_run=arguments.dry_run, duration_s=arguments.duration, track=arguments.track
+    )
+    stop = Stop()
+    with stop_on_signals(stop), _live_line(robot) as told:
+        ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop)
+    for text in recorded.warnings:
+        print(one_line(f"warning: {text}"), file=sys.stderr)
+    held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
+    print(one_line(f"{arguments.output}: {robot.name}, {held}; {ending.reason}"))
+    if ending.fault:
+        raise AcquisitionError(f"{arguments.output}: ended by a fault: {ending.reason}")
+    if not ending.all_disabled:
+        raise AcquisitionError(f"{arguments.output}: NOT EVERY DRIVE CONFIRMED THAT IT IS DISABLED: see its events")
+
+
+def _simulate(arguments: argparse.Namespace) -> None:
+    import time
+
+    from .drives import resolve
+    from .dry_run import serve
+    from .plants import TablePlant
+    from .record import stop_on_signals
+    from .recording import read_recording
+    from .robot import load_robot
+    from .session import Stop
+
+    robot = load_robot(arguments.robot)
+    bus = resolve(robot, str(arguments.robot))
+    plant = None
+    if arguments.replay is not None:
+        recording = read_recording(arguments.replay)
+        if recording.samples is None:
+            raise AcquisitionError(f"{arguments.replay}: holds no joint samples: expected some to replay")
+        plant = TablePlant(recording.samples, recording.sample_rate_hz)
+    stop, end_s = Stop(), time.monotonic() + (arguments.duration if arguments.duration is not None else float("inf"))
+    nodes = ", ".join(str(drive.node) for drive in bus.drives)
+    print(f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}", file=sys.stderr, flush=True)
+    with stop_on_signals(stop):
+        serve(robot, bus, lambda: bool(stop.reason) or time.monotonic() > end_s, plant)
+
+
 def _import(arguments: argparse.Namespace) -> None:
+    if all(path.suffix.lower() in (".log", ".asc", ".blf") for path in arguments.tables):
+        _import_log(arguments)
+        return
+    if arguments.map is None:
+        raise AcquisitionError("--map is not there: expected MAP.toml, which says what the tables' columns are")
     with _working("importing"):
         from .robot import load_robot
         from .tables import import_tables
@@ -75,6 +194,62 @@ def _import(arguments: argparse.Namespace) -> None:
     reference = ", with reference" if result.has_reference else ""
     rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
     print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{reference}"))
+
+
+def _import_log(arguments: argparse.Namespace) -> None:
+    if len(arguments.tables) > 1:
+        raise AcquisitionError(f"{arguments.tables[1]}: a second CAN log: expected one")
+    with _working("importing"):
+        from .conversions import import_log
+        from .robot import load_robot
+        from .whole_file import refuse_input
+
+        refuse_input(arguments.output, [arguments.robot, *arguments.tables])
+        found = import_log(arguments.tables[0], arguments.output, load_robot(arguments.robot), str(arguments.robot))
+    _tell_converted(arguments.output, found)
+
+
+def _decode(arguments: argparse.Namespace) -> None:
+    with _working("decoding"):
+        from .conversions import decode_recording
+        from .robot import load_robot
+        from .whole_file import refuse_input
+
+        refuse_input(arguments.output, [arguments.recording, *([arguments.robot] if arguments.robot else [])])
+        robot = None if arguments.robot is None else load_robot(arguments.robot)
+        place = str(arguments.robot or f"{arguments.recording}: robot.toml")
+        found = decode_recording(arguments.recording, arguments.output, robot, place)
+    _tell_converted(arguments.output, found)
+
+
+def _tell_converted(out: Path, found: "Converted") -> None:
+    for text in found.warnings:
+        print(one_line(f"warning: {text}"), file=sys.stderr)
+    reference = ", with reference" if found.has_reference else ""
+    print(one_line(f"{out}: {found.robot}, {found.samples} samples at {found.sample_rate_hz:g} Hz{reference}"))
+
+
+def _export(arguments: argparse.Namespace) -> None:
+    with _working("exporting"):
+        from .conversions import export_csv
+        from .whole_file import refuse_input
+
+        refuse_input(arguments.output, [arguments.recording])
+        rows = export_csv(arguments.recording, arguments.output)
+    print(one_line(f"{arguments.output}: {rows} rows"))
+
+
+def _replay(arguments: argparse.Namespace) -> None:
+    from .bus_description import BusFile
+    from .record import stop_on_signals
+    from .replay import replay
+    from .session import Stop
+
+    stop = Stop()
+    file = BusFile(interface=arguments.interface, channel=arguments.channel, drive=(), sync_period_s=1.0)
+    with stop_on_signals(stop):
+        count = replay(arguments.recording, file, stop, speed=arguments.speed)
+    print(one_line(f"{count} frames sent on {arguments.interface} {arguments.channel}"))
 
 
 def _info(arguments: argparse.Namespace) -> None:
@@ -105,6 +280,20 @@ def _recover(arguments: argparse.Namespace) -> None:
     frames = sum(len(block) for block in found.frames.values())
     held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{arguments.output}: {found.robot.name}, {held}"))
+
+
+@contextmanager
+def _live_line(robot: "Robot") -> Iterator["Told"]:
+    """Show on a terminal how a session goes; the line is told anew twice a second."""
+    if not sys.stderr.isatty():
+        yield lambda status, left_s: None
+        return
+    from rich.console import Console
+
+    from .live_line import live_line
+
+    with Console(stderr=True).status("starting") as shown:
+        yield lambda status, left_s: shown.update(live_line(robot, status, left_s))
 
 
 @contextmanager

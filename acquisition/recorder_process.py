@@ -13,12 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import AcquisitionError
-from .blocks import FRAME
+from .blocks import FRAME, SENT
 from .bus import Frame, Receiver, block_of, kernel_drops, open_bus
+from .drives import resolve
 from .recorder import Recorded, Recorder, Status
 from .robot import Robot, robot_from_files
+from .sdo import REQUEST
 
 BLOCK_S = 0.1
 START_S = 20.0  # for the process to come up
@@ -159,7 +162,8 @@ def _main(
         recorder = Recorder(Path(path), robot, source=source, place=place)
         receiver = None if bus is None else Receiver(bus)
         try:
-            done = _record(connection, recorder, receiver)
+            ours = np.zeros(0, np.int64) if passive else _master_ids(robot, place)
+            done = _record(connection, recorder, receiver, ours)
         finally:
             recorder.close()
         if done is not None:
@@ -175,7 +179,18 @@ def _main(
             bus.shutdown()
 
 
-def _record(connection: Connection, recorder: Recorder, receiver: Receiver | None) -> Recorded | None:
+def _master_ids(robot: Robot, place: str) -> NDArray[np.int64]:
+    """Identifiers that only the master sends: in an active session they are ours, whoever saw them on the bus."""
+    bus = resolve(robot, place)
+    ids = [0] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
+    for drive in bus.drives:
+        ids += [REQUEST + drive.node, *(pdo.can_id for pdo in drive.rpdos)]
+    return np.array(ids)
+
+
+def _record(
+    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: NDArray[np.int64]
+) -> Recorded | None:
     """Until told to stop, or until the session is gone."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:
@@ -200,7 +215,9 @@ def _record(connection: Connection, recorder: Recorder, receiver: Receiver | Non
                 receiver.stopped = True
                 assert thread is not None
                 thread.join(1.0)
-            recorder.add(receiver.take())
+            block = receiver.take()
+            block["flags"] |= np.where(np.isin(block["can_id"], ours), SENT, 0).astype(np.uint8)
+            recorder.add(block)
             if receiver.error is not None:
                 recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
                 raise AcquisitionError(f"bus: cannot be read: {receiver.error}")

@@ -56,6 +56,7 @@ class _Memory:
     before: Vector
     integral: Vector
     actual: Vector
+    demand: Vector
     held: NDArray[np.bool_]
 
 
@@ -96,9 +97,13 @@ class SimulatedDrives:
         self._last_sync_ns: int | None = None
         q, _ = plant.state()
         self._memory = _Memory(
-            target=q, before=q, integral=np.zeros(robot.n), actual=np.zeros(robot.n), held=np.ones(robot.n, np.bool_)
+            target=q,
+            before=q,
+            integral=np.zeros(robot.n),
+            actual=np.zeros(robot.n),
+            demand=np.zeros(robot.n),
+            held=np.ones(robot.n, np.bool_),
         )
-        self._sample(np.zeros(robot.n))
 
     @property
     def states(self) -> list[State]:
@@ -112,7 +117,9 @@ class SimulatedDrives:
 
     def boot(self) -> Sent:
         """Boot-up messages."""
-        return [frame for node in self.nodes for frame in node.boot()]
+        sent = [frame for node in self.nodes for frame in node.boot()]
+        self._sample()
+        return sent
 
     def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
         """What the drives send upon a frame."""
@@ -154,6 +161,7 @@ class SimulatedDrives:
 
     def _sync(self, now_ns: int) -> Sent:
         self._last_sync_ns = now_ns
+        self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)
         for i, node in enumerate(self.nodes):
@@ -192,13 +200,12 @@ class SimulatedDrives:
         return [] if i in self._silent else before + frames
 
     def _move(self) -> None:
-        """One period: targets, loops, plant; then the values that the next SYNC samples."""
+        """One period: targets, loops, plant."""
         memory, loops, dt = self._memory, self._loops, self._period_s / SUBSTEPS
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes])
         stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
         if self.plant.prescribed_effort() is not None:  # no loop has a say
             self.plant.step(memory.actual, ~enabled, self._period_s)
-            self._sample(memory.actual)
             return
         q, _ = self.plant.state()
         target = self._targets(q, enabled)
@@ -217,7 +224,7 @@ class SimulatedDrives:
             demand = self._quantised_effort(demand)
             memory.actual = memory.actual + (demand - memory.actual) * (1 - np.exp(-dt / loops.current_s))
             self.plant.step(memory.actual, ~enabled | stuck, dt)
-        self._sample(demand)
+        memory.demand = demand
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node
@@ -248,12 +255,12 @@ class SimulatedDrives:
         asked: Vector = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
         return asked
 
-    def _sample(self, demand: Vector) -> None:
+    def _sample(self) -> None:
         """Write position and effort into the dictionaries."""
         q, _ = self.plant.state()
         counts = self._counts(q)
         prescribed = self.plant.prescribed_effort()
-        motor = self._robot.motor_effort((demand if prescribed is None else prescribed)[None])[0]
+        motor = self._robot.motor_effort((self._memory.demand if prescribed is None else prescribed)[None])[0]
         for i, node in enumerate(self.nodes):
             drive = node.drive
             node.values[drive.position.index, drive.position.sub] = int(counts[i])

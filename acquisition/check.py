@@ -1,0 +1,122 @@
+"""`robot-acquire check`: who answers, whether it is what the description says, and whether the bus carries it.
+
+Nothing moves and no PDO is configured: objects are read, and SYNC is measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import AcquisitionError
+from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
+from .cia402 import STATUSWORD, state_of
+from .drives import LARGEST_LOAD, Bus
+from .master import Master, Wire
+from .pdo import NOT_VALID, PARAMETERS, frame_bits
+from .robot import Robot
+
+JITTER_SYNCS = 200
+LARGEST_OFF = 0.01  # share of SYNCs that may come more than half a period off their time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One line of the check: what, what was found, whether it stands against a session."""
+
+    subject: str
+    found: str
+    ok: bool
+
+
+def check(robot: Robot, bus: Bus) -> list[Finding]:
+    """Open the bus and look. Raises `AcquisitionError` when it cannot be opened."""
+    handle = open_bus(bus.file, passive=False)
+    link = Link(handle, passive=False)
+    try:
+        sock = socket_of(handle)
+        findings = [_load(bus)]
+        if sock is not None:
+            granted = queue_bytes(sock)
+            findings.append(
+                Finding(
+                    subject="kernel queue",
+                    found=f"{granted} bytes"
+                    + ("" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"),
+                    ok=granted >= QUEUE_BYTES // 10,
+                )
+            )
+        return findings + look(link, bus)
+    finally:
+        link.close()
+
+
+def look(link: Wire, bus: Bus) -> list[Finding]:
+    """What drives say over a link that is open."""
+    master = Master(link, bus)
+    findings = []
+    everyone = True
+    for drive in bus.drives:
+        subject = f"node {drive.node} ({drive.name})"
+        try:
+            word = master.read(drive.node, STATUSWORD)
+            findings.append(Finding(subject=subject, found=state_of(word).words, ok=True))
+        except AcquisitionError as error:
+            everyone = False
+            findings.append(Finding(subject=subject, found=str(error), ok=False))
+            continue
+        findings.append(Finding(subject=f"{subject} PDOs", found=_mapped(master, drive.node), ok=True))
+    if everyone:
+        try:
+            differences = master.differences()
+        except AcquisitionError as error:
+            differences = [str(error)]
+        findings += [Finding(subject="description", found=text, ok=False) for text in differences]
+        if not differences:
+            findings.append(Finding(subject="description", found="agrees with identity and rated values", ok=True))
+    findings.append(_jitter(link, master))
+    return findings
+
+
+def _mapped(master: Master, node: int) -> str:
+    """PDOs that are switched on now; an active session maps its own."""
+    on = []
+    for way, (communication, _) in PARAMETERS.items():
+        for k in range(4):
+            try:
+                can_id = master.read(node, communication + k, 1)
+            except AcquisitionError:
+                break
+            if not can_id & NOT_VALID:
+                on.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
+    return ", ".join(on) or "all switched off"
+
+
+def _load(bus: Bus) -> Finding:
+    bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
+    fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
+    told = (
+        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, at most {fastest_hz:.0f} Hz"
+    )
+    return Finding(subject="bus load", found=told, ok=bus.load <= LARGEST_LOAD)
+
+
+def _jitter(link: Wire, master: Master) -> Finding:
+    """How evenly SYNC is sent from here, or arrives from its producer."""
+    period_ns = master.bus.period_ns
+    times = []
+    if master.bus.file.sync_producer == "recorder":
+        next_ns = link.now_ns() + period_ns
+        for _ in range(JITTER_SYNCS):
+            master.wait(next_ns)
+            times.append(link.now_ns())
+            next_ns += period_ns
+    else:
+        for _ in range(JITTER_SYNCS):
+            if not master.wait_for_sync(link.now_ns() + 50 * period_ns):
+                return Finding(subject="SYNC", found="none in 50 periods: expected the other producer's", ok=False)
+        times = master.sync_times
+    deviation = np.abs(np.diff(times) - period_ns)
+    worst = float(deviation.max())
+    off = float(np.mean(deviation > period_ns / 2))
+    told = f"jitter sd {np.diff(times).std() * 1e-6:.3f} ms, worst {worst * 1e-6:.3f} ms of a period of {period_ns * 1e-6:g} ms"
+    return Finding(subject="SYNC", found=f"{told}; {off:.1%} off by more than half a period", ok=off <= LARGEST_OFF)

@@ -1,0 +1,129 @@
+"""Recordings made from recordings and from logs of other tools: decoded again, exported, imported."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import AcquisitionError
+from .blocks import Block
+from .bus import block_of, read_log
+from .decoding import Decoded, decode, written_by_master
+from .drives import resolve
+from .recording import RecordingWriter, read_recording
+from .robot import Robot
+from .whole_file import whole_file
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converted:
+    """What was written."""
+
+    robot: str
+    samples: int
+    sample_rate_hz: float
+    has_reference: bool
+    warnings: tuple[str, ...]
+
+
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Converted:
+    """Decode the frames of a recording again, as `robot` (or its own description) has them, into the recording `out`.
+
+    Raises `AcquisitionError` where there are no frames, or they do not decode.
+    """
+    recording = read_recording(path)
+    robot = robot or recording.robot
+    if not recording.frames:
+        raise AcquisitionError(f"{path}: holds no CAN frames: expected a recording of drives")
+    channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
+    decoded, provenance = _decoded(frames, robot, str(path), place)
+    source = recording.metadata.get("source", "")
+    known = ("source", "effort_provenance", "sample_rate_hz")
+    notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"decoded_from": recording.sha256}
+    kept = {name: content for name, content in recording.attachments.items() if name not in recording.robot.files}
+    with whole_file(out) as partial, _writer(partial, robot, source, provenance, notes, kept) as writer:
+        for name, block in recording.frames.items():
+            writer.frames(name, block)
+        for event in recording.events:
+            if event.kind != "warning":  # those of the decoding before
+                writer.event(event.stamp_ns, event.kind, event.text)
+        for health in recording.health:
+            writer.health(health.stamp_ns, health.counters)
+        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+    return _converted(robot, decoded, channel)
+
+
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
+    """A candump, ASC or BLF log into the recording `out`, decoded as `robot` has its drives."""
+    frames = block_of(list(read_log(log)))
+    if len(frames) == 0:
+        raise AcquisitionError(f"{log}: holds no CAN frames: expected some")
+    frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
+    decoded, provenance = _decoded(frames, robot, str(log), place)
+    with whole_file(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, {}, {}) as writer:
+        writer.frames("log", frames)
+        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+    return _converted(robot, decoded, "log")
+
+
+def export_csv(path: Path, out: Path) -> int:
+    """Joint samples of a recording as CSV: `time_s`, then position, effort and reference of each joint; rows written."""
+    recording = read_recording(path)
+    samples, robot = recording.samples, recording.robot
+    if samples is None:
+        raise AcquisitionError(
+            f"{path}: holds no joint samples: expected some; `robot-acquire decode` makes them of frames"
+        )
+    columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
+    names = ["time_s"]
+    for field in (samples.dtype.names or ())[1:]:
+        for i, joint in enumerate(robot.joints):
+            unit = robot.effort_units[i] if field == "effort" else joint.position_unit
+            names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
+            columns.append(samples[field][:, i])
+    with whole_file(out) as partial:
+        np.savetxt(partial, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.17g")
+    return len(samples)
+
+
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, str]:
+    bus = resolve(robot, place, written_by_master(frames))
+    return decode(frames, robot, bus, name), bus.provenance
+
+
+def _writer(
+    path: Path,
+    robot: Robot,
+    source: str,
+    provenance: str,
+    notes: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+) -> RecordingWriter:
+    assert robot.bus is not None
+    return RecordingWriter(
+        path,
+        robot,
+        source=source,
+        sample_rate_hz=1.0 / robot.bus.sync_period_s,
+        effort_provenance=provenance,
+        notes=notes,
+        attachments=attachments,
+    )
+
+
+def _write_decoded(writer: RecordingWriter, decoded: Decoded, end_ns: int) -> None:
+    writer.samples(decoded.samples)
+    writer.health(end_ns, decoded.counters)
+    for text in decoded.warnings:
+        writer.event(end_ns, "warning", text)
+
+
+def _converted(robot: Robot, decoded: Decoded, channel: str) -> Converted:
+    return Converted(
+        robot=robot.name,
+        samples=len(decoded.samples),
+        sample_rate_hz=1.0 / robot.bus.sync_period_s if robot.bus else 0.0,
+        has_reference="reference" in (decoded.samples.dtype.names or ()),
+        warnings=decoded.warnings,
+    )

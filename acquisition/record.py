@@ -1,0 +1,149 @@
+"""A recording session as the command runs it: which link, which recorder, and what is told while it goes on."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from . import AcquisitionError
+from .bus import SHARED, Link, open_link
+from .drives import resolve
+from .dry_run import DryRun, dry_run
+from .master import Master
+from .recorder import Recorded, Recorder, Status
+from .recorder_process import InlineLog, ProcessLog
+from .reference import table_reference
+from .robot import Robot
+from .session import Ending, Plan, Stop, run_active
+
+Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What `robot-acquire record` was asked for."""
+
+    passive: bool = False
+    dry_run: bool = False
+    duration_s: float | None = None
+    track: Path | None = None
+
+
+def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop: Stop) -> tuple[Ending, Recorded]:
+    """Record until the plan ends or `stop` has a reason.
+
+    Raises `AcquisitionError` where the description, the bus or the file refuses; what fails once the session runs stands
+    in the ending.
+    """
+    assert robot.bus is not None
+    if wanted.passive and (wanted.track is not None or wanted.dry_run):
+        raise AcquisitionError("--passive: sends nothing: expected it without --track and --dry-run")
+    by_traffic = [drive for drive in robot.bus.drive if drive.mapping == "traffic"]
+    if by_traffic and not wanted.passive:
+        raise AcquisitionError(
+            f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
+        )
+    plan = Plan(duration_s=wanted.duration_s)
+    if wanted.track is not None:
+        reference = table_reference(wanted.track, robot, robot.bus.sync_period_s)
+        plan = Plan(reference=reference, place=str(wanted.track))
+    if not by_traffic:
+        resolve(robot, place)  # what can be refused is refused before anything is opened
+    if wanted.passive:
+        return _listen(robot, place, out, plan, told, stop)
+    bus = resolve(robot, place)
+    simulated: DryRun | None = None
+    link: Link
+    log: InlineLog | ProcessLog
+    if wanted.dry_run:
+        log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
+        simulated = dry_run(robot, bus, tap=log.tap)
+        link = simulated.link
+    else:
+        shared = robot.bus.interface in SHARED
+        log = ProcessLog(out, robot, source="CAN, active", place=place, feed=not shared, passive=False)
+        link = open_link(robot.bus, passive=False, tap=None if shared else log.tap)
+    try:
+        started_ns = link.now_ns()
+        watched = _Told(
+            log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
+        )
+        ending = run_active(robot, Master(link, bus), watched, plan, stop)
+        return ending, log.finish(link.now_ns())
+    finally:
+        log.close()
+        if simulated is not None:
+            simulated.close()
+        else:
+            link.close()
+
+
+def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: Stop) -> tuple[Ending, Recorded]:
+    """Record what goes by. No link is opened here: the recorder's own cannot send."""
+    log = ProcessLog(out, robot, source="CAN, passive", place=place, feed=False, passive=True)
+    try:
+        started_s = time.monotonic()
+        log.event(time.time_ns(), "phase", "record")
+        reason, fault = "", False
+        try:
+            while not stop.reason:
+                elapsed_s = time.monotonic() - started_s
+                if plan.duration_s is not None and elapsed_s >= plan.duration_s:
+                    break
+                status = log.poll(time.time_ns())
+                if status is not None:
+                    told(status, None if plan.duration_s is None else plan.duration_s - elapsed_s)
+                    if status.disk_full:
+                        stop.reason = "disk nearly full"
+                time.sleep(0.02)
+            reason = stop.reason or "finished"
+        except AcquisitionError as error:
+            reason, fault = str(error), True
+        with suppress(AcquisitionError):
+            log.event(time.time_ns(), "fault" if fault else "end", reason)
+        if fault:
+            raise AcquisitionError(reason)
+        return Ending(reason=reason, fault=fault, all_disabled=True), log.finish(time.time_ns())
+    finally:
+        log.close()
+
+
+class _Told:
+    """A log that passes statuses on to whoever shows them."""
+
+    def __init__(self, log: InlineLog | ProcessLog, told: Told, left: Callable[[int], float | None]) -> None:
+        self._log, self._told, self._left = log, told, left
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """As the log."""
+        self._log.event(stamp_ns, kind, text)
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """As the log."""
+        status = self._log.poll(stamp_ns)
+        if status is not None:
+            self._told(status, self._left(stamp_ns))
+        return status
+
+
+def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
+    whole_s = plan.duration_s if plan.reference is None else len(plan.reference) * period_s
+    return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
+
+
+@contextmanager
+def stop_on_signals(stop: Stop) -> Iterator[None]:
+    """Ctrl-C and SIGTERM end the session in order in place of ending the program on the spot."""
+
+    def asked(number: int, _: FrameType | None) -> None:
+        stop.reason = stop.reason or f"stopped by {signal.Signals(number).name}"
+
+    before = {number: signal.signal(number, asked) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
