@@ -141,7 +141,7 @@ def _record(arguments: argparse.Namespace) -> None:
     stop = Stop()
     with stop_on_signals(stop), _live_line(robot) as told:
         ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop)
-    for text in recorded.warnings:
+    for text in () if ending.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{arguments.output}: {robot.name}, {held}; {ending.reason}"))

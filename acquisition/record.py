@@ -72,7 +72,10 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
             log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
         )
         ending = run_active(robot, Master(link, bus), watched, plan, stop)
-        return ending, log.finish(link.now_ns())
+        try:
+            return ending, log.finish(link.now_ns())
+        except AcquisitionError as error:
+            raise AcquisitionError(ending.reason if ending.fault else str(error)) from error
     finally:
         log.close()
         if simulated is not None:

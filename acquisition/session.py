@@ -101,11 +101,11 @@ def run_active(robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -
         reason = f"{type(error).__name__}: {error}"
         raise
     finally:
-        try:
+        with suppress(AcquisitionError):  # a recorder that has ended keeps no drive enabled
             log.event(link.now_ns(), "fault" if fault else "end", reason)
-        finally:
-            unconfirmed = session.make_safe()
-            text = f"nodes {unconfirmed} did not confirm" if unconfirmed else "every drive confirmed"
+        unconfirmed = session.make_safe()
+        text = f"nodes {unconfirmed} did not confirm" if unconfirmed else "every drive confirmed"
+        with suppress(AcquisitionError):
             log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
     return Ending(reason=reason, fault=fault, all_disabled=not unconfirmed)
 
