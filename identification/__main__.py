@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from acquisition import AcquisitionError
 
 from . import IdentificationError
+from .options import above_zero, cutoff, cutoffs, factors, not_negative, positive, share
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,11 +61,11 @@ def _parser() -> argparse.ArgumentParser:
         metavar="regular|ls|FIT.json",
         help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
     )
-    fit.add_argument("--tolerance-percent", type=_above_zero, default=2.5, metavar="P", help="of iv (default 2.5)")
-    fit.add_argument("--max-iterations", type=_positive, default=10, metavar="N", help="of iv (default 10)")
+    fit.add_argument("--tolerance-percent", type=above_zero, default=2.5, metavar="P", help="of iv (default 2.5)")
+    fit.add_argument("--max-iterations", type=positive, default=10, metavar="N", help="of iv (default 10)")
     fit.add_argument(
         "--low-speed-percent",
-        type=_share,
+        type=share,
         metavar="P",
         help="of iv: leave out rows slower than P %% of the simulated peak (default: 4, or 3 deviations of the speed's noise)",
     )
@@ -94,11 +95,11 @@ def _parser() -> argparse.ArgumentParser:
 
     study = commands.add_parser("study", help="Monte-Carlo on a simulated robot: what to trust of least squares and iv")
     study.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
-    study.add_argument("--runs", type=_positive, default=100, metavar="N", help="default 100")
-    study.add_argument("--cutoffs", type=_cutoffs, default=(5.0, 10.0, 0.0), metavar="A,B,none", help="x bandwidth")
-    study.add_argument("--starts", type=_factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x true inertia")
-    study.add_argument("--gain-errors", type=_factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
-    study.add_argument("--low-speed-percent", type=_share, metavar="P", help="as of fit --method iv")
+    study.add_argument("--runs", type=positive, default=100, metavar="N", help="default 100")
+    study.add_argument("--cutoffs", type=cutoffs, default=(5.0, 10.0, 0.0), metavar="A,B,none", help="x bandwidth")
+    study.add_argument("--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x true inertia")
+    study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
+    study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
     _add_simulation_options(study)
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     study.set_defaults(run=_study)
@@ -112,17 +113,17 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _add_simulation_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--duration-s", type=_above_zero, default=10.0, metavar="S", help="length (default 10)")
-    parser.add_argument("--rate-hz", type=_above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
+    parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
+    parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
     parser.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
     parser.add_argument(
-        "--encoder-step", type=_not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
+        "--encoder-step", type=not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
     )
     parser.add_argument(
-        "--position-noise", type=_not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
+        "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
     )
     parser.add_argument(
-        "--effort-noise-percent", type=_not_negative, default=0.0, metavar="P", help="of each torque's rms"
+        "--effort-noise-percent", type=not_negative, default=0.0, metavar="P", help="of each torque's rms"
     )
 
 
@@ -132,49 +133,12 @@ def _add_plan_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--cutoff-hz",
-        type=_cutoff,
+        type=cutoff,
         metavar="F",
         help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
     )
-    parser.add_argument("--decimate", type=_positive, metavar="N", help="samples per decimated row")
+    parser.add_argument("--decimate", type=positive, metavar="N", help="samples per decimated row")
     parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
-
-
-def _not_negative(text: str) -> float:
-    return 0.0 if float(text) == 0 else _above_zero(text)
-
-
-def _cutoffs(text: str) -> tuple[float, ...]:
-    return tuple(_cutoff(part) for part in text.split(","))
-
-
-def _factors(text: str) -> tuple[float, ...]:
-    return tuple(_above_zero(part) for part in text.split(","))
-
-
-def _share(text: str) -> float:
-    value = float(text)
-    if not 0 <= value < 100:
-        raise ValueError
-    return value
-
-
-def _cutoff(text: str) -> float:
-    return 0.0 if text == "none" else _above_zero(text)
-
-
-def _above_zero(text: str) -> float:
-    value = float(text)
-    if not 0 < value < float("inf"):
-        raise ValueError
-    return value
-
-
-def _positive(text: str) -> int:
-    value = int(text)
-    if value < 1:
-        raise ValueError
-    return value
 
 
 def _overrides(options: argparse.Namespace) -> "Overrides":

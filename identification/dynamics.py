@@ -86,7 +86,7 @@ class Dynamics:
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
     def placements(self, q: Vector) -> tuple[Vector, Vector]:
-        """Where the links' frames are at the positions q (N, n): origins (N, n, 3) in m, rotations (N, n, 3, 3), in the base."""
+        """Where the links' frames are at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3), in the base."""
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
         for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
             pin.forwardKinematics(self.model, self._data, qk)
