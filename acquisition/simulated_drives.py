@@ -54,6 +54,7 @@ class _Memory:
 
     target: Vector
     before: Vector
+    slope: Vector
     integral: Vector
     actual: Vector
     demand: Vector
@@ -99,6 +100,7 @@ class SimulatedDrives:
         self._memory = _Memory(
             target=q,
             before=q,
+            slope=np.zeros(robot.n),
             integral=np.zeros(robot.n),
             actual=np.zeros(robot.n),
             demand=np.zeros(robot.n),
@@ -214,17 +216,21 @@ class SimulatedDrives:
         memory.target = target
         memory.held = ~enabled
         demand = np.zeros(len(q))
+        slope = np.where(memory.held, 0.0, (target - memory.before) / self._period_s)
         for k in range(SUBSTEPS):
             q, dq = self.plant.state()
-            reference = memory.before + (target - memory.before) * ((k + 1) / SUBSTEPS)
-            slope = (target - memory.before) / self._period_s
-            error = slope + loops.position * (reference - self._quantised(q)) - dq
+            share = (k + 1) / SUBSTEPS
+            reference = memory.before + (target - memory.before) * share
+            # The speed fed forward goes from the last period's to this one's: a step would show as ripple in the effort,
+            # always in the same phase of the sample.
+            speed = memory.slope + (slope - memory.slope) * share
+            error = speed + loops.position * (reference - self._quantised(q)) - dq
             memory.integral = np.where(enabled, memory.integral + loops.integral * error * dt, 0.0)
             demand = np.where(enabled, loops.velocity * (error + memory.integral), 0.0)
             demand = self._quantised_effort(demand)
             memory.actual = memory.actual + (demand - memory.actual) * (1 - np.exp(-dt / loops.current_s))
             self.plant.step(memory.actual, ~enabled | stuck, dt)
-        memory.demand = demand
+        memory.demand, memory.slope = demand, slope
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node

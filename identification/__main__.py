@@ -67,7 +67,7 @@ def _parser() -> argparse.ArgumentParser:
         "--low-speed-percent",
         type=share,
         metavar="P",
-        help="of iv: leave out rows slower than P %% of the simulated peak (default: 4, or 3 deviations of the speed's noise)",
+        help="of iv: leave out rows slower than P %% of the simulated peak (default: 4, or 4 deviations of the speed's noise)",
     )
     fit.add_argument("--essential", action="store_true", help="keep only the parameters the recording determines well")
     _add_plan_options(fit)

@@ -47,7 +47,7 @@ class Iteration:
 
     `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
     under the name they were read from. `low_speed_percent`: rows slower than this, in percent of the simulated peak speed,
-    are left out; None takes 4 %, or 3 deviations of the measured speed's noise where that is more.
+    are left out; None takes 4 %, or 4 deviations of the measured speed's noise where that is more.
     """
 
     start: str = "regular"

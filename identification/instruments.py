@@ -25,7 +25,7 @@ InstrumentKind = Literal["simulated", "stepped back", "reference"]
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 POSES = 300  # positions of the trajectory at which M must be positive
 LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
-LOW_SPEED_DEVIATIONS = 3.0  # of the speed noise: rows slower than this are left out
+LOW_SPEED_DEVIATIONS = 4.0  # of the speed noise: rows slower than this are left out
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 
 
@@ -205,7 +205,7 @@ def fast_rows(e: Experiment, z: Instruments, low_speed_percent: float | None) ->
 
     Chosen by the SIMULATED speed of each direction of Coulomb friction that acts on the row's joint, which is exogenous.
     Slow is below `low_speed_percent` of the simulated peak. By default it is below 4 % of it, where joints stick and slip,
-    or below 3 deviations of the noise that W's own velocity carries, which is none behind a filter at the rule's cut-off.
+    or below 4 deviations of the noise that W's own velocity carries, which is none behind a filter at the rule's cut-off.
     """
     peak = np.abs(z.slip).max(axis=0)
     if low_speed_percent is None:

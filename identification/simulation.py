@@ -163,7 +163,7 @@ def simulate(
     q_out, dq_out, ddq_out, tau_out = np.empty((4, N, n))
     out = Simulated(q_out, dq_out, ddq_out, tau_out, 0, None)
     q, v = (x.copy() for x in start)
-    friction = _Friction(model, dq_ref, v, h)
+    friction = Friction(model, dq_ref, v, h)
     control = _Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
     offset = model.offset
     for k in range(N):
@@ -226,7 +226,7 @@ class _Control:
         return np.asarray(self._to_joints.dot(u))
 
 
-class _Friction:
+class Friction:
     """Implicit friction: solves (M + h V) dv = force - h Sᵀ f for dv, where f in each direction slips or sticks.
 
     A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The

@@ -1,0 +1,78 @@
+"""The main job with nothing but the package: simulated drives move a simulated robot, a recording is made and identified.
+
+Drives that speak CiA 402 stand in front of the rigid robot on an in-process CAN bus, in simulated time. The one place where
+this side hands something to the other: the plant that the drives move.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.drives import resolve
+from acquisition.dry_run import dry_run
+from acquisition.master import Master
+from acquisition.recorder import Recorder
+from acquisition.recorder_process import InlineLog
+from acquisition.reference import fourier_reference
+from acquisition.robot import Robot
+from acquisition.session import Plan, Stop, run_active
+from acquisition.simulated_drives import SUBSTEPS, Loops
+
+from . import IdentificationError
+from .base_parameters import base_parameters
+from .dynamics import Dynamics, direct_model
+from .instruments import inertias
+from .plant import RigidBodyPlant
+from .synthetic import truth
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rehearsal:
+    """A session on simulated drives: how long, which reference, how much torque noise in % of each joint's rms."""
+
+    duration_s: float = 12.0
+    seed: int = 1
+    noise_percent: float = 3.0
+
+
+def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callable[[str], None]) -> None:
+    """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
+
+    Raises `IdentificationError` or `AcquisitionError` where the description lacks `[bus]` or values, or the session fails.
+    """
+    if robot.bus is None:
+        raise IdentificationError(f"{place}: no [bus]: expected the drives to simulate")
+    idm = Dynamics(robot)
+    base = base_parameters(idm)
+    model = direct_model(idm, base.representative(truth(idm, base)))
+    period_s = robot.bus.sync_period_s
+    t_s = np.arange(round(wanted.duration_s / period_s) + 1) * period_s
+    q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=wanted.duration_s, seed=wanted.seed).at(t_s)
+    tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
+    J = inertias(model, q_ref[::50])
+    w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
+    plant = RigidBodyPlant(
+        model,
+        q_ref[0],
+        speed_scale=np.abs(dq_ref).max(axis=0),
+        step_s=period_s / SUBSTEPS,
+        disturbance=0.01 * wanted.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
+        seed=wanted.seed,
+    )
+    bus = resolve(robot, place)
+    log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
+    simulated = dry_run(robot, bus, plant, Loops(position=w, velocity=4 * w * J, integral=w), tap=log.tap)
+    try:
+        say(f"simulated drives: {wanted.duration_s:g} s on the bus")
+        ending = run_active(robot, Master(simulated.link, bus), log, Plan(reference=q_ref, place="reference"), Stop())
+        log.finish(simulated.link.now_ns())
+    finally:
+        log.close()
+        simulated.close()
+    if ending.fault:
+        raise IdentificationError(f"{out}: the simulated session failed: {ending.reason}")
