@@ -167,11 +167,18 @@ class Master:
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
         for drive in self.bus.drives:
-            self.write(drive.node, HEARTBEAT_TIME, 0, every_ms, 2)
+            self._set_heartbeat(drive.node, every_ms)
             for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
                 for pdo in pdos:
                     for write in configuration(way, pdo):
                         self.write(drive.node, *write)
+
+    def _set_heartbeat(self, node: int, every_ms: int) -> None:
+        """Written only where it differs, in the size that the drive itself gives it: not all have the U16 of CiA 301."""
+        place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
+        answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
+        if check_answer(answer, "value", place) != every_ms:
+            self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
 
     def choose_mode(self, mode: Mode) -> None:
         """Mode of operation and interpolation period of every drive. Raises `AcquisitionError` when one does not follow."""

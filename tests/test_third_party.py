@@ -1,0 +1,196 @@
+"""Stacks of others: npm's `canopen` as drive and as master, and Python's `canopen` as master of our simulated drives."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import threading
+import time
+from pathlib import Path
+
+import canopen
+import numpy as np
+import pytest
+from conftest import ROOT
+from made_up_buses import bus_of, bus_text, robot_of
+from test_recording_processes import acquire, drives, folder, wait_for
+
+from acquisition.dry_run import serve
+from acquisition.recording import read_recording
+
+__all__ = ["folder"]  # a fixture
+
+THIRD_PARTY_DRIVE = ROOT.parent / "shared" / "tools" / "third_party_drive.js"
+PACKAGES = ("canopen@6.2.1", "@msgpack/msgpack@3")
+
+
+@pytest.fixture(scope="session")
+def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the packages; skips where node or npm is missing or cannot fetch them."""
+    if shutil.which("node") is None or shutil.which("npm") is None:
+        pytest.skip("node and npm are not here: the third-party stack is npm's canopen")
+    where = tmp_path_factory.mktemp("npm")
+    # node-crc, which it depends on, is compiled on the spot; newer versions of npm want to be told so.
+    commands = (
+        ["npm", "install", "--no-audit", "--no-fund", *PACKAGES],
+        ["npm", "rebuild", "node-crc", "--foreground-scripts"],
+        ["node", "-e", "require('canopen'); require('@msgpack/msgpack')"],
+    )
+    for command in commands:
+        try:
+            done = subprocess.run(command, cwd=where, capture_output=True, text=True, timeout=90, check=False)
+        except subprocess.TimeoutExpired:
+            pytest.skip(f"the third-party stack did not come in 90 s: {' '.join(command)}")
+        if done.returncode:
+            pytest.skip(f"the third-party stack is not to be had: {' '.join(command)}: {done.stderr.strip()[-200:]}")
+    return where
+
+
+def node(npm: Path, script: Path, *arguments: str) -> "subprocess.Popen[str]":
+    environment = {**os.environ, "NODE_PATH": str(npm / "node_modules")}
+    return subprocess.Popen(
+        ["node", str(script), *arguments], env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+
+
+def channel_of(folder: Path) -> tuple[str, str]:
+    bus = robot_of((folder / "robot.toml").read_text()).bus
+    assert bus is not None
+    group, _, port = bus.channel.partition(":")
+    return group, port
+
+
+def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
+    """Its motion is known: every sample is what it sent, in number and value."""
+    if not THIRD_PARTY_DRIVE.exists():
+        pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
+    group, port = channel_of(folder)
+    text = bus_text(1, period_s=0.004, ratio=1.0, interface="udp_multicast", channel=f"{group}:{port}")
+    text = text.replace("node = 1\n", "node = 7\n").replace("65536", "6553600")
+    (folder / "npm.toml").write_text(text)
+    out = folder / "log.mcap"
+    drive = node(npm, THIRD_PARTY_DRIVE, "7", group, port, "60")
+    try:
+        assert drive.stderr is not None
+        assert "node 7" in drive.stderr.readline()
+        session = acquire(folder, "record", str(folder / "npm.toml"), "-o", str(out), "--duration", "3")
+        _, errors = session.communicate(timeout=60)
+        assert session.returncode == 0, errors
+    finally:
+        drive.send_signal(signal.SIGTERM)
+        told = drive.communicate(timeout=10)[1]
+    recording = read_recording(out)
+    frames = next(iter(recording.frames.values()))
+    syncs = int((frames["can_id"] == 0x80).sum())
+    pdos = frames[frames["can_id"] == 0x187]
+    assert abs(len(pdos) - syncs) <= 1  # each SYNC is answered once
+    assert "node 7 end: rx" in told
+    # k counts SYNCs since it became operational; T is 1 ms whatever the clock.
+    k = np.arange(1, len(pdos) + 1)
+    w = 2 * np.pi * (0.2 + 0.05 * 7)
+    q, v, a = 0.5 * np.sin(w * k * 1e-3), 0.5 * w * np.cos(w * k * 1e-3), -0.5 * w * w * np.sin(w * k * 1e-3)
+    counts = np.rint(q * 6553600 / (2 * np.pi))
+    assert pdos["data"][:, 2:6].copy().view("<i4")[:, 0].tolist() == counts.tolist()
+    torque = 60 * a + 80 * v + 25 * np.sign(v) + 200 * np.cos(q)
+    assert np.abs(pdos["data"][:, 6:8].copy().view("<i2")[:, 0] - torque).max() <= 0.5 + 1e-9
+    samples = recording.samples
+    assert len(samples) >= len(pdos) - 5
+    q_counts = np.rint(samples["position"][:, 0] * 6553600 / (2 * np.pi))
+    index = np.rint((samples["stamp_ns"] - samples["stamp_ns"][0]) / 4e6).astype(int)
+    first = int(np.flatnonzero(counts == q_counts[0])[0])
+    assert q_counts.tolist() == counts[first + index].tolist()
+
+
+def test_a_third_party_master_is_recorded_passively(folder, npm):
+    """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
+    group, port = channel_of(folder)
+    text = (folder / "robot.toml").read_text()
+    for number in (1, 2):
+        text = text.replace(f"node = {number}\n", f'mapping = "traffic"\nnode = {number}\n')
+    (folder / "passive.toml").write_text(text)
+    out = folder / "passive.mcap"
+    with drives(folder):
+        listener = acquire(folder, "record", str(folder / "passive.toml"), "-o", str(out), "--passive")
+        wait_for(out, 500)
+        time.sleep(0.3)
+        master = node(npm, ROOT / "tests" / "third_party_master.js", group, port, "400", "4", "1", "2")
+        told, errors = master.communicate(timeout=60)
+        assert master.returncode == 0, errors
+        listener.send_signal(signal.SIGINT)
+        _, errors = listener.communicate(timeout=30)
+        assert listener.returncode == 0, errors
+    spoken = json.loads(told)
+    recording = read_recording(out)
+    frames = next(iter(recording.frames.values()))
+    assert int((frames["can_id"] == 0x80).sum()) == 400
+    for number in (1, 2):
+        to_drive = frames[frames["can_id"] == 0x200 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        assert to_drive.tolist() == spoken["targets"][str(number)]
+        from_drive = frames[frames["can_id"] == 0x180 + number]["data"][:, 2:6].copy().view("<i4")[:, 0]
+        assert from_drive.tolist() == spoken["received"][str(number)]
+        assert len(from_drive) >= 399
+    samples = recording.samples
+    assert len(samples) >= 395
+    motor = recording.robot.motor_position(samples["reference"]) * 65536 / (2 * np.pi)
+    assert np.abs(motor[30:, 0] - np.rint(motor[30:, 0])).max() < 1e-6
+    assert motor[:, 0].max() == pytest.approx(100_000, abs=50)
+    assert np.ptp(samples["position"][:, 0]) > 0.05  # the drives followed
+
+
+def test_pythons_canopen_is_master_of_the_simulated_drives():
+    """The canopen package, unchanged: boot-up, SDO, PDO mapping, NMT, heartbeat, SYNC."""
+    robot = robot_of(bus_text(1, channel="python_master"))
+    stop = threading.Event()
+    network = canopen.Network()
+    network.connect(interface="virtual", channel="python_master")
+    thread = threading.Thread(target=serve, args=(robot, bus_of(robot), stop.is_set))
+    dictionary = canopen.ObjectDictionary()
+    for index, name, kind in (
+        (0x6041, "status", 6),
+        (0x6064, "position", 4),
+        (0x6074, "demand", 3),
+        (0x6040, "control", 6),
+    ):
+        variable = canopen.objectdictionary.ODVariable(name, index, 0)
+        variable.data_type = kind
+        dictionary.add_object(variable)
+    for index, subs in ((0x1800, 3), (0x1A00, 9)):
+        record = canopen.objectdictionary.ODRecord(f"r{index:X}", index)
+        for sub in range(subs):
+            variable = canopen.objectdictionary.ODVariable(f"s{sub}", index, sub)
+            variable.data_type = 5 if sub == 0 or (index == 0x1800 and sub == 2) else 7
+            record.add_member(variable)
+        dictionary.add_object(record)
+    remote = network.add_node(1, dictionary)
+    try:
+        thread.start()
+        remote.nmt.wait_for_bootup(timeout=5)
+        remote.nmt.state = "PRE-OPERATIONAL"
+        assert remote.sdo["status"].raw & 0x4F == 0x40
+        with pytest.raises(canopen.SdoAbortedError):
+            remote.sdo.upload(0x5000, 0)
+        pdo = remote.tpdo[1]
+        pdo.clear()
+        for name in ("status", "position", "demand"):
+            pdo.add_variable(name)
+        pdo.cob_id, pdo.trans_type, pdo.enabled = 0x181, 1, True
+        pdo.save()
+        remote.nmt.state = "OPERATIONAL"
+        time.sleep(0.1)
+        seen = []
+        pdo.add_callback(lambda received: seen.append(bytes(received.data)))
+        for _ in range(5):
+            network.sync.transmit()
+            pdo.wait_for_reception(timeout=2)
+        assert len(seen) == 5
+        assert all(len(data) == 8 for data in seen)
+        for word, bits in ((0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)):
+            remote.sdo["control"].raw = word
+            network.sync.transmit()
+            time.sleep(0.05)
+            assert remote.sdo["status"].raw & 0x6F == bits
+    finally:
+        stop.set()
+        thread.join(5)
+        network.disconnect()
