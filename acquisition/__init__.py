@@ -2,12 +2,18 @@
 
 The flow::
 
-    robot.toml ──robot──> Robot ──┐
-    tables (CSV, MAT) ──tables────┴──> recording.mcap (raw data, robot description, health)
+    robot.toml ──robot, drives──> Robot, Bus ──┐
+    drives ──bus, master, session──> frames ───┴──recorder──> recording.mcap ──decoding──> joint samples in it
+    tables, CAN logs ──tables, conversions────────────────────────┘
 
-``robot`` says what the robot is, ``recording`` owns the file format with ``blocks``, its rows, and ``mcap_content``,
-the container; ``tables`` imports recordings made elsewhere through ``table_files``; ``overview`` sums a recording up;
-``whole_file`` keeps output files from being half written.
+- what is there: ``description`` (TOML), ``robot``, ``bus_description``; ``drives`` resolves it with ``object_dictionary``
+- protocol without I/O: ``cia402`` (states, raw integers to SI), ``sdo``, ``pdo``
+- the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``
+- the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
+  ``recorder_process`` beside the session; ``decoding`` makes samples of frames; ``overview`` sums up
+- without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``dry_run``, ``replay``
+- from elsewhere and to elsewhere: ``tables``, ``table_files``, ``conversions``; ``reference`` has trajectories
+- ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows
 """
 
 

@@ -23,6 +23,7 @@ from .sdo import REQUEST, request_of
 Ints = NDArray[np.int64]
 
 LONGEST_LATE = 3  # SYNCs by which a run of PDOs may be late; later ones count as missing and duplicate
+FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -227,7 +228,8 @@ def _reference(
 ) -> NDArray[np.float64] | None:
     """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
 
-    Before the first target the measured position stands in. None where a drive gets no targets.
+    Before the first target the measured position stands in. None where a drive gets no targets, or only now and then: a
+    master that commands the state alone sends them too.
     """
     motors, known = np.empty((len(answered), robot.n)), np.ones(len(answered), np.bool_)
     following = np.append(index_of, grid)  # grid index of the SYNC after as many SYNC frames
@@ -236,7 +238,7 @@ def _reference(
         rows = np.flatnonzero(ids == pdo.can_id) if pdo is not None else np.zeros(0, np.int64)
         if pdo is not None:
             rows = rows[frames["length"][rows] >= pdo.length]
-        if pdo is None or len(rows) == 0:
+        if pdo is None or len(rows) < FEWEST_TARGETS * len(answered):
             return None
         slot = np.full(grid + 1, -1, np.int64)
         slot[following[before[rows]]] = np.arange(len(rows))

@@ -1,0 +1,101 @@
+"""Logs of other tools in, CSV out."""
+
+import can
+import numpy as np
+import pytest
+from conftest import needs_data
+from made_up_buses import bus_text, flat, robot_of, session
+
+from acquisition import AcquisitionError
+from acquisition.__main__ import main
+from acquisition.conversions import decode_recording, export_csv, import_log
+from acquisition.recording import read_recording
+from acquisition.table_files import read_columns
+
+ROBOT = robot_of(bus_text())
+
+
+def write_log(path, frames) -> None:
+    with can.Logger(path) as logger:
+        for row in frames:
+            logger.on_message_received(
+                can.Message(
+                    timestamp=row["time_ns"] * 1e-9,
+                    arbitration_id=int(row["can_id"]),
+                    is_extended_id=False,
+                    data=row["data"].tobytes()[: row["length"]],
+                    channel=0 if path.suffix != ".log" else "can0",
+                )
+            )
+
+
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+def test_logs_of_other_tools_are_decoded(tmp_path, suffix):
+    log, out = tmp_path / f"a{suffix}", tmp_path / "a.mcap"
+    frames = flat(session(targets=True))
+    write_log(log, frames)
+    found = import_log(log, out, ROBOT, "robot.toml")
+    assert (found.samples, found.has_reference, found.warnings) == (50, True, ())
+    recording = read_recording(out)
+    stored = recording.frames["log"]
+    for field in ("can_id", "length", "data"):
+        assert stored[field].tolist() == frames[field].tolist()
+    assert recording.samples["position"][0, 0] * 50 * 65536 / (2 * np.pi) == pytest.approx(1000)
+    assert recording.metadata["source"] == f"log a{suffix}"
+
+
+def test_a_third_partys_candump_by_the_command(tmp_path, capsys):
+    log = needs_data("can_logs", "third_party_2drives.log")
+    text = bus_text(2, period_s=0.001, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
+    (tmp_path / "r.toml").write_text(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
+    arguments = ["import", str(log), "--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
+    assert main(arguments) == 0
+    captured = capsys.readouterr()
+    assert captured.out.endswith("a.mcap: made up, 299 samples at 1000 Hz\n")
+    assert "TPDO 1 of node 6, motor_2: 2 late of 299" in captured.err
+
+
+def test_csv_holds_every_digit(tmp_path):
+    log, mcap, out = tmp_path / "a.log", tmp_path / "a.mcap", tmp_path / "a.csv"
+    write_log(log, flat(session(targets=True)))
+    import_log(log, mcap, ROBOT, "robot.toml")
+    assert export_csv(mcap, out) == 50
+    names = ["time_s", "joint_2_position_rad", "joint_1_effort_N_m", "joint_1_reference_rad"]
+    table, samples = read_columns(out, names), read_recording(mcap).samples
+    assert table[:, 0] == pytest.approx(np.arange(50) * 0.002)
+    assert table[:, 1].tolist() == samples["position"][:, 1].tolist()
+    assert table[:, 2].tolist() == samples["effort"][:, 0].tolist()
+    assert table[:, 3].tolist() == samples["reference"][:, 0].tolist()
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "expected"),
+    [
+        ("a.log", b"", "holds no CAN frames"),
+        ("a.log", b"(1.0) can0 zzz\n", "damaged after 0 frames"),
+        ("a.blf", b"LOGGjunk", "damaged after 0 frames"),
+        ("a.asc", b"\xff\xfe\n", "holds no CAN frames|damaged"),
+        ("a.txt", b"x", "suffix '.txt': expected .log"),
+    ],
+)
+def test_logs_that_are_none(tmp_path, name, content, expected):
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(AcquisitionError, match=expected) as caught:
+        import_log(tmp_path / name, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    assert "\n" not in str(caught.value)
+    assert not (tmp_path / "o.mcap").exists()
+
+
+def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
+    from made_up_recordings import some_samples
+
+    from acquisition.recording import RecordingWriter
+
+    for name in ("a.mcap", "b.mcap"):
+        with RecordingWriter(tmp_path / name, ROBOT, source="", sample_rate_hz=500.0, effort_provenance="") as writer:
+            if name == "a.mcap":
+                writer.samples(some_samples(3))
+    with pytest.raises(AcquisitionError, match="holds no CAN frames"):
+        decode_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
+    with pytest.raises(AcquisitionError, match="holds no joint samples"):
+        export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")

@@ -1,0 +1,139 @@
+"""Simulated drives as their master sees them: real dictionaries, mapping by SDO, loops, quantisation."""
+
+import numpy as np
+import pytest
+from conftest import needs_data
+from dry_sessions import dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError
+from acquisition.bus_description import dictionary_label
+from acquisition.cia402 import State
+from acquisition.dry_run import dry_run
+from acquisition.master import Master
+from acquisition.plants import DoubleIntegrator, TablePlant, typical_plant
+from acquisition.session import Plan
+
+VENDORS = {
+    "elmo_Gold.dcf": 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',
+    "nanotec_CL4-E-2-12.eds": 'reference = "6074"\nrated_torque_nm = 0.42',
+    "maxon_EPOS4.eds": 'reference = "30D0"',
+    "maxon_EPOS2_347717.eds": 'reference = "2031"',
+    "ros2_canopen_cia402_slave_fake.eds": 'actual = "6077"\nrated_torque_nm = 0.42',
+}
+
+
+def robot_with(name: str, *, n: int = 2):
+    data = (needs_data("eds") / name).read_bytes()
+    text = bus_text(n).replace('reference = "6074"\nrated_torque_nm = 0.42', f'dictionary = "{name}"\n{VENDORS[name]}')
+    if "rated_torque" not in VENDORS[name]:
+        text = text.replace('effort_unit = "N m"', 'drive_gain = 0.05\ndrive_gain_unit = "N m/A"')
+    return robot_of(text, {dictionary_label(name): data})
+
+
+@pytest.mark.parametrize("name", VENDORS)
+def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
+    robot = robot_with(name)
+    bus = bus_of(robot)
+    plan = Plan(reference=swing(2, seconds=0.6, amplitude=0.1))
+    outcome = dry_session(tmp_path / "a.mcap", plan, robot=robot, bus=bus)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished", outcome.ending.reason
+    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    entry = bus.drives[0].effort.entry
+    pdo = bus.drives[0].carrier(entry, "tpdo")
+    frames = outcome.recording.frames["test"]
+    data = frames[frames["can_id"] == pdo.can_id]["data"]
+    at = pdo.offset(entry.index, entry.sub)
+    raw = data[:, at : at + entry.bits // 8].copy().view(f"<i{entry.bits // 8}")[:, 0]
+    assert np.ptp(raw) > 10  # the vendor's own reference object carries the effort
+    scale = abs(bus.drives[0].effort.scale) * float(robot.gain[0]) * 50
+    assert np.ptp(outcome.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
+    assert "dictionary:" + name in outcome.recording.attachments
+    assert f"{entry}" in outcome.recording.metadata["effort_provenance"]
+
+
+@pytest.fixture
+def run():
+    robot = robot_of(bus_text(1))
+    made = dry_run(robot, bus_of(robot))
+    yield made, Master(made.link, bus_of(robot))
+    made.close()
+
+
+def test_sdo_server_refuses_what_a_drive_refuses(run):
+    _, master = run
+    assert master.read(1, 0x1000) == 0x00020192
+    for action, told in (
+        (lambda: master.read(1, 0x5555), "object does not exist"),
+        (lambda: master.read(1, 0x1018, 9), "sub-index does not exist"),
+        (lambda: master.read(9, 0x1000), "node 9: object 1000:0: no answer in 0.3 s"),
+    ):
+        with pytest.raises(AcquisitionError, match=told):
+            action()
+    master.configure()
+    with pytest.raises(AcquisitionError, match="not possible in this state"):
+        master.write(1, 0x1A00, 0, 0, 1)  # its PDO is switched on
+    master.write(1, 0x1800, 1, 0x80000181, 4)
+    master.write(1, 0x1A00, 0, 0, 1)
+    with pytest.raises(AcquisitionError, match="object cannot be mapped"):
+        master.write(1, 0x1A00, 1, 0x55550010, 4)
+    for k in (1, 2, 3):
+        master.write(1, 0x1A00, k, 0x60640020, 4)
+    with pytest.raises(AcquisitionError, match="PDO would be too long"):
+        master.write(1, 0x1A00, 0, 3, 1)
+
+
+def test_illegal_commands_are_ignored_and_a_reset_needs_an_edge(run):
+    made, master = run
+    node = made.drives.nodes[0]
+    master.write(1, 0x6040, 0, 0x0F, 2)
+    assert node.state is State.SWITCH_ON_DISABLED
+    node.state = State.FAULT
+    master.write(1, 0x6040, 0, 0x80, 2)
+    assert node.state is State.SWITCH_ON_DISABLED
+    node.state = State.FAULT
+    master.write(1, 0x6040, 0, 0x80, 2)
+    assert node.state is State.FAULT
+    master.write(1, 0x6040, 0, 0x00, 2)
+    master.write(1, 0x6040, 0, 0x80, 2)
+    assert node.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_reset_node_has_forgotten_its_mapping(run):
+    made, master = run
+    master.configure()
+    assert len(made.drives.nodes[0].tpdos) == 1
+    master.nmt(129, 1)
+    master.wait(made.link.now_ns() + 10_000_000)
+    assert master.nodes[0].booted
+    assert made.drives.nodes[0].tpdos == ()
+
+
+def test_friction_stops_a_joint_and_does_not_turn_it_round():
+    one = np.ones(1)
+    plant = DoubleIntegrator(one, 0.0 * one, 2.0 * one, 0.0 * one)
+    free = np.zeros(1, bool)
+    for _ in range(100):
+        plant.step(1.9 * one, free, 0.01)
+    assert plant.state()[1] == 0.0
+    for _ in range(100):
+        plant.step(3.0 * one, free, 0.01)
+    assert plant.state()[1] == pytest.approx(1.0)
+    for _ in range(49):
+        plant.step(0.0 * one, free, 0.01)
+    assert 0 <= plant.state()[1] < 0.05
+    for _ in range(5):
+        plant.step(0.0 * one, free, 0.01)
+    assert plant.state()[1] == 0.0
+    plant.step(5.0 * one, np.ones(1, bool), 0.01)
+    assert plant.state()[1] == 0.0  # held by its brake
+
+
+def test_plants_at_their_ends():
+    with pytest.raises(AcquisitionError, match="holds no samples"):
+        TablePlant(np.zeros(0), 500.0)
+    robot = robot_of(bus_text(2))
+    plant = typical_plant(robot, np.array([0.42, 0.42]))
+    assert plant.prescribed_effort() is None
+    assert plant.state()[0].tolist() == [0.0, 0.0]
