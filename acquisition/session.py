@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
-from .cia402 import CONTROLWORD, DISABLED, STATUSWORD, Command, Mode, State, state_of, toward
+from .cia402 import CONTROLWORD, DISABLED, MODE_OF_OPERATION, STATUSWORD, Command, Mode, State, state_of, toward
 from .guards import Motion, motion_fault, node_fault
 from .master import PRE_OPERATIONAL, START, Master
 from .recorder import Status
@@ -124,16 +124,7 @@ class _Session:
         """Everything that can be refused before a node is started."""
         if self._plan.reference is not None:
             check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
-            for drive in self._bus.drives:
-                for entry in (drive.control, drive.target):
-                    if drive.carrier(entry, "rpdo") is None:
-                        raise AcquisitionError(
-                            f"node {drive.node}: no PDO to the drive carries {entry}: expected one to track"
-                        )
-                if drive.carrier(drive.status, "tpdo") is None:
-                    raise AcquisitionError(
-                        f"node {drive.node}: no PDO from the drive carries {drive.status}: expected one to track"
-                    )
+            self._check_carriers()
         self._log.event(self._link.now_ns(), "phase", "configure")
         self._master.configure()
         differences = self._master.differences()
@@ -151,6 +142,23 @@ class _Session:
         if self._plan.duration_s is not None:
             self._beat.until_ns = now_ns + round(self._plan.duration_s * 1e9)
 
+    def _check_carriers(self) -> None:
+        """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0."""
+        for drive in self._bus.drives:
+            known = {str(entry) for entry in (drive.control, drive.target)} | {f"{MODE_OF_OPERATION:04X}:0"}
+            for entry in (drive.control, drive.target):
+                if drive.carrier(entry, "rpdo") is None:
+                    raise AcquisitionError(
+                        f"node {drive.node}: no PDO to the drive carries {entry}: expected one to track"
+                    )
+            if drive.carrier(drive.status, "tpdo") is None:
+                raise AcquisitionError(
+                    f"node {drive.node}: no PDO from it carries {drive.status}: expected one to track"
+                )
+            for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
+                told = f"node {drive.node}: a PDO to the drive carries {other}"
+                raise AcquisitionError(f"{told}: expected only {', '.join(sorted(known))} to track")
+
     def phases(self) -> None:
         """One phase after the other, each until it ends."""
         if self._plan.reference is None:
@@ -158,6 +166,9 @@ class _Session:
             return
         reference = self._plan.reference
         self._run("enable", self._enable())
+        if not all(watch.state is State.OPERATION_ENABLED for watch in self._master.nodes):
+            self._run("disable", self._disable())  # a stop was asked for in between
+            return
         self._beat.motion = Motion(measured=[])
         if not self._stop.reason:
             way = approach(self._positions(), reference[0], self._robot, self._period_s)
@@ -220,11 +231,13 @@ class _Session:
         self._last_orders = orders
         for watch, (control, target) in zip(self._master.nodes, orders, strict=True):
             drive = watch.drive
-            values = {(drive.control.index, 0): control, (drive.target.index, drive.target.sub): target}
+            values = {
+                (drive.control.index, drive.control.sub): control,
+                (drive.target.index, drive.target.sub): target,
+                (MODE_OF_OPERATION, 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
+            }
             for pdo in drive.rpdos:
-                keys = {(e.index, e.sub) for e in pdo.entries}
-                if keys & values.keys():
-                    self._link.send(pdo.can_id, pdo.pack({key: values.get(key, 0) for key in keys}))
+                self._link.send(pdo.can_id, pdo.pack(values))
 
     def _orders(self, controls: list[int], q: Vector | None = None) -> Orders:
         """Controlwords with joint targets, or with the positions at hand."""

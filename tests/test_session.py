@@ -12,7 +12,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition import AcquisitionError
 from acquisition.blocks import SENT
-from acquisition.bus import Link, open_bus
+from acquisition.bus import Frame, Link, open_bus
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
@@ -195,7 +195,7 @@ def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
     assert outcome.drives.all_disabled
 
 
-@pytest.mark.parametrize("at", [0.05, 0.3, 0.6])
+@pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
 def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     """At any time: while enabling, in the approach, while tracking."""
     stop = Stop()
@@ -319,6 +319,64 @@ def test_a_table_of_a_reference(tmp_path):
     path.write_text("time_s,joint_1\n0,0\n1,1\n")
     with pytest.raises(AcquisitionError, match="'joint_2' is not there"):
         table_reference(path, robot, 0.1)
+
+
+@dataclass(kw_only=True)
+class SyncOfAnother(Through):
+    """Somebody else sends SYNC every 2 ms, for three seconds."""
+
+    next_ns: int = 1_050_000_000
+
+    def receive(self, until_ns):
+        frame = super().receive(min(until_ns, self.next_ns))
+        if frame is None and self.now_ns() >= self.next_ns and self.next_ns < 4_000_000_000:
+            self.next_ns += 2_000_000
+            self.link.send(0x80, b"")
+            return Frame(self.now_ns(), 0x80, b"")
+        return frame
+
+
+def test_sync_of_another_producer_is_followed(tmp_path):
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert outcome.drives.all_disabled
+    samples = outcome.recording.samples
+    stamps = {e.text: e.stamp_ns for e in outcome.recording.events}
+    track = (samples["stamp_ns"] >= stamps["track"]) & (samples["stamp_ns"] < stamps["stop"])
+    assert samples["reference"][track][5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
+
+
+def test_a_sync_that_ends_stops_motion(tmp_path):
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+    plan = Plan(reference=swing(2, seconds=4.0))
+    outcome = dry_session(tmp_path / "a.mcap", plan, robot=robot, through=SyncOfAnother)
+    assert outcome.ending is not None
+    assert "no SYNC in 50 periods" in outcome.ending.reason
+    assert outcome.drives.all_disabled
+
+
+@pytest.mark.parametrize(
+    ("rpdo", "expected"),
+    [
+        ('rpdo = [{ objects = ["6040"] }]', "no PDO to the drive carries 607A:0"),
+        ('rpdo = [{ objects = ["6040", "607A"] }, { objects = ["6071"] }]', "carries 6071:0: expected only 6040:0, 6060:0"),
+    ],
+)  # fmt: skip
+def test_pdos_that_cannot_be_tracked_with(tmp_path, rpdo, expected):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot_of(bus_text(2, drive=rpdo)))
+    assert outcome.ending is not None
+    assert expected in outcome.ending.reason
+    assert not any(node.operational for node in outcome.drives.nodes)
+
+
+def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):
+    robot = robot_of(bus_text(2, drive='rpdo = [{ objects = ["6040", "6060", "607A"] }]'))
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert np.ptp(outcome.recording.samples["position"]) > 0.5
 
 
 def test_a_passive_link_refuses_to_send():

@@ -53,6 +53,16 @@ def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name
     assert f"{entry}" in outcome.recording.metadata["effort_provenance"]
 
 
+def test_another_drive_than_the_dictionary_says_is_told():
+    robot = robot_with("elmo_Gold.dcf", n=1)
+    made = dry_run(robot, bus_of(robot))
+    master = Master(made.link, bus_of(robot))
+    assert master.differences() == []
+    made.drives.nodes[0].values[0x1018, 1] = 0x123
+    assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
+    made.close()
+
+
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(1))
