@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
-from .blocks import ERROR, EXTENDED, REMOTE, Block, sample_dtype
+from .blocks import ERROR, EXTENDED, FRAME, REMOTE, Block, sample_dtype
 from .cia402 import ObjectEntry
 from .drives import Bus
 from .pdo import PARAMETERS, Pdo
@@ -22,6 +22,7 @@ from .sdo import REQUEST, request_of
 
 Ints = NDArray[np.int64]
 
+_DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
 LONGEST_LATE = 3  # SYNCs by which a run of PDOs may be late; later ones count as missing and duplicate
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
@@ -114,14 +115,17 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         raise AcquisitionError(f"{place}: {len(answered)} SYNC answered by all drives: expected many")
 
     n = robot.n
-    raw = np.empty((len(answered), n, 2), np.int64)
+    raw = np.empty((2, n, len(answered)), np.int64)
+    motor = np.empty((2, len(answered), n))
+    everywhere = len(answered) == grid
     for i, drive in enumerate(bus.drives):
         for k, entry in enumerate((drive.position, drive.effort.entry)):
             carrier = drive.carrier(entry, "tpdo")
             assert carrier is not None  # `resolve` has seen to it
-            raw[:, i, k] = _integers(frames, slots[carrier.can_id][answered], carrier, entry)
-    q = robot.joint_position(np.stack([d.position_codec.si(raw[:, i, 0]) for i, d in enumerate(bus.drives)], axis=1))
-    effort = robot.joint_effort(np.stack([d.effort.si(raw[:, i, 1]) for i, d in enumerate(bus.drives)], axis=1))
+            slot = slots[carrier.can_id]
+            raw[k, i] = _integers(frames, slot if everywhere else slot[answered], carrier, entry)
+        motor[0, :, i], motor[1, :, i] = drive.position_codec.si(raw[0, i]), drive.effort.si(raw[1, i])
+    q, effort = robot.joint_position(motor[0]), robot.joint_effort(motor[1])
     reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q)
     stamps, period_s, jitter_s = _clock(times, index_of, bus.period_ns)
     samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None))
@@ -132,7 +136,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     lost = int(np.sum(steps - 1))
     return Decoded(
         samples=samples,
-        raw=raw,
+        raw=raw.transpose(2, 1, 0),
         pdos=tuple(counts),
         syncs=len(sync_rows),
         syncs_lost=lost,
@@ -211,8 +215,11 @@ def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:
     """The integers of one object in the frames `rows`."""
     at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
     assert at is not None
-    data = np.ascontiguousarray(frames["data"][rows, at : at + size])
-    return data.view(f"<{entry.type[0].lower()}{size}")[:, 0].astype(np.int64)
+    # One strided field over the rows as they lie: three times as fast as cutting the bytes out.
+    kind = f"<{entry.type[0].lower()}{size}"
+    only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
+    found: Ints = frames.view(only)["value"][rows].astype(np.int64)
+    return found
 
 
 def _reference(

@@ -216,7 +216,9 @@ def _record(
                 assert thread is not None
                 thread.join(1.0)
             block = receiver.take()
-            block["flags"] |= np.where(np.isin(block["can_id"], ours), SENT, 0).astype(np.uint8)
+            # The kernel marks what any program of this machine sent; here it counts who we are.
+            by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)
+            block["flags"] = (block["flags"] & (0xFF ^ SENT)) | by_us
             recorder.add(block)
             if receiver.error is not None:
                 recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")

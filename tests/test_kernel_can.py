@@ -1,0 +1,49 @@
+"""A session over the kernel's own SocketCAN, in User-Mode Linux, so that no module and no adapter is needed."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from made_up_buses import bus_text
+
+from acquisition.blocks import SENT
+from acquisition.recording import read_recording
+
+UML = ROOT.parent / "shared" / "tools" / "uml_can.sh"
+JOB = """
+cd {root}
+{python} -m acquisition simulate {folder}/robot.toml --duration 100 &
+for k in 1 2 3 4 5 6 7 8 9 10; do
+  sleep 1; {python} -m acquisition check {folder}/robot.toml > {folder}/check.txt 2>&1 && break
+done
+{python} -m acquisition record {folder}/robot.toml -o {folder}/log.mcap --duration 3 > {folder}/told.txt 2>&1
+"""
+
+
+def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
+    if not UML.exists() or shutil.which("linux.uml") is None:
+        pytest.skip(
+            "no User-Mode Linux here: Debian's user-mode-linux and ../shared/tools/uml_can.sh give a kernel vcan"
+        )
+    # One slow processor for master, drives and recorder together: a test of the socket, not of speed.
+    text = bus_text(2, period_s=0.05, interface="socketcan", channel="vcan0", extra="heartbeat_s = 2.0")
+    (tmp_path / "robot.toml").write_text(text)
+    job = tmp_path / "job.sh"
+    job.write_text(JOB.format(root=ROOT, python=sys.executable, folder=tmp_path))
+    subprocess.run(["sh", str(UML), str(job)], capture_output=True, timeout=150, check=False)
+    assert "description: agrees" in (tmp_path / "check.txt").read_text()
+    assert (tmp_path / "told.txt").read_text().endswith("CAN frames; finished\n")
+    recording = read_recording(tmp_path / "log.mcap")
+    frames = recording.frames["vcan0"]
+    assert (frames["can_id"] == 0x80).sum() == pytest.approx(60, abs=3)
+    for node in (1, 2):
+        assert (frames["can_id"] == 0x180 + node).sum() == (frames["can_id"] == 0x80).sum()
+    sent = frames["can_id"][(frames["flags"] & SENT) != 0]
+    assert set(sent.tolist()) == {0, 0x80, 0x601, 0x602}
+    assert (np.diff(frames["time_ns"]) >= 0).all()
+    assert recording.health[-2].counters["kernel_drops"] == 0
+    assert len(recording.samples) >= 55
