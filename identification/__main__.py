@@ -104,9 +104,13 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     study.set_defaults(run=_study)
 
-    demo = commands.add_parser("demo", help="fit the simulated recording that comes with the project")
+    demo = commands.add_parser("demo", help="simulated drives, a recording, a fit against the truth")
     demo.add_argument(
         "--out", type=Path, default=Path("session"), metavar="DIR", help="folder for results (default: session)"
+    )
+    demo.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="default tx40")
+    demo.add_argument(
+        "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
     )
     demo.set_defaults(run=_demo)
     return parser
@@ -160,7 +164,8 @@ def _load(options: argparse.Namespace) -> "Signals":
 def _fit(options: argparse.Namespace) -> None:
     _refuse_clash(options.recording, options.json, options.rrd)
     with _progress() as status:
-        from .report import fit_json, fit_tables, write_json
+        from .fit_file import fit_json, write_json
+        from .report import fit_tables
 
         status.update("reading")
         signals = _load(options)
@@ -178,8 +183,8 @@ def _fit(options: argparse.Namespace) -> None:
 
 
 def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
+    from .fit_file import read_fit
     from .idim import Iteration, identify_iv, identify_ls
-    from .report import read_fit
 
     if options.method != "iv":
         return identify_ls(signals, _overrides(options), method=options.method, essential=options.essential, say=say)
@@ -203,8 +208,9 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
 def _validate(options: argparse.Namespace) -> None:
     _refuse_clash(options.recording, options.json)
     with _progress() as status:
+        from .fit_file import errors_json, plan_json, provenance, read_fit, write_json
         from .idim import validate
-        from .report import errors_json, errors_table, plan_json, plan_lines, provenance, read_fit, write_json
+        from .report import errors_table, plan_lines
 
         status.update("reading")
         stored, signals = read_fit(options.fit), _load(options)
@@ -223,7 +229,8 @@ def _base(options: argparse.Namespace) -> None:
 
         from .base_parameters import base_parameters
         from .dynamics import Dynamics
-        from .report import base_json, base_table, write_json
+        from .fit_file import base_json, write_json
+        from .report import base_table
 
         status.update("base parameters")
         robot = load_robot(options.robot)
@@ -260,7 +267,8 @@ def _study(options: argparse.Namespace) -> None:
 
     from acquisition.robot import load_robot
 
-    from .report import study_table, write_json
+    from .fit_file import write_json
+    from .report import study_table
     from .study import Study, run_study, study_json, study_truth
     from .synthetic import Noise
 
@@ -293,24 +301,38 @@ def _study(options: argparse.Namespace) -> None:
 
 def _demo(options: argparse.Namespace) -> None:
     with _progress() as status:
-        from .dynamics import Dynamics
-        from .idim import identify_ls
+        from acquisition.robot import load_robot
+        from acquisition.whole_file import whole_file
+
+        from .demo import Rehearsal, description, rehearse
+        from .fit_file import fit_json, truth_json, write_json
+        from .idim import Iteration, identify_iv, identify_ls
         from .plan import Overrides
-        from .report import fit_json, fit_tables, truth_table, write_json
+        from .report import fit_tables, truth_table
         from .signals import load_signals
-        from .synthetic import truth
+        from .study import study_truth
         from .viewer import write_fit_rrd
 
-        recording = Path(__file__).parents[1] / "replay_data" / "scara" / "session.mcap"
-        signals = load_signals(recording)
-        status.update("fitting")
-        fit = identify_ls(signals, Overrides())
-        values = truth(Dynamics(signals.robot), fit.base)
-        options.out.mkdir(parents=True, exist_ok=True)
-        write_json(options.out / "ls.json", fit_json(signals, fit))
-        write_fit_rrd(options.out / "demo.rrd", signals, fit)
-    _print(fit_tables(signals, fit), truth_table(fit, values))
-    _print(f"look at it: rerun --bind 127.0.0.1 {options.out / 'demo.rrd'}")
+        place, out = description(options.robot), options.out
+        robot = load_robot(place)
+        out.mkdir(parents=True, exist_ok=True)
+        with whole_file(out / "session.mcap") as recording:
+            rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), status.update)
+        signals = load_signals(out / "session.mcap")
+        base, true = study_truth(robot)
+        write_json(out / "truth.json", truth_json(robot.name, base, true))
+        fits = {}
+        status.update("least squares")
+        fits["ls"] = identify_ls(signals, Overrides())
+        fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=status.update)
+        for name, fit in fits.items():
+            write_json(out / f"{name}.json", fit_json(signals, fit))
+        status.update("writing the Rerun file")
+        write_fit_rrd(out / "demo.rrd", signals, fits["iv"])
+    for fit in fits.values():
+        _print(fit_tables(signals, fit))
+    _print(truth_table(list(fits.values()), true))
+    _print(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")
 
 
 def _refuse_clash(recording: Path, *outputs: Path | None) -> None:

@@ -26,6 +26,7 @@ from .base_parameters import base_parameters
 from .dynamics import Dynamics, direct_model
 from .instruments import inertias
 from .plant import RigidBodyPlant
+from .simulation import has_controller, recorded_loop
 from .synthetic import truth
 
 Vector = NDArray[np.float64]
@@ -51,11 +52,9 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     base = base_parameters(idm)
     model = direct_model(idm, base.representative(truth(idm, base)))
     period_s = robot.bus.sync_period_s
-    t_s = np.arange(round(wanted.duration_s / period_s) + 1) * period_s
+    t_s: Vector = np.arange(round(wanted.duration_s / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=wanted.duration_s, seed=wanted.seed).at(t_s)
     tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
-    J = inertias(model, q_ref[::50])
-    w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
     plant = RigidBodyPlant(
         model,
         q_ref[0],
@@ -66,7 +65,7 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     )
     bus = resolve(robot, place)
     log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
-    simulated = dry_run(robot, bus, plant, Loops(position=w, velocity=4 * w * J, integral=w), tap=log.tap)
+    simulated = dry_run(robot, bus, plant, _loops(robot, inertias(model, q_ref[::50])), tap=log.tap)
     try:
         say(f"simulated drives: {wanted.duration_s:g} s on the bus")
         ending = run_active(robot, Master(simulated.link, bus), log, Plan(reference=q_ref, place="reference"), Stop())
@@ -76,3 +75,27 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
         simulated.close()
     if ending.fault:
         raise IdentificationError(f"{out}: the simulated session failed: {ending.reason}")
+
+
+def _loops(robot: Robot, J: Vector) -> Loops:
+    """The drives' loops: those of the description, or of its bandwidth for the inertias J (n,) where none are described."""
+    if not has_controller(robot.controller):
+        w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
+        return Loops(position=w, velocity=4 * w * J, integral=w)
+    loop, reduction = recorded_loop(robot), np.diag(robot.R)
+    if np.count_nonzero(robot.R) > robot.n or loop.computed_torque:
+        raise IdentificationError(
+            f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
+        )
+    return Loops(
+        position=loop.Kp / loop.Kd,
+        velocity=reduction**2 * loop.G * loop.Kd,
+        integral=loop.Ki / loop.Kd,
+        feedforward=loop.feedforward,
+    )
+
+
+def description(name: str) -> Path:
+    """The description of a robot that comes with the project: `scara` or `tx40`."""
+    installed = Path(__file__).parent / "robots" / name / "robot.toml"
+    return installed if installed.exists() else Path(__file__).parents[1] / "replay_data" / name / "robot.toml"

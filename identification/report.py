@@ -1,202 +1,22 @@
-"""What is said of a fit: the terminal's tables, the JSON file, and the reading of that file."""
+"""What is said of a fit in the terminal: tables and lines."""
 
-import json
 import math
-import platform
 from collections.abc import Iterable, Sequence
-from importlib.metadata import version
-from pathlib import Path
-from typing import Any
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from acquisition.whole_file import whole_file
-
-from . import IdentificationError
 from .base_parameters import BaseParameters
 from .diagnostics import TorqueError
 from .filtering import forward_backward_3db_hz
 from .fit import Fit, InstrumentEvidence
+from .fit_file import base_json
 from .plan import Plan
 from .signals import Signals
 from .study import Run, summaries
-
-FORMAT = 1
-
-
-class StoredParameter(msgspec.Struct, frozen=True):
-    """A parameter as a fit's JSON file has it; other keys are not read back."""
-
-    name: str
-    value: float
-    sigma: float
-    unit: str
-
-
-class StoredFit(msgspec.Struct, frozen=True):
-    """A fit's JSON file, as far as it is read back."""
-
-    format: int
-    method: str
-    status: str
-    parameters: list[StoredParameter]
-
-    def beta(self, base: BaseParameters, place: str) -> NDArray[np.float64]:
-        """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""
-        values = {p.name: p.value for p in self.parameters}
-        foreign = [name for name in values if name not in base.names]
-        if foreign or not values:
-            raise IdentificationError(
-                f"{place}: parameters {', '.join(foreign[:5]) or '(none)'}: expected those of the recording's robot: "
-                f"{', '.join(base.names[:5])}, ..."
-            )
-        units = {p.name: p.unit for p in self.parameters}
-        for name, unit in zip(base.names, base.units, strict=True):
-            if units.get(name, unit) != unit:
-                raise IdentificationError(f"{place}: {name} in {units[name]}; the recording's robot has it in {unit}")
-        return np.array([values.get(name, 0.0) for name in base.names])
-
-
-def read_fit(path: Path) -> StoredFit:
-    """Read a fit's JSON file; an error is one line that names the file, the key and what was expected."""
-    try:
-        stored = msgspec.json.decode(path.read_bytes(), type=StoredFit)
-    except OSError as error:
-        raise IdentificationError(f"{path}: cannot be read: {error.strerror}") from error
-    except msgspec.MsgspecError as error:
-        raise IdentificationError(f"{path}: not a fit as `robot-identify fit --json` writes it: {error}") from error
-    if stored.format != FORMAT:
-        raise IdentificationError(f"{path}: format = {stored.format}; this version reads {FORMAT}")
-    if not all(math.isfinite(p.value) and p.sigma >= 0 for p in stored.parameters):
-        raise IdentificationError(f"{path}: parameters: expected finite values and sigmas of at least 0")
-    return stored
-
-
-def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file whole or not at all."""
-    text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    with whole_file(path) as partial:
-        partial.write_text(text, encoding="utf-8")
-
-
-def base_json(base: BaseParameters) -> list[dict[str, str]]:
-    """The base parameters of a robot: name, expression, unit."""
-    return [
-        {"name": name, "expression": expression, "unit": unit}
-        for name, expression, unit in zip(base.names, base.expressions, base.units, strict=True)
-    ]
-
-
-def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
-    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null."""
-    e, essential = fit.estimate, set(fit.essential.estimate.names)
-    known = {entry["name"]: entry for entry in base_json(fit.base)}
-    return {
-        "format": FORMAT,
-        "method": fit.method,
-        "status": fit.status,
-        "warnings": list(fit.warnings),
-        **errors_json(fit.errors, signals.robot.effort_units),
-        "condition_number": e.condition_number,
-        "condition_number_scaled": e.condition_number_scaled,
-        **plan_json(signals, fit.plan),
-        "rows": e.rows,
-        **(iv_json(fit.iv) if fit.iv else {}),
-        "parameters": [
-            {
-                **known[name],
-                "value": float(value),
-                "sigma": float(sigma),
-                "sigma_percent": _number(percent),
-                "sigma_hac": _number(hac),
-                "essential": name in essential,
-            }
-            for name, value, sigma, percent, hac in zip(
-                e.names, e.beta, e.sigma, e.sigma_percent, fit.sigma_hac, strict=True
-            )
-        ],
-        "essential": {
-            "names": list(fit.essential.estimate.names),
-            "F": _number(fit.essential.F),
-            "p_value": _number(fit.essential.p_value),
-            "F_effective": _number(fit.essential.F_effective),
-            "p_effective": _number(fit.essential.p_effective),
-        },
-        "provenance": provenance(signals),
-    }
-
-
-def iv_json(iv: InstrumentEvidence) -> dict[str, Any]:
-    """What the instrumental variable method adds: why it ended, pass by pass, tests of the instruments, direct model."""
-    return {
-        "reason": iv.reason,
-        "start": iv.start,
-        "reference": iv.reference,
-        "controller": iv.controller,
-        "iterations": [
-            {
-                "instruments": p.instruments,
-                "reason": p.reason,
-                "residual_norm": p.residual_norm,
-                "largest_change_sigma": _number(p.change_sigma),
-                "largest_change_percent": _number(p.change_percent),
-                "changed_most": p.changed,
-                "gains": [float(g) for g in p.gains],
-                "tracking_error_percent": p.tracking_percent,
-                "condition_number_ztw": _number(p.condition),
-                "settled": p.settled,
-            }
-            for p in iv.passes
-        ],
-        "instrument_tests": {name: None if x is None else _number(x) for name, x in vars(iv.tests).items()},
-        "rows_used_percent": iv.rows_used_percent,
-        "saturated_percent": iv.saturated_percent,
-        "direct_model": [vars(d) for d in iv.direct],
-    }
-
-
-def errors_json(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> dict[str, Any]:
-    """Relative errors: of all joints together, and `joints` one by one."""
-    whole = errors[-1]
-    return {
-        "relative_error_percent": whole.relative_error_percent,
-        "moving_relative_error_percent": whole.moving_relative_error_percent,
-        "standing_relative_error_percent": whole.standing_relative_error_percent,
-        "joints": [{**vars(error), "unit": unit} for error, unit in zip(errors[:-1], units, strict=True)],
-    }
-
-
-def plan_json(signals: Signals, plan: Plan) -> dict[str, Any]:
-    """The settings a fit was made with."""
-    both = forward_backward_3db_hz(plan.cutoff_hz, signals.sample_rate_hz) if plan.cutoff_hz else None
-    return {
-        "sample_rate_hz": signals.sample_rate_hz,
-        "cutoff_hz": plan.cutoff_hz,
-        "cutoff_forward_backward_3db_hz": both,
-        "decimation": plan.decimation,
-        "span": plan.span,
-        "samples": [plan.start, plan.stop],
-    }
-
-
-def provenance(signals: Signals) -> dict[str, Any]:
-    """Where a result comes from: the recording by name and digest, the robot, the versions."""
-    packages = ("robot-idim", "numpy", "scipy", "pin")
-    return {
-        "recording": signals.recording,
-        "sha256": signals.sha256,
-        "robot": signals.robot.name,
-        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
-    }
-
-
-def _number(x: float) -> float | None:
-    return float(x) if math.isfinite(x) else None
 
 
 def base_table(base: BaseParameters, robot: str) -> Table:
@@ -316,17 +136,35 @@ def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> T
     return table
 
 
-def truth_table(fit: Fit, values: NDArray[np.float64]) -> Table:
-    """Estimates beside the values (b,) that a recording was simulated with."""
+def truth_table(fits: Sequence[Fit], true: NDArray[np.float64]) -> RenderableType:
+    """Estimates beside the values (b,) that a recording was simulated with; off by how many deviations, HAC or formula."""
     table = Table(title="against the values simulated with", title_justify="left")
-    for column in ("parameter", "true", "estimate", "sigma HAC", "error / sigma HAC"):
-        table.add_column(column, justify="left" if column == "parameter" else "right")
-    true = dict(zip(fit.base.names, values, strict=True))
-    for name, value, sigma in zip(fit.estimate.names, fit.estimate.beta, fit.sigma_hac, strict=True):
-        d = _decimals(float(sigma))
-        off = f"{(value - true[name]) / sigma:+.2f}" if sigma > 0 else "-"
-        table.add_row(name, f"{true[name]:.{d}f}", f"{value:.{d}f}", f"{sigma:.{d}f}", off)
-    return table
+    table.add_column("parameter")
+    table.add_column("true", justify="right")
+    for fit in fits:
+        for column in (fit.method, "sigma", "off by"):
+            table.add_column(column, justify="right")
+    for i, name in enumerate(fits[0].base.names):
+        d = _decimals(min(_deviation(fit)[i] for fit in fits))
+        cells = []
+        for fit in fits:
+            sigma = _deviation(fit)[i]
+            off = f"{(fit.beta[i] - true[i]) / sigma:+.1f} sigma" if sigma > 0 else "-"
+            cells += [f"{fit.beta[i]:.{d}f}", f"{sigma:.{d}f}", off]
+        table.add_row(name, f"{true[i]:.{d}f}", *cells)
+    lines = []
+    for fit in fits:
+        off_by = np.abs(fit.beta - true) / _deviation(fit)
+        error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
+        lines.append(
+            f"{fit.method}: {(off_by < 3).sum()} of {len(true)} within 3 sigma; |beta - true| = {error:.2f} % of |true|"
+        )
+    return Group(table, *(Text(line) for line in lines))
+
+
+def _deviation(fit: Fit) -> NDArray[np.float64]:
+    """The larger of both deviations (b,) of a fit of all parameters."""
+    return np.fmax(fit.sigma_hac, fit.estimate.sigma)
 
 
 def errors_table(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Table:

@@ -93,14 +93,6 @@ def test_simulation_is_repeatable(capsys, tmp_path):
     assert a.tobytes() == b.tobytes()
 
 
-def test_demo_compares_with_the_truth(capsys, tmp_path):
-    status, out, _ = run(capsys, "demo", "--out", tmp_path / "out")
-    assert status == 0
-    assert "against the values simulated with" in out
-    assert (tmp_path / "out" / "demo.rrd").stat().st_size > 10_000
-    assert json.loads((tmp_path / "out" / "ls.json").read_text())["status"] == "solved"
-
-
 def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
     with RecordingWriter(
         path, robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test"

@@ -116,16 +116,16 @@ def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     dynamics = Dynamics(robot)
     true = truth(dynamics, base_parameters(dynamics))
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
-    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=5e-5, effort_percent=2.0), seed=3)
+    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-4, effort_percent=2.0), seed=3)
     # The wrong filter: none. Then, worse, rows at the full rate, with all the noise of the acceleration in W.
-    for wrong, bias, right in ((RAW, 1.5, 0.2), (Overrides(cutoff_hz=0, decimation=1), 90.0, 5.0)):
+    for wrong, bias, right in ((RAW, 3.0, 0.2), (Overrides(cutoff_hz=0, decimation=1), 90.0, 5.0)):
         ls, iv = identify_ls(signals, wrong), identify_iv(signals, wrong, Iteration())
         assert iv.status == "converged"
         assert error_percent(ls.beta, true) > bias
         assert error_percent(iv.beta, true) < right
     ls, iv = identify_ls(signals, Overrides()), identify_iv(signals, Overrides(), Iteration())
-    assert error_percent(ls.beta, true) < 0.3
-    assert error_percent(iv.beta, ls.beta) < 0.3
+    assert error_percent(ls.beta, true) < 1
+    assert error_percent(iv.beta, ls.beta) < 1
 
 
 def emps_like(position_noise: float, seed: int) -> Signals:

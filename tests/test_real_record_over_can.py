@@ -22,7 +22,7 @@ RATE_HZ = 500
 
 def with_bus(name: str, *, period_s: float, drive: str) -> Robot:
     """A robot of replay_data with simulated drives."""
-    text = (REPLAY / name / "robot.toml").read_text()
+    text = (REPLAY / name / "robot.toml").read_text().split("[bus]")[0]
     n = robot_named(name).n
     bus = f'\n[bus]\ninterface = "virtual"\nchannel = "{name}"\nsync_period_s = {period_s}\n'
     drives = "".join(f"[[bus.drive]]\nnode = {i + 1}\n{drive}\n" for i in range(n))

@@ -37,7 +37,7 @@ def still(n: int, seconds: float) -> np.ndarray:
 
 
 def test_energy_is_kept_without_friction():
-    dynamics, _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
+    _dynamics, _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
     nothing = still(6, 1.0)
     start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([0.5, 0.2, -0.4, 1.0, -0.5, 2.0]))
     done = simulate(model, free(6), nothing, nothing, nothing, start=start, bound=np.full(6, 1e9), substeps=20)
@@ -200,7 +200,7 @@ def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
 
 def test_direct_model_is_the_inverse_of_the_inverse_model():
     """M(q) from the direct model against the regressor: the torque of a unit acceleration less that at rest."""
-    dynamics, base, model = model_of("tx40")
+    dynamics, _base, model = model_of("tx40")
     chi = known_parameters(dynamics)
     rng = np.random.default_rng(0)
     q = rng.uniform(-2, 2, size=(5, 6))

@@ -1,0 +1,60 @@
+"""The robots that come along: each recording fits as it stands and gives the fit and the truth beside it."""
+
+import json
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+
+from identification.__main__ import main
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics
+from identification.idim import Iteration, identify_iv
+from identification.plan import Overrides
+from identification.signals import load_signals
+from identification.synthetic import truth
+
+
+@pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
+def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
+    folder = REPLAY / name
+    signals = load_signals(folder / "session.mcap")
+    fit = identify_iv(signals, Overrides(), Iteration())
+    stored = json.loads((folder / "fit.json").read_text())["parameters"]
+    true = json.loads((folder / "truth.json").read_text())["parameters"]
+    assert (fit.status, len(fit.beta)) == ("converged", count)
+    assert [p["name"] for p in stored] == [p["name"] for p in true] == list(fit.base.names)
+    sigma = np.fmax(fit.sigma_hac, fit.estimate.sigma)
+    np.testing.assert_array_less(np.abs(fit.beta - [p["value"] for p in stored]), 0.05 * sigma)
+    off = np.abs(fit.beta - [p["value"] for p in true]) / sigma
+    assert (off < 3).sum() >= count - (2 if count == 60 else 0)
+    # The truth is that of the description's [parameters].
+    idm = Dynamics(signals.robot)
+    np.testing.assert_allclose([p["value"] for p in true], truth(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15)
+
+
+def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
+    """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
+    assert main(["demo", "--out", str(tmp_path / "out")]) == 0
+    out = capsys.readouterr().out
+    assert "TX40: WLS, 60 parameters" in out
+    assert "TX40: IV, 60 parameters" in out
+    within = int(out.split("iv: ")[1].split(" of 60 within 3 sigma")[0])
+    assert within >= 58
+    names = {p.name for p in (tmp_path / "out").iterdir()}
+    assert names == {"session.mcap", "ls.json", "iv.json", "truth.json", "demo.rrd"}
+    iv, ls, true = (json.loads((tmp_path / "out" / f"{n}.json").read_text()) for n in ("iv", "ls", "truth"))
+    assert iv["status"] == "converged"
+    assert iv["reference"] == "recorded"
+    values = np.array([p["value"] for p in true["parameters"]])
+
+    def error(fit: dict) -> float:
+        return float(np.linalg.norm([p["value"] for p in fit["parameters"]] - values) / np.linalg.norm(values))
+
+    assert error(iv) < 0.01
+    assert error(iv) < 0.5 * error(ls)
+    # Simulated time: the same session again, frame by frame.
+    again = load_signals(tmp_path / "out" / "session.mcap")
+    shipped = load_signals(REPLAY / "tx40" / "session.mcap")
+    np.testing.assert_array_equal(again.q, shipped.q)
+    np.testing.assert_array_equal(again.effort, shipped.effort)
