@@ -40,11 +40,15 @@ class SimulatedFault:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loops:
-    """Gains of the drives at the joints: position 1/s, velocity effort/(rad/s), integral 1/s; each (n,)."""
+    """Gains of the drives at the joints: position 1/s, velocity effort/(rad/s), integral 1/s; each (n,).
+
+    `feedforward` is the share of the reference's speed that goes to the velocity loop directly.
+    """
 
     position: Vector
     velocity: Vector
     integral: Vector
+    feedforward: float = 1.0
     current_s: float = 3e-4  # time constant of the current loop
 
 
@@ -224,7 +228,7 @@ class SimulatedDrives:
             # The speed fed forward goes from the last period's to this one's: a step would show as ripple in the effort,
             # always in the same phase of the sample.
             speed = memory.slope + (slope - memory.slope) * share
-            error = speed + loops.position * (reference - self._quantised(q)) - dq
+            error = loops.feedforward * speed + loops.position * (reference - self._quantised(q)) - dq
             memory.integral = np.where(enabled, memory.integral + loops.integral * error * dt, 0.0)
             demand = np.where(enabled, loops.velocity * (error + memory.integral), 0.0)
             demand = self._quantised_effort(demand)
