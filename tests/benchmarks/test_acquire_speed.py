@@ -28,7 +28,7 @@ pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
 )
 
-TEXT = bus_text(4, period_s=0.001, extra="bitrate = 1000000", interface="socketcan", channel="can0")
+TEXT = bus_text(4, period_s=0.0011, interface="socketcan", channel="can0")
 TEXT = TEXT.replace("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"] }]\n')
 DRIVES = 4
 PER_MS = 1 + 2 * DRIVES  # SYNC, a PDO from and to each drive
@@ -86,6 +86,7 @@ def run(path: Path, rate: int, seconds: float, *, busy: bool) -> tuple[int, int,
     port = 45000 + os.getpid() % 10000
     recorder = context.Process(target=_recorder, args=(there, port, str(path)))
     recorder.start()
+    there.close()
     assert here.recv()[0] == "ready"
     beside = context.Process(target=_busy) if busy else None
     if beside:
