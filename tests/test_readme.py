@@ -1,0 +1,70 @@
+"""The README's commands: each is one the programs take, and those that need no hardware run as they stand."""
+
+import re
+import shlex
+import shutil
+
+import pytest
+from conftest import REPLAY, ROOT
+
+from acquisition.__main__ import _parser as acquire_parser
+from acquisition.__main__ import main as acquire
+from identification.__main__ import _parser as identify_parser
+from identification.__main__ import main as identify
+
+README = (ROOT / "README.md").read_text()
+BLOCK = re.findall(r"^ {4,}(robot-(?:acquire|identify) .*)$", README, flags=re.MULTILINE)
+INLINE = re.findall(r"`(robot-(?:acquire|identify) [a-z]+ [^`]*)`", README)
+COMMANDS = list(dict.fromkeys(line.split("#")[0].strip() for line in BLOCK + INLINE))
+
+
+def test_the_readme_has_commands():
+    assert len(COMMANDS) >= 15
+    programs = {command.split()[0] for command in COMMANDS}
+    assert programs == {"robot-acquire", "robot-identify"}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_every_command_is_one_the_program_takes(command):
+    program, *arguments = shlex.split(command)
+    parser = acquire_parser() if program == "robot-acquire" else identify_parser()
+    if len(arguments) > 1:
+        assert callable(parser.parse_args(arguments).run)
+
+
+def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
+    shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "log.mcap")
+    shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "other.mcap")
+    shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / "robot.toml")
+    shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / "corrected.toml")
+    monkeypatch.chdir(tmp_path)
+    ran = 0
+    for command in COMMANDS:
+        program, *arguments = shlex.split(command)
+        runs = {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
+        if arguments[0] not in runs or any("replay_data" in a or "MCAP" in a.upper()[:4] for a in arguments):
+            continue
+        if len(arguments) < 2 or not all((tmp_path / a).exists() for a in arguments[1:2] if not a.startswith("-")):
+            continue
+        assert (acquire if program == "robot-acquire" else identify)(arguments) == 0, command
+        ran += 1
+    assert ran >= 5
+    capsys.readouterr()
+
+
+def test_the_two_commands_that_set_everything_up_are_there():
+    assert "pip install -e . && .venv/bin/robot-identify demo" in README
+    assert "pip install -c .constraints.txt -e '.[test]' && .venv/bin/pytest" in README
+
+
+def test_every_key_of_a_description_is_explained():
+    from msgspec.structs import fields
+
+    from acquisition import bus_description, robot
+
+    tables = (robot.Joint, robot.Motor, robot.Controller, robot.Identification, robot.DH)
+    tables += (bus_description.BusFile, bus_description.DriveFile)
+    named = set(re.findall(r"[a-z][a-z0-9_]*", README))
+    for table in tables:
+        for field in fields(table):
+            assert field.name in named, f"{table.__name__}.{field.name} is not in the README"
