@@ -11,7 +11,17 @@ from typing import TYPE_CHECKING, Any
 from acquisition import AcquisitionError
 
 from . import IdentificationError
-from .options import above_zero, cutoff, cutoffs, factors, not_negative, positive, share
+from .options import (
+    above_zero,
+    add_plan_options,
+    add_simulation_options,
+    cutoffs,
+    factors,
+    not_negative,
+    positive,
+    refuse_clash,
+    share,
+)
 
 if TYPE_CHECKING:
     import numpy as np
@@ -70,15 +80,27 @@ def _parser() -> argparse.ArgumentParser:
         help="of iv: leave out rows slower than P %% of the simulated peak (default: 4, or 4 deviations of the speed's noise)",
     )
     fit.add_argument("--essential", action="store_true", help="keep only the parameters the recording determines well")
-    _add_plan_options(fit)
+    add_plan_options(fit)
     fit.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
     fit.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
     fit.set_defaults(run=_fit)
 
+    view = commands.add_parser("view", help="look at a recording that has not been fitted, in Rerun")
+    view.add_argument("recording", type=Path, metavar="LOG.mcap")
+    add_plan_options(view)
+    view.add_argument("-o", "--out", type=Path, metavar="VIEW.rrd", help="file to write (default: LOG.rrd)")
+    view.set_defaults(run=_view)
+
+    compare = commands.add_parser("compare", help="parameters of two fits side by side")
+    compare.add_argument("a", type=Path, metavar="A.json")
+    compare.add_argument("b", type=Path, metavar="B.json")
+    compare.add_argument("--rrd", type=Path, metavar="FILE", help="write the comparison as a Rerun file")
+    compare.set_defaults(run=_compare)
+
     validate = commands.add_parser("validate", help="apply a fit to another recording")
     validate.add_argument("fit", type=Path, metavar="FIT.json")
     validate.add_argument("recording", type=Path, metavar="LOG.mcap")
-    _add_plan_options(validate)
+    add_plan_options(validate)
     validate.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
     validate.set_defaults(run=_validate)
 
@@ -90,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     simulate = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
     simulate.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
     simulate.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap")
-    _add_simulation_options(simulate)
+    add_simulation_options(simulate)
     simulate.set_defaults(run=_simulate)
 
     study = commands.add_parser("study", help="Monte-Carlo on a simulated robot: what to trust of least squares and iv")
@@ -100,7 +122,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x true inertia")
     study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
     study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
-    _add_simulation_options(study)
+    add_simulation_options(study)
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     study.set_defaults(run=_study)
 
@@ -114,35 +136,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     demo.set_defaults(run=_demo)
     return parser
-
-
-def _add_simulation_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
-    parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
-    parser.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
-    parser.add_argument(
-        "--encoder-step", type=not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
-    )
-    parser.add_argument(
-        "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
-    )
-    parser.add_argument(
-        "--effort-noise-percent", type=not_negative, default=0.0, metavar="P", help="of each torque's rms"
-    )
-
-
-def _add_plan_options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
-    )
-    parser.add_argument(
-        "--cutoff-hz",
-        type=cutoff,
-        metavar="F",
-        help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
-    )
-    parser.add_argument("--decimate", type=positive, metavar="N", help="samples per decimated row")
-    parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
 
 
 def _overrides(options: argparse.Namespace) -> "Overrides":
@@ -162,7 +155,8 @@ def _load(options: argparse.Namespace) -> "Signals":
 
 
 def _fit(options: argparse.Namespace) -> None:
-    _refuse_clash(options.recording, options.json, options.rrd)
+    refuse_clash(options.recording, options.json)
+    refuse_clash(options.recording, options.json, options.rrd, folders=False)
     with _progress() as status:
         from .fit_file import fit_json, write_json
         from .report import fit_tables
@@ -177,9 +171,11 @@ def _fit(options: argparse.Namespace) -> None:
     if options.rrd:
         with _progress() as status:
             status.update("writing the Rerun file")
+            from .idim import identify_ls
             from .viewer import write_fit_rrd
 
-            write_fit_rrd(options.rrd, signals, fit)
+            beside = identify_ls(signals, _overrides(options)) if fit.iv else None
+            write_fit_rrd(options.rrd, signals, fit, beside=beside)
 
 
 def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
@@ -205,8 +201,38 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
     return identify_iv(signals, _overrides(options), iteration, essential=options.essential, say=say)
 
 
+def _view(options: argparse.Namespace) -> None:
+    out = options.out or options.recording.with_suffix(".rrd")
+    refuse_clash(options.recording, out)
+    with _progress() as status:
+        from .viewer import write_recording_rrd
+
+        status.update("reading")
+        signals = _load(options)
+        status.update("writing the Rerun file")
+        write_recording_rrd(out, signals, _overrides(options))
+    _print(f"look at it: rerun --bind 127.0.0.1 {out}")
+
+
+def _compare(options: argparse.Namespace) -> None:
+    from .comparison import difference_table, values_of_stored
+    from .fit_file import read_fit
+
+    for path in (options.a, options.b):
+        refuse_clash(path, options.rrd)
+    labels = [options.a.stem, options.b.stem]
+    if labels[0] == labels[1]:
+        labels = [str(options.a), str(options.b)]
+    a, b = (values_of_stored(read_fit(p), label) for p, label in zip((options.a, options.b), labels, strict=True))
+    _print(difference_table(a, b))
+    if options.rrd:
+        from .viewer import write_comparison_rrd
+
+        write_comparison_rrd(options.rrd, a, b)
+
+
 def _validate(options: argparse.Namespace) -> None:
-    _refuse_clash(options.recording, options.json)
+    refuse_clash(options.recording, options.json)
     with _progress() as status:
         from .fit_file import errors_json, plan_json, provenance, read_fit, write_json
         from .idim import validate
@@ -328,24 +354,11 @@ def _demo(options: argparse.Namespace) -> None:
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_json(signals, fit))
         status.update("writing the Rerun file")
-        write_fit_rrd(out / "demo.rrd", signals, fits["iv"])
+        write_fit_rrd(out / "demo.rrd", signals, fits["iv"], beside=fits["ls"], truth=true)
     for fit in fits.values():
         _print(fit_tables(signals, fit))
     _print(truth_table(list(fits.values()), true))
     _print(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")
-
-
-def _refuse_clash(recording: Path, *outputs: Path | None) -> None:
-    """No output may take the place of the recording or of another output, or name a folder that is not there."""
-    seen = {recording.resolve()}
-    for output in outputs:
-        if output is None:
-            continue
-        if output.resolve() in seen:
-            raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
-        if not output.absolute().parent.is_dir():
-            raise IdentificationError(f"{output}: no folder {output.parent}")
-        seen.add(output.resolve())
 
 
 @contextmanager

@@ -31,6 +31,8 @@ class StoredParameter(msgspec.Struct, frozen=True):
     value: float
     sigma: float
     unit: str
+    sigma_hac: float | None = None
+    essential: bool = False
 
 
 class StoredFit(msgspec.Struct, frozen=True):
@@ -67,7 +69,7 @@ def read_fit(path: Path) -> StoredFit:
         raise IdentificationError(f"{path}: not a fit as `robot-identify fit --json` writes it: {error}") from error
     if stored.format != FORMAT:
         raise IdentificationError(f"{path}: format = {stored.format}; this version reads {FORMAT}")
-    if not all(math.isfinite(p.value) and p.sigma >= 0 for p in stored.parameters):
+    if not all(math.isfinite(p.value) and p.sigma >= 0 and (p.sigma_hac or 0) >= 0 for p in stored.parameters):
         raise IdentificationError(f"{path}: parameters: expected finite values and sigmas of at least 0")
     return stored
 

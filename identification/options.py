@@ -1,4 +1,56 @@
-"""Values of command-line options: text in, a number in its range out, `ValueError` otherwise."""
+"""Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise."""
+
+import argparse
+from pathlib import Path
+
+from . import IdentificationError
+
+
+def add_simulation_options(parser: argparse.ArgumentParser) -> None:
+    """Length, rate, seed and noise of a simulated recording."""
+    parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
+    parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
+    parser.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
+    parser.add_argument(
+        "--encoder-step", type=not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
+    )
+    parser.add_argument(
+        "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
+    )
+    parser.add_argument(
+        "--effort-noise-percent", type=not_negative, default=0.0, metavar="P", help="of each torque's rms"
+    )
+
+
+def add_plan_options(parser: argparse.ArgumentParser) -> None:
+    """What of a recording is fitted, and how it is filtered."""
+    parser.add_argument(
+        "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
+    )
+    parser.add_argument(
+        "--cutoff-hz",
+        type=cutoff,
+        metavar="F",
+        help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
+    )
+    parser.add_argument("--decimate", type=positive, metavar="N", help="samples per decimated row")
+    parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
+
+
+def refuse_clash(recording: Path, *outputs: Path | None, folders: bool = True) -> None:
+    """No output may take the place of the recording or of another output, or name a folder that is not there.
+
+    Without `folders` these are not looked for: a picture that cannot be written must not cost its fit.
+    """
+    seen = {recording.resolve()}
+    for output in outputs:
+        if output is None:
+            continue
+        if output.resolve() in seen:
+            raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
+        if folders and not output.absolute().parent.is_dir():
+            raise IdentificationError(f"{output}: no folder {output.parent}")
+        seen.add(output.resolve())
 
 
 def not_negative(text: str) -> float:

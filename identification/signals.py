@@ -1,6 +1,7 @@
 """Recording → `Signals`: SI units, a uniform grid, float seconds. The only reader of recordings on this side."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,15 @@ from acquisition.robot import Robot
 from . import IdentificationError
 
 Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Happening:
+    """An event of the recording, `t_s` seconds from the first sample: a phase of the session, a warning, a mark."""
+
+    t_s: float
+    kind: str
+    text: str
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,6 +38,8 @@ class Signals:
         robot: the robot's description.
         recording: file name of the recording.
         sha256: digest of the recording.
+        events: what happened, in the order of the recording.
+        health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
     """
 
     t_s: Vector
@@ -39,6 +51,8 @@ class Signals:
     robot: Robot
     recording: str
     sha256: str
+    events: tuple[Happening, ...] = ()
+    health: Mapping[str, tuple[Vector, Vector]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
@@ -86,6 +100,11 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
         robot=robot or recording.robot,
         recording=path.name,
         sha256=recording.sha256,
+        events=tuple(
+            Happening(t_s=1e-9 * (event.stamp_ns - int(stamps[0])), kind=event.kind, text=event.text)
+            for event in recording.events
+        ),
+        health=_health(recording, int(stamps[0])),
     )
 
 
@@ -104,6 +123,17 @@ def _uniform_rate(stamps: NDArray[np.int64], path: Path) -> float:
         )
     rate_hz = 1e9 * (len(stamps) - 1) / float(stamps[-1] - stamps[0])
     return round(rate_hz, 6)
+
+
+def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vector]]:
+    """The recorder's counters by name, over seconds from the first sample."""
+    names = dict.fromkeys(name for health in recording.health for name in health.counters)
+    found = {}
+    for name in names:
+        rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
+        t_s, counts = np.array(rows).T
+        found[name] = (t_s, counts)
+    return found
 
 
 def _phase(recording: Recording, name: str, stamps: NDArray[np.int64]) -> tuple[int, int] | None:

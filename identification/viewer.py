@@ -1,55 +1,112 @@
-"""A fit as a Rerun file: is the torque explained, what was the motion, which parameters came out, is the residual noise.
+"""A recording, its fit, or two fits as a Rerun file that opens with its own layout. The only file that imports rerun.
 
 What is shown is plain data of `panels`. `_show` writes one of these into the file and returns the
 panel that shows it, and the layout is built of such panels only: none can be without data.
 """
 
 import hashlib
-from collections.abc import Sequence
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from rerun.urdf import UrdfTree
 
 from acquisition.whole_file import whole_file
 
+from . import IdentificationError
+from .charts import parameter_drawing, passes_drawing, spectrum_drawings, trust_drawing
+from .comparison import Values, differences, true_values, values_of_fit
+from .curves import motion_plots, observed, residual_bars, torque_plot, tracking_plot
 from .fit import Fit
-from .panels import (
-    GREY,
-    RED,
-    Bars,
-    Curve,
-    Drawing,
-    Plot,
-    motion_plots,
-    observed,
-    parameter_drawing,
-    residual_bars,
-    spectrum_drawings,
-    thinning,
-    torque_plot,
-)
-from .report import fit_json, plan_lines
+from .fit_markdown import comparison_markdown, fit_markdown, recording_markdown
+from .panels import BLUE, GREY, RED, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
+from .plan import Overrides, Plan, make_plan
+from .robot_drawing import robot_scene
+from .session_panels import event_log, health_plot, span_lanes
 from .signals import Signals
 
+Vector = NDArray[np.float64]
 
-def write_fit_rrd(path: Path, signals: Signals, fit: Fit) -> None:
+_SOLID_COLORS = {"base": (95, 100, 110), "link": (215, 218, 224), "joint": (70, 78, 92), "tool": (235, 160, 60)}
+_GHOST, _HALO = (*BLUE, 70), 1.07  # a ghost's color, and its size, so that it shows around the robot it covers
+
+
+def write_fit_rrd(
+    path: Path, signals: Signals, fit: Fit, *, beside: Fit | None = None, truth: Vector | None = None
+) -> None:
     """Write a fit as a Rerun file that opens with its own layout (`rerun fit.rrd`).
 
-    Times are seconds from the recording's first sample, on the timeline `time`. Measured curves span the recording,
-    filtered and predicted ones what the fit used of it. Entities are `torque/<joint>/measured`, `predicted`, `residual`;
-    `q/<joint>/measured`, `measured_filtered`, `reference`, and so for `dq` and `ddq`; `residual`, `parameters`, `report`.
+    `beside` is another fit of the same recording, such as least squares beside instrumental variables; `truth` (b,) are
+    known values of the base parameters. Times are seconds from the recording's first sample, on the timeline `time`.
+    Measured curves span the recording, filtered and predicted ones what the fit used of it. Entities are
+    `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
+    `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `error`, `robot`, `parameters`, `trust`, `passes`,
+    `residual`, `spectrum`, `session`, `events`, `health`, `report`.
     Raises `AcquisitionError`, one line, when the file cannot be written; nothing is left behind then.
     """
     # A viewer holds one layout per application, and titles here carry results: each fit is an application of its own.
-    told = f"{signals.sha256} {fit.method} {fit.plan} {fit.estimate.names} {fit.estimate.beta.tobytes()!r}"
-    recording = rr.RecordingStream(f"{signals.robot.name} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
+    compared = (beside.estimate.beta.tobytes() if beside else b"") + (truth.tobytes() if truth is not None else b"")
+    told = f"{signals.sha256} {fit.method} {fit.plan} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
+    name = f"{signals.recording}, {fit.method.upper()}"
+
+    def pages(show: "_Show") -> list[Any]:
+        return _fit_pages(show, signals, fit, beside, truth)
+
+    _write(path, signals.robot.name, told, name, pages)
+
+
+def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
+    """Write a recording that has not been fitted as a Rerun file, with the panels of a fit that need none.
+
+    Entities and errors as in `write_fit_rrd`.
+    """
+    refusal, plan = None, None
+    try:
+        plan = make_plan(signals, overrides)
+    except IdentificationError as error:
+        refusal = str(error)
+
+    def pages(show: "_Show") -> list[Any]:
+        return _recording_pages(show, signals, plan, refusal)
+
+    _write(path, signals.robot.name, f"{signals.sha256} {plan}", signals.recording, pages)
+
+
+def write_comparison_rrd(path: Path, own: Values, other: Values) -> None:
+    """Write two sets of parameters as a Rerun file: entities `trust` and `report`. Errors as in `write_fit_rrd`."""
+    differences(own, other)  # refuses sets that cannot be compared
+
+    def pages(show: "_Show") -> list[Any]:
+        note = Note(path=("report",), title="report", text=comparison_markdown(own, other))
+        return [rrb.Horizontal(show(trust_drawing(own, [other])), show(note), column_shares=[3, 1], name="parameters")]
+
+    name = f"{own.label} and {other.label}"
+    _write(path, name, repr((own, other)), name, pages)
+
+
+_Show = Callable[[Panel], Any]
+
+
+def _write(path: Path, application: str, told: str, name: str, pages: Callable[[_Show], list[Any]]) -> None:
+    recording = rr.RecordingStream(f"{application} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
     try:
-        recording.send_recording_name(f"{signals.recording}, {fit.method.upper()}")
-        recording.send_blueprint(_layout(recording, signals, fit))
+        recording.send_recording_name(name)
+        tabs = pages(lambda panel: _show(recording, panel))
+        blueprint = rrb.Blueprint(
+            rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
+            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all"),
+            collapse_panels=True,
+            auto_views=False,
+            auto_layout=False,
+        )
+        recording.send_blueprint(blueprint)
     finally:
         content = stream.read()  # after a failure too: rerun warns of what it drops
         recording.disconnect()
@@ -57,62 +114,96 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit) -> None:
         partial.write_bytes(content)
 
 
-def _layout(recording: Any, signals: Signals, fit: Fit) -> Any:
-    """All panels: a page with the answer, then pages with the evidence."""
-    joints, seen = signals.robot.joints, observed(signals, fit)
-    n, parameters = len(joints), parameter_drawing(fit)
-
-    def views(panels: Sequence[Plot | Bars | Drawing]) -> list[Any]:
-        return [_show(recording, panel) for panel in panels]
-
-    torque = rrb.Grid(
-        *views([torque_plot(signals, fit, seen, j) for j in range(n)]), grid_columns=1 if n <= 3 else min(4, -(-n // 2))
-    )
-    motion = [rrb.Horizontal(*views(motion_plots(signals, fit, seen, j)), name=joints[j].name) for j in range(n)]
-    recording.log("report", rr.TextDocument(fit_markdown(signals, fit), media_type="text/markdown"), static=True)
+def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, truth: Vector | None) -> list[Any]:
+    """A page with the answer, then pages with the evidence."""
+    n, seen = signals.robot.n, observed(signals, fit.plan, fit)
+    own = values_of_fit(fit)
+    others = [values_of_fit(beside)] if beside else []
+    others += [true_values(fit, truth)] if truth is not None else []
+    parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
-    answer = rrb.Horizontal(
-        rrb.Vertical(torque, rrb.Tabs(*motion) if n > 1 else motion[0], row_shares=[3, 2]),
-        rrb.Vertical(
-            *views([parameters]),
-            rrb.TextDocumentView(origin="report", name="report"),
-            row_shares=[height, max(350.0, 1000.0 - height)],
-        ),
-        column_shares=[5, 2],
-        name="torque and motion",
+    report = Note(path=("report",), title="report", text=fit_markdown(signals, fit, own, others))
+    side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
+    curves = (
+        [tracking_plot(signals, fit, seen, j, legend=j == 0 or n < 4) for j in range(n)],
+        [torque_plot(signals, fit, seen, j, legend=j == 0 or n < 4) for j in range(n)],
     )
+    trust = [show(trust_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
     bars = [b for j in range(n) for b in residual_bars(signals, fit, seen, j)]
-    by_kind = [*bars[::2], *bars[1::2]]
-    evidence = [rrb.Grid(*views(by_kind), grid_columns=len(bars) // 2, name="residual")] if bars else []
-    spectra = views(spectrum_drawings(signals, fit))
-    if spectra:
-        evidence.append(rrb.Horizontal(*spectra, name="spectra"))
-    return rrb.Blueprint(
-        rrb.Tabs(answer, *evidence, active_tab=0),
-        rrb.TimePanel(state="collapsed", timeline="time"),
-        collapse_panels=True,
-        auto_views=False,
-        auto_layout=False,
+    residual = [show(b) for b in (*bars[::2], *bars[1::2])]
+    return [
+        _answer(show, signals, fit, *curves, side),
+        rrb.Horizontal(*trust, column_shares=[3, 1][: len(trust)], name="parameters"),
+        *([rrb.Grid(*residual, grid_columns=len(bars) // 2, name="residual")] if residual else []),
+        *_signal_pages(show, signals, fit.plan, fitted=True),
+        _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
+    ]
+
+
+def _recording_pages(show: _Show, signals: Signals, plan: Plan | None, refusal: str | None) -> list[Any]:
+    n, seen = signals.robot.n, observed(signals, plan, None)
+    report = Note(path=("report",), title="report", text=recording_markdown(signals, plan, refusal))
+    curves = (
+        [tracking_plot(signals, None, seen, j, legend=j == 0 or n < 4) for j in range(n)],
+        [torque_plot(signals, None, seen, j, legend=j == 0 or n < 4) for j in range(n)],
     )
+    return [
+        _answer(show, signals, None, *curves, show(report)),
+        *_signal_pages(show, signals, plan, fitted=False),
+        _motion_page(signals, [[show(p) for p in motion_plots(signals, None, seen, j)] for j in range(n)]),
+    ]
 
 
-def _show(recording: Any, panel: Plot | Bars | Drawing) -> Any:
+def _answer(
+    show: _Show, signals: Signals, fit: Fit | None, tracking: Sequence[Plot], torque: Sequence[Plot], side: Any
+) -> Any:
+    """The first page: did the robot follow, beside it the robot; is the torque explained; at the side what came out."""
+    n = signals.robot.n
+    columns = 1 if n == 1 else 2 if n == 2 else 3 if n <= 6 else 4
+    follow = rrb.Horizontal(
+        rrb.Grid(*map(show, tracking), grid_columns=columns), show(robot_scene(signals, fit)), column_shares=[2, 1]
+    )
+    explained = rrb.Grid(*map(show, torque), grid_columns=1 if n == 1 else 2 if n == 2 else columns)
+    name = "overview" if fit else "recording"
+    return rrb.Horizontal(rrb.Vertical(follow, explained, row_shares=[4, 5]), side, column_shares=[5, 2], name=name)
+
+
+def _signal_pages(show: _Show, signals: Signals, plan: Plan | None, *, fitted: bool) -> list[Any]:
+    """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; what there is of it."""
+    spectra = [show(drawing) for drawing in spectrum_drawings(signals, plan)]
+    lanes = span_lanes(signals, plan, fitted=fitted)
+    below = [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]
+    rows = [(rrb.Horizontal(*spectra), 5.0)] if spectra else []
+    rows += [(show(lanes), 0.6 + 0.4 * len(lanes.lanes))] if lanes else []
+    rows += [(rrb.Horizontal(*below), 2.0)] if below else []
+    if not rows:
+        return []
+    views, shares = zip(*rows, strict=True)
+    return [rrb.Vertical(*views, row_shares=list(shares), name="signal")]
+
+
+def _motion_page(signals: Signals, rows: list[list[Any]]) -> Any:
+    joints = [rrb.Vertical(*views, name=j.name) for j, views in zip(signals.robot.joints, rows, strict=True)]
+    return rrb.Tabs(*joints, name="motion") if len(joints) > 1 else rrb.Vertical(*rows[0], name="motion")
+
+
+def _show(recording: Any, panel: Panel) -> Any:
     """Write a panel's data as entities under its path; return the view of them."""
     origin = rr.new_entity_path(list(panel.path))
 
     def log(key: str, what: Any) -> None:
-        recording.log(f"{origin}/{key}", what, static=True)
+        recording.log(f"{origin}/{key}" if key else origin, what, static=True)
 
     match panel:
         case Plot():
             for c in panel.curves:
                 style = {"names": c.name or c.key, "colors": c.color, "widths": c.width, "visible_series": c.visible}
+                key = rr.new_entity_path([c.key]).lstrip("/")
                 # Rerun's own rule averages what falls on one pixel, and so loses peaks.
-                log(c.key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
-                time = rr.TimeColumn("time", duration=np.rint(1e9 * c.line[0]).astype("timedelta64[ns]"))
+                log(key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
                 columns = rr.Scalars.columns(scalars=c.line[1])
-                recording.send_columns(f"{origin}/{c.key}", indexes=[time], columns=columns)
-            legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves))
+                recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0])], columns=columns)
+            legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves), visible=panel.legend)
             axis = rrb.TimeAxis(link="LinkToGlobal")
             return rrb.TimeSeriesView(origin=origin, name=panel.title, axis_x=axis, plot_legend=legend)
         case Bars():
@@ -130,6 +221,34 @@ def _show(recording: Any, panel: Plot | Bars | Drawing) -> Any:
                 log("dots", rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(3.0), draw_order=50.0))
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
             return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
+        case Lanes():
+            for name, states in panel.lanes.items():
+                key = rr.new_entity_path([name]).lstrip("/")
+                changes = [text for _, text, _ in states]
+                known = {text: color for _, text, color in states}
+                shown = [bool(text) for text in known]
+                log(key, rr.StateConfiguration(values=list(known), colors=list(known.values()), visible=shown))
+                times = _time(np.array([t_s for t_s, _, _ in states]))
+                recording.send_columns(
+                    f"{origin}/{key}", indexes=[times], columns=rr.StateChange.columns(state=changes)
+                )
+            return rrb.StateTimelineView(origin=origin, name=panel.title)
+        case Log():
+            times = _time(np.array([t_s for t_s, _, _ in panel.lines]))
+            levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
+            columns = rr.TextLog.columns(text=[text for _, _, text in panel.lines], level=levels)
+            recording.send_columns(origin, indexes=[times], columns=columns)
+            columns_shown = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
+            return rrb.TextLogView(origin=origin, name=panel.title, columns=columns_shown)
+        case Note():
+            log("", rr.TextDocument(panel.text, media_type="text/markdown"))
+            return rrb.TextDocumentView(origin=origin, name=panel.title)
+        case Scene():
+            return _show_robot(recording, origin, panel)
+
+
+def _time(t_s: Vector) -> Any:
+    return rr.TimeColumn("time", duration=np.rint(1e9 * t_s).astype("timedelta64[ns]"))
 
 
 def _emptiest_corner(curves: Sequence[Curve]) -> str:
@@ -146,48 +265,69 @@ def _emptiest_corner(curves: Sequence[Curve]) -> str:
     return min(corners, key=lambda corner: int(corners[corner].sum()))
 
 
-def fit_markdown(signals: Signals, fit: Fit) -> str:
-    """The report as Markdown: errors, warnings, settings, parameters, what is drawn."""
-    told, step = fit_json(signals, fit), thinning(signals)
-    parameters, kept = told["parameters"], told["essential"]
-    regrouped = [p for p in parameters if p["expression"] != p["name"]]
+def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
+    """Robots as links with solids fixed to them, or as their URDF draws them, and the poses of their links."""
+    for robot in scene.robots:
+        path = f"{origin}/{robot.key}"
+        times = _time(robot.t_s)
+        if scene.urdf is not None:
+            tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
+            tree.log_urdf_to_recording(recording)
+            root = f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}"
+            fixed = rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root)
+            recording.log(f"{path}/root", fixed, static=True)
+            for j, name in enumerate(scene.joints):
+                if (joint := tree.get_joint_by_name(name)) is not None:
+                    columns = joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False)
+                    recording.send_columns(f"{path}/joints/{j + 1}", indexes=[times], columns=columns)
+            continue
+        for link in range(robot.places.shape[1] + 1):
+            if link > 0:
+                columns = rr.Transform3D.columns(
+                    translation=robot.places[:, link - 1], quaternion=robot.turns[:, link - 1]
+                )
+                recording.send_columns(f"{path}/{link}", indexes=[times], columns=columns)
+            solids = [s for s in scene.solids if s.link == link and not (robot.ghost and link == 0)]
+            for kind in dict.fromkeys(s.kind for s in solids):
+                shapes = _shapes(kind, [s for s in solids if s.kind == kind], ghost=robot.ghost)
+                recording.log(f"{path}/{link}/{kind}", shapes, static=True)
+    grid = rrb.LineGrid3D(plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60))
+    eye = rrb.EyeControls3D(position=scene.eye, look_target=scene.target, eye_up=scene.up)
+    return rrb.Spatial3DView(origin=origin, name=scene.title, line_grid=grid, eye_controls=eye)
 
-    def number(x: float | None, form: str) -> str:
-        return "-" if x is None else format(x, form)
 
-    percent = ("relative_error_percent", "moving_relative_error_percent", "standing_relative_error_percent")
-    lines = [
-        f"# {signals.robot.name}: {number(told[percent[0]], '.1f')} % relative torque error",
-        *(f"- **warning: {warning}**" for warning in fit.warnings),
-        f"- {fit.method.upper()}, {fit.status}: {len(parameters)} parameters, {len(kept['names'])} of them essential",
-        *(f"- {line}" for line in plan_lines(signals, fit.plan)),
-        f"- cond(W) {told['condition_number']:.4g}, scaled {told['condition_number_scaled']:.4g}; {told['rows']} rows",
-        "\n## Relative torque error, %",
-        "| joint | unit | all rows | moving | standing |\n|---|---|--:|--:|--:|",
-        *(
-            f"| {e['name']} | {e['unit']} | {' | '.join(number(e[p], '.2f') for p in percent)} |"
-            for e in told["joints"]
-        ),
-        "\n## Parameters",
-        "| name | value | σ | % | σ HAC | unit | |\n|---|--:|--:|--:|--:|---|---|",
-        *(
-            f"| {p['name']} | {p['value']:.4g} | {p['sigma']:.2g} | {number(p['sigma_percent'], '.3g')} | "
-            f"{number(p['sigma_hac'], '.2g')} | {p['unit']} | {'essential' if p['essential'] else ''} |"
-            for p in parameters
-        ),
-        "\nσ assumes white residuals; σ HAC (Newey, West) holds for correlated ones too.",
-        *(["\n## What they stand for"] if regrouped else []),
-        *(f"- {p['name']} = {p['expression']}" for p in regrouped),
-        "\n## What is drawn",
-        "- Measured: the recording as it is, all of it; dq and ddq are central differences of the raw position, and off "
-        "where noise would drown the rest: a click in the legend shows them.",
-        "- Filtered and predicted: the span fitted; predicted is the model along the filtered motion, undecimated.",
-        "- Residual: of the decimated rows, measured and modelled torque through the same filter, as fitted; its "
-        "autocorrelation over the lag, in grey the bounds ±2/√N of white noise; its distribution as numbers of rows, in grey "
-        "the normal one.",
-        "- Curves show every sample."
-        if step == 1
-        else f"- Of every {step} samples curves show the lowest and the highest.",
-        f"\n`{signals.recording}` sha256 `{signals.sha256}`",
-    ]
-    return "\n".join(lines) + "\n"
+def _shapes(kind: str, solids: Sequence[Solid], *, ghost: bool) -> Any:
+    colors = [_GHOST if ghost else _SOLID_COLORS[s.part] for s in solids]
+    places, turns = [s.center for s in solids], [rr.Quaternion(xyzw=s.turn) for s in solids]
+    sizes = np.array([s.size for s in solids]) * (_HALO if ghost else 1.0)
+    fill = rr.components.FillMode.Solid
+    if kind == "box":
+        return rr.Boxes3D(sizes=sizes, centers=places, quaternions=turns, colors=colors, fill_mode=fill)
+    length, radius = sizes[:, 0], sizes[:, 1]
+    if kind == "cylinder":
+        return rr.Cylinders3D(
+            lengths=length, radii=radius, centers=places, quaternions=turns, colors=colors, fill_mode=fill
+        )
+    return rr.Capsules3D(
+        lengths=length, radii=radius, translations=places, quaternions=turns, colors=colors, fill_mode=fill
+    )
+
+
+def _urdf_tree(text: str, origin: str, key: str, *, ghost: bool) -> UrdfTree:
+    """The tree of a URDF, whose frames are this robot's own; a ghost has one color."""
+    root = ET.fromstring(text)
+    root.set("name", key)  # its entities are below origin/key: the prefix is one part of a path
+    for visual in root.iter("visual") if ghost else ():
+        for material in visual.findall("material"):
+            visual.remove(material)
+        material = ET.SubElement(visual, "material", {"name": "ghost"})
+        ET.SubElement(material, "color", {"rgba": " ".join(f"{c / 255:.3f}" for c in _GHOST)})
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "robot.urdf"
+        file.write_bytes(ET.tostring(root))
+        return UrdfTree.from_file_path(
+            file,
+            entity_path_prefix=origin.lstrip("/"),
+            frame_prefix=f"{key}/",
+            static_transform_entity_path=f"{origin}/{key}/fixed",
+        )

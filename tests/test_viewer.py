@@ -6,19 +6,21 @@ from functools import cache
 
 import numpy as np
 import pytest
+from conftest import robot_named
 from rerun.chunk import RrdReader
 
 from acquisition import AcquisitionError
 from acquisition.robot import robot_from_files
-from identification import panels, viewer
+from identification import curves, viewer
 from identification.base_parameters import base_parameters
+from identification.curves import BUCKETS, extremes
 from identification.dynamics import Dynamics
 from identification.filtering import Motion, decimate, differentiate, lowpass, motion_between
-from identification.idim import identify_ls
-from identification.panels import BUCKETS, extremes
+from identification.idim import Iteration, identify_iv, identify_ls
 from identification.plan import Overrides
 from identification.regression import predicted_torque
 from identification.signals import Signals
+from identification.synthetic import Noise, closed_loop, random_reference
 from identification.viewer import write_fit_rrd
 
 FS = 1000.0
@@ -64,6 +66,19 @@ def fitted(signals, cutoff_hz=None, essential=False):
     return identify_ls(signals, Overrides(cutoff_hz=cutoff_hz), essential=essential)
 
 
+@cache
+def fitted_iv(signals):
+    return identify_iv(signals, Overrides(), Iteration())
+
+
+@cache
+def scara():
+    """A robot that can be simulated, tracking a reference."""
+    robot = robot_named("scara")
+    q_ref = random_reference(robot, duration_s=6.0, sample_rate_hz=FS, seed=1)
+    return closed_loop(robot, q_ref, FS, noise=Noise(effort_percent=1.0), seed=1)
+
+
 class Written:
     """A file read back: `curves` as (t_ns, values) and `static` columns by entity path; the layout's views."""
 
@@ -71,7 +86,7 @@ class Written:
         reader = RrdReader(path)
         (recording,), (blueprint,) = reader.recordings(), reader.blueprints()
         self.application = recording.application_id
-        self.curves, self.static, self.views = {}, {}, {}
+        self.curves, self.static, self.views, self.moving = {}, {}, {}, {}
         for chunk in reader.stream(store=recording).to_chunks():
             batch = chunk.to_record_batch()
             columns = {name: batch.column(name) for name in batch.schema.names}
@@ -79,6 +94,10 @@ class Written:
                 self.static.setdefault(chunk.entity_path, {}).update({k: v.to_pylist()[0] for k, v in columns.items()})
             else:
                 assert chunk.timeline_names == ["time"]
+                if "Scalars:scalars" not in columns:
+                    assert chunk.entity_path not in self.moving, "in one piece"
+                    self.moving[chunk.entity_path] = {name: c.to_pylist() for name, c in columns.items()}
+                    continue
                 t = columns["time"].to_numpy(zero_copy_only=False).astype(np.int64)
                 x = np.array([row[0] for row in columns["Scalars:scalars"].to_pylist()])
                 assert chunk.entity_path not in self.curves, "in one piece"
@@ -102,16 +121,33 @@ class Written:
         if kind == "TimeSeries":
             lines = [p for p in self.curves if p.startswith(f"{origin}/") and len(self.curves[p][0]) > 1]
             return any(below[p]["SeriesLines:visible_series"] == [True] for p in lines)
+        if kind in ("StateTimeline", "TextLog"):
+            component = {"StateTimeline": "StateChange:state", "TextLog": "TextLog:text"}[kind]
+            return any(component in c for p, c in self.moving.items() if f"{p}/".startswith(f"{origin}/"))
+        if kind == "3D":
+            solids = [
+                columns for columns in below.values() if any(name.endswith(("sizes", "radii")) for name in columns)
+            ]
+            moved = [p for p, c in self.moving.items() if p.startswith(f"{origin}/") and "Transform3D:translation" in c]
+            return len(solids) > 0 and len(moved) > 0
         component = {"BarChart": "BarChart:values", "2D": "Points2D:positions", "TextDocument": "TextDocument:text"}[
             kind
         ]
         return any(columns.get(component) for columns in below.values())
 
+    def is_complete(self):
+        """No view of the layout is empty, and nothing in the file is without a view."""
+        for origin, (kind, title) in self.views.items():
+            assert self.holds(origin, kind), f"{title} is empty"
+        for path in [*self.curves, *self.static, *self.moving]:
+            assert path.startswith("/__") or any(f"{path}/".startswith(f"{origin}/") for origin in self.views), path
+        return True
+
 
 @pytest.fixture
 def written(tmp_path):
-    def write(signals, fit=None, name="fit.rrd"):
-        write_fit_rrd(tmp_path / name, signals, fit or fitted(signals))
+    def write(signals, fit=None, name="fit.rrd", **others):
+        write_fit_rrd(tmp_path / name, signals, fit or fitted(signals), **others)
         return Written(tmp_path / name)
 
     return write
@@ -131,29 +167,75 @@ CASES = {
 def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     signals = made_up(**case)
     file = written(signals)
+    n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
+    assert sorted(kind for kind, _ in file.views.values()) == sorted(
+        ["TimeSeries"] * (4 * n + errors) + ["BarChart"] * 2 * n + ["2D"] * 4 + ["3D", "StateTimeline", "TextDocument"]
+    )
+    assert file.is_complete()
+
+
+IV_CASES = {
+    "two joints": scara,
+    "one sliding joint, with reference": lambda: made_up(types=("prismatic",), reference=True),
+    "one joint": lambda: made_up(types=("revolute",)),
+}
+
+
+@pytest.mark.parametrize("case", IV_CASES.values(), ids=IV_CASES)
+def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written):
+    signals = case()
+    fit, ls = fitted_iv(signals), fitted(signals)
+    file = written(signals, fit, beside=ls, truth=ls.beta)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * 4 * n + ["BarChart"] * 2 * n + ["2D"] * 3 + ["TextDocument"]
+        ["TimeSeries"] * 5 * n + ["BarChart"] * 2 * n + ["2D"] * 5 + ["3D", "StateTimeline", "TextDocument"]
     )
-    for origin, (kind, title) in file.views.items():
-        assert file.holds(origin, kind), f"{title} is empty"
-    for path in [*file.curves, *file.static]:
-        assert path.startswith("/__") or any(f"{path}/".startswith(f"{origin}/") for origin in file.views), path
+    assert file.is_complete()
+    simulated, name = fit.iv.simulated, signals.robot.joints[0].name
+    for quantity, key, values in (("q", "simulated", simulated.q), ("torque", "model_ddm", simulated.tau)):
+        k, x = file.curve(quantity, name, key)
+        np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
+        np.testing.assert_allclose(x, values[:, 0])
+    k, x = file.curve("error", name, "simulated")
+    np.testing.assert_allclose(x, simulated.q[:, 0] - fit.iv.q[:, 0])
+    np.testing.assert_allclose(signals.q[k, 0] + x, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
+    titles = {origin: title for origin, (_, title) in file.views.items()}
+    assert f"{fit.iv.direct[0].torque_error_percent:.1f} %" in titles[f"/torque/{name}".replace(" ", "\\ ")]
+    assert fit.status in titles["/passes"]
+    labels = file.static["/passes/labels"]["Points2D:labels"]
+    assert {str(k) for k in range(1, len(fit.iv.passes) + 1)} <= {label.split(":")[0] for label in labels}
+    for p in fit.iv.passes:
+        assert f"{p.residual_norm:.3g}" in labels
+    text = file.static["/report"]["TextDocument:text"][0]
+    assert "Simulated robot against the recording" in text
+    assert "IV and LS" in text
+    assert "IV and true" in text
+
+
+def test_a_robot_that_cannot_be_simulated_has_passes_and_no_ghost(written):
+    fit = fitted_iv(made_up())
+    assert (fit.status, fit.iv.simulated) == ("diverged", None)
+    file = written(made_up(), fit)
+    assert file.is_complete()
+    assert "/passes" in file.views
+    assert not any("simulated" in path for path in [*file.curves, *file.moving])
+    assert fit.iv.reason in file.static["/report"]["TextDocument:text"][0]
 
 
 def test_an_empty_panel_would_be_noticed(written):
     file = written(made_up())
-    del file.curves["/torque/joint\\ 1.x/measured"], file.curves["/torque/joint\\ 1.x/predicted"]
+    del file.curves["/torque/joint\\ 1.x/measured"], file.curves["/torque/joint\\ 1.x/model_idm"]
     del file.curves["/torque/joint\\ 1.x/residual"]
     assert not file.holds("/torque/joint\\ 1.x", "TimeSeries")
-    assert not file.holds("/nowhere", "2D")
+    for kind in ("2D", "3D", "StateTimeline", "TextLog"):
+        assert not file.holds("/nowhere", kind)
 
 
 def test_titles_say_joint_unit_and_error(written):
     signals = made_up(types=("prismatic", "revolute"))
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
     error = fitted(signals).errors[0].relative_error_percent
-    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], relative error {error:.1f} %"
+    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], IDM {error:.1f} % off"
     assert titles["/torque/joint\\ 2.x"].startswith("joint 2.x [N m]")
     assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
     assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
@@ -175,7 +257,7 @@ def test_short_curves_are_written_sample_by_sample(written):
     for j, joint in enumerate(signals.robot.joints):
         expected = {
             ("torque", "measured"): (np.arange(len(q)), signals.effort),
-            ("torque", "predicted"): (span, predicted),
+            ("torque", "model_idm"): (span, predicted),
             ("q", "measured"): (np.arange(len(q)), signals.q),
             ("q", "reference"): (np.arange(len(q)), signals.q_ref),
             ("q", "measured_filtered"): (span, q[span]),
@@ -196,7 +278,7 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("torque", joint.name, "residual")
         assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
-        t, predicted = file.curve("torque", joint.name, "predicted")
+        t, predicted = file.curve("torque", joint.name, "model_idm")
         np.testing.assert_array_equal(t, np.arange(fit.plan.start, fit.plan.stop))
         np.testing.assert_allclose(rho, Y[j] - decimate(predicted, fit.plan.decimation), atol=1e-9 * np.abs(Y[j]).max())
         assert k[-1] == fit.plan.stop - 1
@@ -206,7 +288,7 @@ def test_the_residual_is_the_one_whose_error_is_reported(written):
 def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
     signals = made_up()
     whole = written(signals)
-    monkeypatch.setattr(panels, "_BLOCK", 700)
+    monkeypatch.setattr(curves, "_BLOCK", 700)
     blocks = written(signals, name="blocks.rrd")
     assert whole.curves.keys() == blocks.curves.keys()
     for path, (t, x) in whole.curves.items():
@@ -243,18 +325,18 @@ def test_long_curves_are_bounded_and_lose_no_peak(written, tmp_path):
     step = -(-25_000 // BUCKETS)
     assert all(len(t) <= 2 * BUCKETS + step for t, _ in file.curves.values())
     assert (tmp_path / "fit.rrd").stat().st_size < 4e6
-    assert f"Of every {step} samples" in file.static["/report"]["TextDocument:text"][0]
+    assert f"of every {step} samples" in file.static["/report"]["TextDocument:text"][0]
 
 
 def test_a_raw_derivative_that_drowns_the_filtered_one_waits_for_a_click(written):
     def shown(file):
         return {
             quantity: file.static[f"/{quantity}/joint\\ 1.x/measured"]["SeriesLines:visible_series"] == [True]
-            for quantity in ("q", "dq", "ddq")
+            for quantity in ("dq", "ddq")
         }
 
-    assert shown(written(made_up(noise=1e-3))) == {"q": True, "dq": True, "ddq": False}
-    assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"q": True, "dq": True, "ddq": True}
+    assert shown(written(made_up(noise=1e-3))) == {"dq": True, "ddq": False}
+    assert shown(written(made_up(noise=0.0), name="b.rrd")) == {"dq": True, "ddq": True}
 
 
 def test_what_was_not_recorded_or_done_is_not_shown(written):
@@ -321,10 +403,10 @@ def test_a_fit_that_leaves_nothing_has_no_residual_page(written, monkeypatch):
     signals = made_up()
     fit = fitted(signals)
     nothing = np.zeros((200, 2))
-    monkeypatch.setattr(panels, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
+    monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
     views = written(signals, fit).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
-    assert len(views) == 12
+    assert len(views) == 8 + 4 + 3
 
 
 def test_the_report_tells_result_settings_and_parameters(written):

@@ -1,0 +1,292 @@
+"""The rest of the Rerun files: robots, sessions, recordings not fitted, two fits side by side, and the commands."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from test_viewer import Written, fitted, fitted_iv, made_up, scara
+
+from acquisition.robot import robot_from_files
+from identification import IdentificationError
+from identification.__main__ import main
+from identification.charts import trust_drawing
+from identification.comparison import Value, Values, difference_lines, differences, values_of_fit
+from identification.dynamics import Dynamics
+from identification.plan import Overrides
+from identification.robot_drawing import pose_stride, robot_scene
+from identification.session_panels import event_log, health_plot, span_lanes
+from identification.signals import Happening, load_signals
+from identification.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
+
+SESSION = REPLAY / "scara" / "session.mcap"
+LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
+
+
+def urdf_robot(shape):
+    visual = f"<visual><geometry>{shape}</geometry></visual>"
+    joint = (
+        "<joint name='{0}' type='revolute'><parent link='{1}'/><child link='{2}'/><origin xyz='0 0 .4'/>"
+        "<axis xyz='0 1 0'/><limit lower='-1' upper='1' effort='1' velocity='1'/></joint>"
+    )
+    urdf = f"<robot name='arm'><link name='base'>{visual}</link><link name='l1'>{LINK}{visual}</link>"
+    urdf += (
+        f"<link name='l2'>{LINK}{visual}</link>{joint.format('a', 'base', 'l1')}{joint.format('b', 'l1', 'l2')}</robot>"
+    )
+    text = 'name = "arm"\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 10.0\n'
+    for name in "ab":
+        text += f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "m{name}"\neffort_unit = "N m"\n'
+    return robot_from_files({"robot.toml": text.encode(), "robot.urdf": urdf.encode()}, "made up")
+
+
+def test_placements_are_those_of_the_table():
+    dynamics = Dynamics(robot_named("scara"))
+    q = np.array([[0.3, 0.4], [0.0, -1.2]])
+    places, turns = dynamics.placements(q)
+    np.testing.assert_allclose(places[:, 1], 0.5 * np.c_[np.cos(q[:, 0]), np.sin(q[:, 0]), [0, 0]], atol=1e-12)
+    np.testing.assert_allclose(turns[:, 1, 0, 0], np.cos(q.sum(axis=1)), atol=1e-12)
+    assert dynamics.parents == (0, 1)
+
+
+@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
+def test_a_robot_is_drawn_from_its_table(name):
+    robot = robot_named(name)
+    rng = np.random.default_rng(1)
+    q = 0.2 * np.cumsum(rng.standard_normal((400, robot.n)), axis=0) / 20
+    signals = replace(
+        made_up(), t_s=np.arange(400) / 1000.0, q=q, effort=np.zeros_like(q), robot=robot, events=(), health={}
+    )
+    scene = robot_scene(signals, None)
+    assert {s.link for s in scene.solids} == set(range(robot.n + 1)), "base and every link have something to show"
+    assert all(min(s.size) > 0 and np.isfinite(s.center).all() for s in scene.solids)
+    (robot_shown,) = scene.robots
+    assert np.diff(robot_shown.t_s).min() > 0.99 / 50
+    places, _ = Dynamics(robot).placements(robot_shown.q)
+    np.testing.assert_allclose(robot_shown.places, places)
+    # Each link's rod ends where the next joint is.
+    for j, parent in enumerate(Dynamics(robot).parents):
+        rods = [s for s in scene.solids if s.link == parent and s.kind == "capsule"]
+        if parent and rods and np.linalg.norm(places[0, j] - places[0, parent - 1]) > 1e-9:
+            reach = max(np.linalg.norm(s.center) + s.size[0] for s in rods)
+            assert reach >= np.linalg.norm(places[0, j] - places[0, parent - 1]) - 1e-9
+
+
+def test_poses_are_as_many_as_a_screen_shows():
+    assert pose_stride(45_000, 5000.0) == 100
+    assert pose_stride(100, 20.0) == 1
+    assert 10_000_000 / pose_stride(10_000_000, 1000.0) <= 15_000
+
+
+@pytest.mark.parametrize("shape", ["<box size='.1 .1 .4'/>", "<mesh filename='package://arm/l.stl'/>"])
+def test_a_urdf_shows_its_own_shapes_where_the_recording_has_them(shape, tmp_path):
+    signals = replace(made_up(types=("revolute", "revolute")), robot=urdf_robot(shape))
+    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    own = any("/robot/measured/visual_geometries/l2" in path for path in file.static)
+    assert own == ("box" in shape)
+    moved = [path for path, columns in file.moving.items() if "Transform3D:quaternion" in columns]
+    assert len(moved) == 2, "one for each joint"
+
+
+def test_both_robots_stand_where_their_data_says(tmp_path):
+    signals = scara()
+    fit = fitted_iv(signals)
+    write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
+    file = Written(tmp_path / "fit.rrd")
+    for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", fit.iv.simulated.t_s, fit.iv.simulated.q)):
+        found = file.moving[f"/robot/{key}/2"]
+        at = np.array([t.total_seconds() for t in found["time"]])
+        k = np.array([np.abs(t_s - t).argmin() for t in at])
+        places, _ = Dynamics(signals.robot).placements(q[k])
+        np.testing.assert_allclose(np.array(found["Transform3D:translation"])[:, 0], places[:, 1], atol=1e-6)
+    assert file.moving["/robot/simulated/2"]["time"][0].total_seconds() == 0.0, "never at the origin for want of a pose"
+
+
+def eventful(signals):
+    t_s = np.array([-1.0, 0.0, 1.0, 2.0, 99.0])
+    return replace(
+        signals,
+        events=(
+            Happening(t_s=-3.0, kind="phase", text="configure"),
+            Happening(t_s=-1.0, kind="phase", text="settle"),
+            Happening(t_s=0.5, kind="phase", text="track"),
+            Happening(t_s=1.0, kind="fault", text="drive 2: following error"),
+            Happening(t_s=99.0, kind="phase", text="stop"),
+        ),
+        health={"frames": (t_s, 100 * t_s), "late": (t_s, np.array([0, 0, 2, 2, 3.0])), "lost": (t_s, t_s * np.nan)},
+    )
+
+
+def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
+    signals = eventful(made_up())
+    write_fit_rrd(tmp_path / "fit.rrd", signals, fitted(made_up()))
+    file = Written(tmp_path / "fit.rrd")
+    assert file.is_complete()
+    assert {"StateTimeline", "TextLog"} <= {kind for kind, _ in file.views.values()}
+    end_s = signals.t_s[-1]
+    lanes = span_lanes(signals, None, fitted=True).lanes
+    assert [(t, text) for t, text, _ in lanes["phase"]] == [(0.0, "settle"), (0.5, "track"), (end_s, "stop")]
+    lines = event_log(signals).lines
+    assert lines[0] == (0.0, False, "phase: configure (3 s before the samples)")
+    assert lines[3] == (1.0, True, "fault: drive 2: following error")
+    plot = health_plot(signals)
+    assert plot.title == "counted: frames 9900, late 3"
+    ((late, counts),) = [c.line for c in plot.curves]
+    np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])
+    np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
+
+
+def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
+    from acquisition.recording import RecordingWriter, read_recording
+
+    recording, path = read_recording(SESSION), tmp_path / "log.mcap"
+    samples = np.array(recording.samples[:3000])
+    samples["stamp_ns"] += 5_000_000_000 - samples["stamp_ns"][0]
+    with RecordingWriter(path, recording.robot, source="t", sample_rate_hz=1000.0, effort_provenance="t") as writer:
+        writer.event(4_000_000_000, "phase", "track")
+        writer.samples(samples)
+        writer.health(6_000_000_000, {"late": 2.0})
+    signals = load_signals(path)
+    assert signals.events == (Happening(t_s=-1.0, kind="phase", text="track"),)
+    np.testing.assert_allclose(signals.health["late"], [[1.0], [2.0]])
+
+
+VIEWS = {
+    "two joints": {},
+    "one sliding joint, with reference": {"types": ("prismatic",), "reference": True},
+    "seven joints": {"types": ("revolute",) * 7},
+    "short": {"samples": 40},
+    "two samples": {"samples": 2},
+}
+
+
+@pytest.mark.parametrize("case", VIEWS.values(), ids=VIEWS)
+def test_a_recording_that_is_not_fitted_is_shown(case, tmp_path):
+    signals = made_up(**{**case, "samples": 4000})
+    N = case.get("samples", 4000)
+    if N < 4000:
+        signals = replace(signals, t_s=signals.t_s[:N], q=signals.q[:N], effort=signals.effort[:N])
+    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    kinds = [kind for kind, _ in file.views.values()]
+    n = signals.robot.n
+    assert kinds.count("TimeSeries") == n * (4 + (signals.q_ref is not None))
+    assert "3D" in kinds
+    text = file.static["/report"]["TextDocument:text"][0]
+    assert ("cannot be fitted" in text) == (N < 4000)
+    assert ("StateTimeline" in kinds) == (N == 4000)
+
+
+def test_a_robot_that_stands_still_is_shown(tmp_path):
+    signals = made_up()
+    still = replace(signals, q=np.zeros_like(signals.q), effort=np.zeros_like(signals.effort))
+    write_recording_rrd(tmp_path / "view.rrd", still, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    assert "no joint moves" in file.static["/report"]["TextDocument:text"][0]
+
+
+def values(label, **parameters):
+    return Values(
+        label=label,
+        parameters={
+            name: Value(value=v, sigma=s, sigma_hac=None, unit="kg", essential=True)
+            for name, (v, s) in parameters.items()
+        },
+    )
+
+
+def test_differences_are_in_deviations_of_the_difference():
+    a, b = (
+        values("A", M1=(2.0, 0.3), M2=(1.0, 0.0), M4=(1.0, 0.1)),
+        values("B", M1=(1.0, 0.4), M2=(1.0, 0.0), M3=(5.0, 1.0)),
+    )
+    rows = {row.name: row for row in differences(a, b)}
+    assert list(rows) == ["M1", "M2", "M4", "M3"]
+    assert rows["M1"].off_sigma == pytest.approx(2.0)
+    assert rows["M1"].off_percent == pytest.approx(100.0)
+    assert rows["M2"].off_sigma is None
+    assert (rows["M3"].a, rows["M3"].off, rows["M4"].b) == (None, None, None)
+    assert difference_lines(a, b, list(rows.values()))[1:] == ["only in A: M4", "only in B: M3"]
+    with pytest.raises(IdentificationError, match="no parameter in common"):
+        differences(a, values("C", M9=(1.0, 1.0)))
+
+
+def test_bars_of_a_comparison_end_where_the_difference_is():
+    a, b = values("A", M1=(2.0, 0.3), M2=(1.0, 0.1)), values("B", M1=(1.0, 0.4), M2=(9.0, 0.1))
+    drawing = trust_drawing(a, [b])
+    places = {text: x for x, _, text, _ in drawing.labels}
+    width = places["+3"] - places["0"] if places["0"] > places["-3"] else None
+    far = [x for x, y, _ in drawing.dots if x > places["-6"] - 1]
+    assert places["-3"] + (2.0 + 3.0) / 3 * width in [pytest.approx(x) for x in far]
+    assert places["-6"] in [pytest.approx(x) for x in far], "beyond the chart it stays at its end"
+
+
+def test_two_fits_are_one_page(tmp_path):
+    a = values_of_fit(fitted(made_up()))
+    b = values_of_fit(fitted(made_up(), essential=True))
+    write_comparison_rrd(tmp_path / "both.rrd", a, b)
+    file = Written(tmp_path / "both.rrd")
+    assert file.is_complete()
+    assert sorted(kind for kind, _ in file.views.values()) == ["2D", "TextDocument"]
+
+
+def run(capsys, *arguments):
+    status = main([str(a) for a in arguments])
+    captured = capsys.readouterr()
+    return status, captured.out, captured.err
+
+
+@pytest.mark.parametrize("place", ["missing/fit.rrd", "folder", "closed/fit.rrd"])
+def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "closed").write_text("a file where a folder should be")
+    table = run(capsys, "fit", SESSION)[1]
+    status, out, err = run(capsys, "fit", SESSION, "--json", tmp_path / "fit.json", "--rrd", tmp_path / place)
+    assert status == 1
+    assert err.startswith("robot-identify: ")
+    assert err.count("\n") == 1
+    assert out == table
+    assert json.loads((tmp_path / "fit.json").read_text())["status"] == "solved"
+
+
+def test_commands_view_and_compare(capsys, tmp_path):
+    status, out, err = run(capsys, "view", SESSION, "-o", tmp_path / "view.rrd")
+    assert (status, err) == (0, "")
+    assert f"rerun --bind 127.0.0.1 {tmp_path / 'view.rrd'}" in out
+    assert Written(tmp_path / "view.rrd").is_complete()
+    for method, rrd in (("wls", []), ("iv", ["--rrd", tmp_path / "iv.rrd"])):
+        assert run(capsys, "fit", SESSION, "--method", method, "--json", tmp_path / f"{method}.json", *rrd)[0] == 0
+    assert "IV and LS" in Written(tmp_path / "iv.rrd").static["/report"]["TextDocument:text"][0]
+    status, out, err = run(
+        capsys, "compare", tmp_path / "iv.json", tmp_path / "wls.json", "--rrd", tmp_path / "both.rrd"
+    )
+    assert (status, err) == (0, "")
+    assert "of 8 parameters in both" in out
+    assert "ZZ1R" in out
+    assert Written(tmp_path / "both.rrd").is_complete()
+
+
+def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
+    def fit(name, parameter, unit):
+        parameters = [{"name": parameter, "value": 1.0, "sigma": 0.1, "unit": unit}]
+        content = {"format": 1, "method": "wls", "status": "solved", "parameters": parameters}
+        (tmp_path / name).write_text(json.dumps(content))
+        return tmp_path / name
+
+    a = fit("a.json", "M1", "kg")
+    for b, message in (
+        (fit("b.json", "M2", "kg"), "no parameter in common"),
+        (fit("c.json", "M1", "V s²/m"), "M1 is in kg in a and in V s²/m in c"),
+        (tmp_path / "none.json", "cannot be read"),
+    ):
+        status, _, err = run(capsys, "compare", a, b)
+        assert status == 1
+        assert message in err
+        assert err.count("\n") == 1
+    status, _, err = run(capsys, "compare", a, a, "--rrd", a)
+    assert status == 1
+    assert "named twice" in err
