@@ -263,7 +263,7 @@ def _log_log(
     marks: Sequence[tuple[float, str]],
 ) -> Drawing:
     """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
-    sheet = np.array([900.0, 840.0])
+    sheet = np.array([900.0, 560.0])
     all_x, all_y = (np.log10(np.concatenate([c[i] for c in curves])) for i in (1, 2))
     low = np.array([all_x.min(), math.floor(max(all_y.min(), all_y.max() - 12))])
     high = np.array([all_x.max(), math.ceil(all_y.max())])
@@ -286,7 +286,7 @@ def _log_log(
         at = math.log10(x)
         if low[0] < at < high[0]:
             strokes.append((place([at, at], [low[1], high[1]]), GREY, 1.25))
-            labels.append((float(strokes[-1][0][0, 0]), frame[0, 1] + 26 * k, f"{name} {x:g} Hz", GREY))
+            labels.append((float(strokes[-1][0][0, 0]), frame[1, 1] - 60 + 26 * k, f"{name} {x:g} Hz", GREY))
     for j, (name, f, amplitude) in enumerate(curves):
         strokes.append((place(np.log10(f), np.log10(amplitude)), JOINTS[j % len(JOINTS)], 0.75))
         labels.append((frame[1, 0] - 70, frame[0, 1] + 26 * j, name, JOINTS[j % len(JOINTS)]))

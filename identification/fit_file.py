@@ -25,23 +25,23 @@ FORMAT = 1
 
 
 class StoredParameter(msgspec.Struct, frozen=True):
-    """A parameter as a fit's JSON file has it; other keys are not read back."""
+    """A parameter as a fit's JSON file has it, or that of known values, which have no sigma; other keys are not read back."""
 
     name: str
     value: float
-    sigma: float
     unit: str
+    sigma: float = 0.0
     sigma_hac: float | None = None
     essential: bool = False
 
 
 class StoredFit(msgspec.Struct, frozen=True):
-    """A fit's JSON file, as far as it is read back."""
+    """The JSON file of a fit, or of known values, as far as it is read back."""
 
-    format: int
-    method: str
-    status: str
     parameters: list[StoredParameter]
+    format: int = FORMAT
+    method: str = "known"
+    status: str = "known"
 
     def beta(self, base: BaseParameters, place: str) -> NDArray[np.float64]:
         """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""

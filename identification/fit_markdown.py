@@ -9,6 +9,7 @@ from .fit_file import fit_json
 from .plan import Plan
 from .report import iv_lines, plan_lines
 from .robot_drawing import POSES_PER_S, pose_stride
+from .session_panels import health_line
 from .signals import Signals
 
 
@@ -27,6 +28,7 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
         *(f"- {line}" for line in plan_lines(signals, fit.plan)),
         f"- cond(W) {told['condition_number']:.4g}, scaled {told['condition_number_scaled']:.4g}; {told['rows']} rows",
         *(f"- {line}" for line in (iv_lines(fit.iv) if fit.iv else [])),
+        *([f"- {line}"] if (line := health_line(signals)) else []),
         "\n## Relative torque error, %",
         "| joint | unit | all rows | moving | standing |\n|---|---|--:|--:|--:|",
         *(
@@ -71,6 +73,7 @@ def recording_markdown(signals: Signals, plan: Plan | None, refusal: str | None)
         *(f"- **warning: {warning}**" for warning in warnings),
         f"- {len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, {reference} reference",
         *(f"- {line.replace('fitted:', 'a fit would use')}" for line in (plan_lines(signals, plan) if plan else [])),
+        *([f"- {line}"] if (line := health_line(signals)) else []),
         "\n## Ranges",
         "| joint | position | unit | effort | unit |\n|---|--:|---|--:|---|",
         *(

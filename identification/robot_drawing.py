@@ -39,10 +39,11 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     corners = _reached(solids, robots[0])
     target = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
-    size *= 1.5 if urdf is not None else 1.0  # whose shapes reach beyond its last joint
+    size *= 1.5 if urdf is not None else 1.0  # its shapes reach beyond its last joint
+    size *= 1.3 if dynamics.robot.n == 1 else 1.0  # a slide comes close to the eye
     side = np.cross(up, [0.0, 1.0, 0.0] if abs(up[1]) < 0.9 else [1.0, 0.0, 0.0])
     side /= np.linalg.norm(side)
-    eye = target + size * (0.72 * side + 0.56 * np.cross(up, side) + 0.36 * up)
+    eye = target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up)
     return Scene(
         path=("robot",),
         title="robot measured, in blue simulated" if len(robots) > 1 else "robot measured",

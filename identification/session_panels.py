@@ -11,6 +11,8 @@ Vector = NDArray[np.float64]
 
 FOLLOWS = "track"  # the phase that a fit uses
 MOST_LINES = 2000  # of the log
+EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
+TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
 
 
 def span_lanes(signals: Signals, plan: Plan | None, *, fitted: bool) -> Lanes | None:
@@ -47,22 +49,20 @@ def event_log(signals: Signals) -> Log | None:
         told = (
             "" if at == event.t_s else f" ({abs(event.t_s - at):.3g} s {'before' if at == 0 else 'after'} the samples)"
         )
-        lines.append((at, event.kind not in ("phase", "mark", "disabled"), f"{event.kind}: {event.text}{told}"))
+        lines.append((at, event.kind not in EXPECTED, f"{event.kind}: {event.text}{told}"))
     return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
 
 
 def health_plot(signals: Signals) -> Plot | None:
-    """The recorder's counts of what went wrong, None where it kept none; how many frames there were is said in the title."""
+    """The recorder's counts of what went wrong, None where it kept none; the title says what they come to."""
     end_s = float(signals.t_s[-1])
     curves: list[Curve] = []
-    told: list[str] = []
     for name, (t_s, counts) in signals.health.items():
         known = np.isfinite(counts)
         if not known.any():
             continue
         t_s, counts = t_s[known], counts[known]
-        told.append(f"{name} {counts[-1]:g}")
-        if name != "frames":
+        if name not in TOTALS and not name.endswith("_s"):
             before = np.flatnonzero(t_s < 0)[-1:]  # counts so far, as the samples begin
             k = np.r_[before, np.flatnonzero((t_s >= 0) & (t_s <= end_s))]
             line = np.clip(t_s[k], 0, end_s), counts[k]
@@ -72,7 +72,16 @@ def health_plot(signals: Signals) -> Plot | None:
                 line = np.array([0.0, end_s]), np.repeat(line[1], 2)
             color = JOINTS[len(curves) % len(JOINTS)]
             curves.append(Curve(key=name, color=color, line=line, width=2.0))
-    return Plot(path=("health",), title="counted: " + ", ".join(told), curves=tuple(curves)) if curves else None
+    faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
+    title = f"counted: {', '.join(faults) or 'no fault'}"
+    return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
+
+
+def health_line(signals: Signals) -> str | None:
+    """What the recorder's counters came to, None where it kept none."""
+    known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
+    last = [f"{name} {counts[-1]:.4g}" for name, counts in known.items() if len(counts)]
+    return "recorder: " + ", ".join(last) if last else None
 
 
 def within(t_s: float, end_s: float) -> float:

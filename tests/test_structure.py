@@ -180,7 +180,17 @@ IDENTIFICATION = {
     "charts": {"comparison", "fit", "panels", "plan", "signals"},
     "session_panels": {"panels", "plan", "signals"},
     "robot_drawing": {"dynamics", "fit", "panels", "signals"},
-    "fit_markdown": {"comparison", "curves", "fit", "fit_file", "plan", "report", "robot_drawing", "signals"},
+    "fit_markdown": {
+        "comparison",
+        "curves",
+        "fit",
+        "fit_file",
+        "plan",
+        "report",
+        "robot_drawing",
+        "session_panels",
+        "signals",
+    },
     "viewer": {
         "__init__",
         "charts",

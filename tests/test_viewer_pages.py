@@ -132,7 +132,8 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     assert lines[0] == (0.0, False, "phase: configure (3 s before the samples)")
     assert lines[3] == (1.0, True, "fault: drive 2: following error")
     plot = health_plot(signals)
-    assert plot.title == "counted: frames 9900, late 3"
+    assert plot.title == "counted: late 3"
+    assert "- recorder: frames 9900, late 3\n" in file.static["/report"]["TextDocument:text"][0]
     ((late, counts),) = [c.line for c in plot.curves]
     np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])
     np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
@@ -287,6 +288,11 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
         assert status == 1
         assert message in err
         assert err.count("\n") == 1
+    truth = tmp_path / "truth.json"
+    truth.write_text(json.dumps({"parameters": [{"name": "M1", "value": 1.3, "unit": "kg"}]}))
+    status, out, _ = run(capsys, "compare", a, truth)
+    assert status == 0
+    assert "-3.00" in out
     status, _, err = run(capsys, "compare", a, a, "--rrd", a)
     assert status == 1
     assert "named twice" in err
