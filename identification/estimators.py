@@ -5,18 +5,30 @@ C = s² (WᵀW)⁻¹, sigma_i = sqrt(C_ii), %sigma_i = 100 sigma_i/|beta_i|. The
 scripts, and published deviations rest on it; it makes sigma smaller by b/2r (0.06 % on the EMPS, 1.3 % on the TX40).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg, stats
+from threadpoolctl import threadpool_limits
 
 from . import IdentificationError
 
 Vector = NDArray[np.float64]
+F = TypeVar("F", bound=Callable[..., Any])
 
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 F_TEST_LEVEL = 0.01  # a parameter is dropped only where the F test's p-value stays above
+
+
+def one_thread(function: F) -> F:
+    """Keep linear algebra within `function` to one thread.
+
+    The matrices are small: a second thread waits more than it works, and on a busy machine a fit takes several times as long.
+    """
+    return cast(F, threadpool_limits.wrap(limits=1)(function))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

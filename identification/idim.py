@@ -18,6 +18,7 @@ from .dynamics import Dynamics
 from .estimators import (
     essential_parameters,
     instrumental_variables,
+    one_thread,
     ordinary_least_squares,
     weighted_least_squares,
 )
@@ -58,6 +59,9 @@ class Iteration:
     low_speed_percent: float | None = None
 
 
+@threadpool_limits.wrap(
+    limits=1
+)  # small matrices: a second thread waits more than it works, most of all on a busy machine
 def identify_ls(
     signals: Signals,
     overrides: Overrides,
@@ -82,6 +86,7 @@ def identify_ls(
     return judged(signals, idm, plan, observed, method, reduction.estimate if essential else full, reduction)
 
 
+@one_thread
 def identify_iv(
     signals: Signals,
     overrides: Overrides,
