@@ -59,9 +59,7 @@ class Iteration:
     low_speed_percent: float | None = None
 
 
-@threadpool_limits.wrap(
-    limits=1
-)  # small matrices: a second thread waits more than it works, most of all on a busy machine
+@one_thread
 def identify_ls(
     signals: Signals,
     overrides: Overrides,
