@@ -174,7 +174,7 @@ def _fit(options: argparse.Namespace) -> None:
             from .idim import identify_ls
             from .viewer import write_fit_rrd
 
-            beside = identify_ls(signals, _overrides(options)) if fit.iv else None
+            beside = identify_ls(signals, _overrides(options), essential=options.essential) if fit.iv else None
             write_fit_rrd(options.rrd, signals, fit, beside=beside)
 
 

@@ -8,7 +8,7 @@ from .fit import Fit
 from .fit_file import fit_json
 from .plan import Plan
 from .report import iv_lines, plan_lines
-from .robot_drawing import POSES_PER_S, pose_stride
+from .robot_drawing import pose_stride
 from .session_panels import health_line
 from .signals import Signals
 
@@ -57,7 +57,7 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
         "- Residual, in red: of the decimated rows, measured and modelled torque through the same filter, as fitted; its "
         "autocorrelation over the lag, in grey the bounds ±2/√N of white noise; its distribution as numbers of rows, in grey "
         "the normal one.",
-        *_drawn(signals, fit.plan),
+        *_drawn(signals, fit.plan, "Filtered curves and IDM"),
         f"\n`{signals.recording}` sha256 `{signals.sha256}`",
     ]
     return "\n".join(lines) + "\n"
@@ -82,7 +82,7 @@ def recording_markdown(signals: Signals, plan: Plan | None, refusal: str | None)
             for j, joint in enumerate(robot.joints)
         ),
         "\n## What is drawn",
-        *_drawn(signals, plan),
+        *_drawn(signals, plan, "Filtered curves"),
         f"\n`{signals.recording}` sha256 `{signals.sha256}`",
     ]
     return "\n".join(lines) + "\n"
@@ -125,7 +125,7 @@ def _direct(fit: Fit) -> list[str]:
     ]
 
 
-def _drawn(signals: Signals, plan: Plan | None) -> list[str]:
+def _drawn(signals: Signals, plan: Plan | None, filtered: str) -> list[str]:
     """How the curves come from the samples, and what of them is shown."""
     N, fs = len(signals.q), signals.sample_rate_hz
     step, stride = thinning(N), model_stride(signals, plan) if plan else 1
@@ -134,16 +134,14 @@ def _drawn(signals: Signals, plan: Plan | None) -> list[str]:
         "off where noise would drown the rest: a click in the legend shows them."
     ]
     if plan is not None and plan.cutoff_hz is not None:
-        lines.append("- Filtered, in orange: the measured motion through the low-pass, over the span fitted.")
+        lines.append("- Filtered, in orange: the measured motion through the low-pass, over the span to fit.")
     if step == 1:
         lines.append("- Curves show every sample.")
     else:
         lines.append(f"- For display, of every {step} samples measured curves show the lowest and the highest.")
     if stride > 1:
-        lines.append(f"- Filtered curves and IDM show every {stride}th sample, {fs / stride:g} a second.")
-    lines.append(
-        f"- The robot moves at {min(fs / pose_stride(N, fs), fs):.3g} poses a second, at most {POSES_PER_S:g}."
-    )
+        lines.append(f"- {filtered} show every {stride}th sample, {fs / stride:g} a second.")
+    lines.append(f"- The robot takes {fs / pose_stride(N, fs):.3g} poses a second.")
     return lines
 
 

@@ -80,7 +80,7 @@ def health_plot(signals: Signals) -> Plot | None:
 def health_line(signals: Signals) -> str | None:
     """What the recorder's counters came to, None where it kept none."""
     known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
-    last = [f"{name} {counts[-1]:.4g}" for name, counts in known.items() if len(counts)]
+    last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
     return "recorder: " + ", ".join(last) if last else None
 
 
