@@ -124,6 +124,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
     add_simulation_options(study)
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
+    study.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
     study.set_defaults(run=_study)
 
     demo = commands.add_parser("demo", help="simulated drives, a recording, a fit against the truth")
@@ -323,6 +324,10 @@ def _study(options: argparse.Namespace) -> None:
     _print(study_table(robot.name, runs, true))
     if options.json:
         write_json(options.json, study_json(study, runs, base.names, true))
+    if options.rrd:
+        from .viewer import write_study_rrd
+
+        write_study_rrd(options.rrd, robot.name, runs, true)
 
 
 def _demo(options: argparse.Namespace) -> None:

@@ -14,6 +14,7 @@ from .fit import Fit, Pass
 from .panels import BLUE, GREEN, GREY, JOINTS, LIGHT, ORANGE, PURPLE, RED, Color, Drawing
 from .plan import Plan
 from .signals import Signals
+from .study import Run
 
 Vector = NDArray[np.float64]
 
@@ -220,6 +221,32 @@ def passes_drawing(fit: Fit) -> Drawing:
         sheet.labels.append((across(k), each * len(strips) - 10, told, GREEN if p.settled else GREY))
     settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
     return sheet.drawing(("passes",), f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30))
+
+
+def study_drawing(runs: Sequence[Run]) -> Drawing:
+    """Error of every run of a study over its cut-off: least squares, and instrumental variables by how they ended."""
+    sheet, (width, height) = _Sheet(), SHEET
+    cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
+    errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
+    low, high = 10 ** math.floor(_log10(min(errors))), 10 ** math.ceil(_log10(max(errors)))
+    up = _Scale(left=height - 80, right=60, low=low, high=high, by=_log10)
+    for power in range(round(_log10(low)), round(_log10(high)) + 1):
+        y = up(10.0**power)
+        sheet.line(70, y, width - 20, y)
+        sheet.labels.append((40, y - 10, f"{10.0**power:g} %", GREY))
+    for column, cutoff in enumerate(cutoffs):
+        here = [run for run in runs if run.cutoff == cutoff]
+        across = _Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
+        told = f"{cutoff:g} x bandwidth" if cutoff else "no filter"
+        sheet.labels.append((across(column + 0.5), height - 70, told, LIGHT))
+        for k, run in enumerate(here):
+            spread = 0.35 * (k + 0.5) / len(here)
+            ended = ORANGE if run.status == "converged" else RED
+            sheet.dots.append((across(column + 0.1 + spread), up(100 * run.error_ls), PURPLE))
+            if math.isfinite(run.error_iv):
+                sheet.dots.append((across(column + 0.55 + spread), up(100 * run.error_iv), ended))
+    title = f"|beta - true| / |true| of {len(runs)} runs: purple least squares, orange IV converged, red IV not"
+    return sheet.drawing(("study",), title, SHEET)
 
 
 def spectrum_drawings(signals: Signals, plan: Plan | None) -> list[Drawing]:

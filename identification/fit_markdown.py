@@ -2,6 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
 from .comparison import Difference, Value, Values, difference_lines, differences
 from .curves import model_stride, thinning
 from .fit import Fit
@@ -11,6 +14,7 @@ from .report import iv_lines, plan_lines
 from .robot_drawing import pose_stride
 from .session_panels import health_line
 from .signals import Signals
+from .study import Run, summaries
 
 
 def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Values]) -> str:
@@ -147,3 +151,18 @@ def _drawn(signals: Signals, plan: Plan | None, filtered: str) -> list[str]:
 
 def _number(x: float | None, form: str) -> str:
     return "-" if x is None else format(x, form)
+
+
+def study_markdown(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> str:
+    """A study's summaries as a table."""
+    lines = [
+        f"# {robot}: {len(runs)} runs",
+        "",
+        "| cut-off | method | median error % | worst % | converged % |",
+        "|---|---|---|---|---|",
+    ]
+    for s in summaries(runs, true):
+        told = f"{s.cutoff:g} x bandwidth" if s.cutoff else "none"
+        share = "" if s.converged_percent is None else f"{s.converged_percent:.1f}"
+        lines.append(f"| {told} | {s.method} | {s.median_error_percent:.3f} | {s.worst_error_percent:.3f} | {share} |")
+    return "\n".join(lines)

@@ -20,16 +20,17 @@ from rerun.urdf import UrdfTree
 from acquisition.whole_file import whole_file
 
 from . import IdentificationError
-from .charts import parameter_drawing, passes_drawing, spectrum_drawings, trust_drawing
+from .charts import parameter_drawing, passes_drawing, spectrum_drawings, study_drawing, trust_drawing
 from .comparison import Values, differences, true_values, values_of_fit
 from .curves import motion_plots, observed, residual_bars, torque_plot, tracking_plot
 from .fit import Fit
-from .fit_markdown import comparison_markdown, fit_markdown, recording_markdown
+from .fit_markdown import comparison_markdown, fit_markdown, recording_markdown, study_markdown
 from .panels import BLUE, GREY, RED, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
 from .plan import Overrides, Plan, make_plan
 from .robot_drawing import robot_scene
 from .session_panels import event_log, health_plot, span_lanes
 from .signals import Signals
+from .study import Run
 
 Vector = NDArray[np.float64]
 
@@ -88,6 +89,22 @@ def write_comparison_rrd(path: Path, own: Values, other: Values) -> None:
 
     name = f"{own.label} and {other.label}"
     _write(path, name, repr((own, other)), name, pages)
+
+
+def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector) -> None:
+    """Write a study as a Rerun file: entities `study`, every run's error, and `report`. Errors as in `write_fit_rrd`."""
+
+    def pages(show: "_Show") -> list[Any]:
+        note = Note(path=("report",), title="report", text=study_markdown(robot, runs, true))
+        return [rrb.Horizontal(show(study_drawing(runs)), show(note), column_shares=[3, 2], name="study")]
+
+    _write(
+        path,
+        f"{robot} study",
+        repr([(run.number, run.error_iv, run.error_ls) for run in runs]),
+        f"{robot}, study",
+        pages,
+    )
 
 
 _Show = Callable[[Panel], Any]

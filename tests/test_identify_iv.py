@@ -247,7 +247,23 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
 def test_study_reports_both_methods(capsys, tmp_path):
     out = tmp_path / "study.json"
     noise = ["--encoder-step", "2e-5", "--effort-noise-percent", "2"]
-    assert main(["study", str(REPLAY / "scara" / "robot.toml"), "--runs", "4", *noise, "--json", str(out)]) == 0
+    assert (
+        main(
+            [
+                "study",
+                str(REPLAY / "scara" / "robot.toml"),
+                "--runs",
+                "4",
+                *noise,
+                "--json",
+                str(out),
+                "--rrd",
+                str(tmp_path / "s.rrd"),
+            ]
+        )
+        == 0
+    )
+    assert (tmp_path / "s.rrd").stat().st_size > 1000
     assert "SCARA: 4 runs" in capsys.readouterr().out
     study = json.loads(out.read_text())
     assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]

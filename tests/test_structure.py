@@ -177,7 +177,7 @@ IDENTIFICATION = {
     "panels": set(),
     "comparison": {"__init__", "fit", "fit_file"},
     "curves": {"dynamics", "filtering", "fit", "panels", "plan", "regression", "signals"},
-    "charts": {"comparison", "fit", "panels", "plan", "signals"},
+    "charts": {"comparison", "fit", "panels", "plan", "signals", "study"},
     "session_panels": {"panels", "plan", "signals"},
     "robot_drawing": {"dynamics", "fit", "panels", "signals"},
     "fit_markdown": {
@@ -190,6 +190,7 @@ IDENTIFICATION = {
         "robot_drawing",
         "session_panels",
         "signals",
+        "study",
     },
     "viewer": {
         "__init__",
@@ -203,6 +204,7 @@ IDENTIFICATION = {
         "robot_drawing",
         "session_panels",
         "signals",
+        "study",
         "acquisition.whole_file",
     },
     "options": {"__init__"},

@@ -144,7 +144,8 @@ def test_pythons_canopen_is_master_of_the_simulated_drives():
     stop = threading.Event()
     network = canopen.Network()
     network.connect(interface="virtual", channel="python_master")
-    thread = threading.Thread(target=serve, args=(robot, bus_of(robot), stop.is_set))
+    # The drive comes up once its boot-up is waited for: canopen does not see one that came before.
+    thread = threading.Timer(1.0, serve, args=(robot, bus_of(robot), stop.is_set))
     dictionary = canopen.ObjectDictionary()
     for index, name, kind in (
         (0x6041, "status", 6),
