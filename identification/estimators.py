@@ -65,7 +65,7 @@ class Estimate:
     @property
     def sigma_percent(self) -> Vector:
         """(b,) standard deviations in percent of the values; infinite for a value of zero."""
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(100.0 * self.sigma / np.abs(self.beta))
 
     def among(self, names: tuple[str, ...]) -> Vector:
@@ -150,7 +150,7 @@ def essential_parameters(
     kept, tested = np.arange(b), (float("nan"),) * 4
     while len(kept) > 1:
         beta, C, _ = _covariance(R[:, kept], R[:, -1], r)
-        with np.errstate(divide="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore"):
             percent = np.sqrt(np.diag(C)) / np.abs(beta)
         if percent.max() < ratio * percent.min():
             break
