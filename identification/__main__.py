@@ -119,7 +119,9 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
     study.add_argument("--runs", type=positive, default=100, metavar="N", help="default 100")
     study.add_argument("--cutoffs", type=cutoffs, default=(5.0, 10.0, 0.0), metavar="A,B,none", help="x bandwidth")
-    study.add_argument("--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x true inertia")
+    study.add_argument(
+        "--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x smallest joint's inertia"
+    )
     study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
     study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
     add_simulation_options(study)

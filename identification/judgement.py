@@ -124,7 +124,6 @@ def judged_iv(
 ) -> Fit:
     """A fit by instruments. The robot is simulated once more, with the final estimate: the direct model's validation."""
     final = simulated_motion(e, estimate.among(observed.base.names))
-    status, reason = _verdict(passes, final.reason, final.tracking_percent, failure)
     w = estimate.weights[observed.joint_of_row] * used
     among = [observed.base.names.index(name) for name in estimate.names]
     W, Y = observed.W[:, among] * w[:, None], observed.Y * w
@@ -142,6 +141,7 @@ def judged_iv(
                     torque_error_percent=relative_error_percent(observed.tau[:, j], observed.tau[:, j] - tau[:, j]),
                 )
             )
+    status, reason = _verdict(passes, final.reason, final.tracking_percent, failure, direct, tests)
     evidence = InstrumentEvidence(
         start=start,
         reference=e.reference,
@@ -171,15 +171,28 @@ def judged_iv(
 
 
 def _verdict(
-    passes: tuple[Pass, ...], final_reason: str | None, tracking_percent: float | None, failure: str | None
+    passes: tuple[Pass, ...],
+    final_reason: str | None,
+    tracking_percent: float | None,
+    failure: str | None,
+    direct: list[DirectModelError],
+    tests: InstrumentTests,
 ) -> tuple[Status, str | None]:
-    """`converged` is only said of an estimate that settled, along simulated instruments, and that can itself be simulated."""
+    """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
+
+    Every joint has to track, not the robot on average: a joint of small travel would hide behind the others.
+    """
     if failure is not None:
         return "diverged", failure
     if final_reason is not None:
         return "diverged", f"the final estimate cannot be simulated: {final_reason}"
-    if tracking_percent is None or tracking_percent > TRACKED_PERCENT:
-        return "diverged", f"the simulated position is {tracking_percent:.1f} % off the measured one"
+    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
+        return "diverged", "the simulated position does not follow the measured one"
+    for d in direct:
+        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
+            return "diverged", f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
+    if not tests.first_stage_F >= 1.0:
+        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
     last = passes[-1]
     if last.settled and last.instruments != "simulated":
         return "diverged", f"settled without simulated instruments: {last.reason}"

@@ -103,7 +103,7 @@ def iv_tables(iv: InstrumentEvidence) -> list[Table]:
 def iv_lines(iv: InstrumentEvidence) -> list[str]:
     """Tests of the instruments, in words; why a pass went without simulation."""
     t = iv.tests
-    lines = [f"pass {k}: instruments along the reference: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
+    lines = [f"pass {k}: instruments {p.instruments}: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
     if t.dwh_F is None or t.dwh_F_effective is None or t.dwh_p_value is None or t.dwh_p_effective is None:
         dwh = "instruments and regressor agree: nothing to test"
     else:

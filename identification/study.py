@@ -35,8 +35,8 @@ FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 class Study:
     """What is varied. Each run draws one of each list, seeded by its number.
 
-    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on the true inertias; `gain_errors` factors on
-    the controller's gains (on the bandwidth of a surrogate) as the fit knows them.
+    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on the smallest joint's true inertia, given to
+    every joint; `gain_errors` factors on the controller's gains (on the bandwidth of a surrogate) as the fit knows them.
     """
 
     runs: int = 100

@@ -1,0 +1,46 @@
+"""`converged` is not said where a joint does not track or the instruments say nothing of the regressor."""
+
+import dataclasses
+
+import msgspec
+from conftest import REPLAY
+
+from identification.diagnostics import InstrumentTests
+from identification.fit import DirectModelError, Pass
+from identification.idim import Iteration, identify_iv
+from identification.judgement import _verdict
+from identification.plan import Overrides
+from identification.signals import load_signals
+
+GOOD = InstrumentTests(
+    dwh_F=None, dwh_p_value=None, dwh_F_effective=None, dwh_p_effective=None, strength=0.9, first_stage_F=500.0
+)
+
+
+def verdict(tracking, errors, tests=GOOD):
+    settled = Pass(
+        instruments="simulated", reason=None, residual_norm=1.0, change_sigma=0.1, change_percent=0.1, changed="M1",
+        gains=None, tracking_percent=tracking, condition=1.0, settled=True,
+    )  # fmt: skip
+    direct = [
+        DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
+    ]
+    return _verdict((settled,), None, tracking, None, direct, tests)
+
+
+def test_every_joint_has_to_track():
+    assert verdict(1.0, [1.0, 2.0]) == ("converged", None)
+    status, reason = verdict(2.3, [0.5, 59.3])
+    assert (status, reason) == ("diverged", "simulated joint j1 is 59.3 % off the measured one")
+    assert verdict(float("nan"), [1.0])[0] == "diverged"
+    assert verdict(1.0, [float("nan")])[0] == "diverged"
+
+
+def test_instruments_that_explain_nothing_are_not_converged():
+    assert verdict(1.0, [1.0], dataclasses.replace(GOOD, first_stage_F=0.5))[0] == "diverged"
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=50.0)
+    robot = dataclasses.replace(signals.robot, controller=slow)
+    fit = identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
+    assert fit.status == "diverged"
+    assert "do not explain the regressor" in fit.iv.reason
