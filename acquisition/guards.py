@@ -36,8 +36,11 @@ def node_fault(master: Master, now_ns: int) -> str | None:
             return f"{node}: emergency 0x{watch.emergency:04X}"
         if watch.booted:
             return f"{node}: has restarted"
-        if watch.nmt not in (None, OPERATIONAL):
+        if watch.started and watch.nmt != OPERATIONAL:
             return f"{node}: left operational (NMT state {watch.nmt})"
+        # A heartbeat that left the drive before START may arrive after it.
+        if watch.unstarted >= LOST_HEARTBEATS:
+            return f"{node}: not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
         if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
             return f"{node}: heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s"
         if watch.silent_syncs >= SILENT_SYNCS:

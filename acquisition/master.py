@@ -36,7 +36,10 @@ class Wire(Protocol):
 
 @dataclass(kw_only=True)
 class NodeWatch:
-    """What a drive last said; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one."""
+    """What a drive last said; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
+
+    `started`: its heartbeat has told operational since START; `unstarted` counts the heartbeats before that.
+    """
 
     drive: Drive
     statusword: int | None = None
@@ -45,6 +48,8 @@ class NodeWatch:
     answers: int = 0
     silent_syncs: int = 0
     nmt: int | None = None
+    started: bool = False
+    unstarted: int = 0
     heard_ns: int = 0
     emergency: int | None = None
     booted: bool = False
@@ -107,6 +112,8 @@ class Master:
         elif node in self._by_node and function == 0x700 and frame.data:
             watch = self._by_node[node]
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, frame.time_ns
+            watch.started |= watch.nmt == OPERATIONAL
+            watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
         elif node in self._by_node and function == 0x80 and len(frame.data) >= 2:
             code = int.from_bytes(frame.data[:2], "little")
@@ -135,6 +142,15 @@ class Master:
     def nmt(self, command: int, node: int = 0) -> None:
         """Network management to one node, 0 to all."""
         self.link.send(0, bytes([command, node]))
+
+    def start(self) -> None:
+        """START to all nodes; what they said before counts no more."""
+        for watch in self.nodes:
+            watch.booted, watch.emergency, watch.nmt = False, None, None
+            watch.started, watch.unstarted = False, 0
+        self.nmt(START)
+        for watch in self.nodes:
+            watch.heard_ns = self.link.now_ns()
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
         """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from . import AcquisitionError
 from .cia402 import CONTROLWORD, DISABLED, MODE_OF_OPERATION, STATUSWORD, Command, Mode, State, state_of, toward
 from .guards import Motion, motion_fault, node_fault
-from .master import PRE_OPERATIONAL, START, Master
+from .master import PRE_OPERATIONAL, Master
 from .recorder import Status
 from .reference import approach, check_limits
 from .robot import Robot
@@ -132,12 +132,8 @@ class _Session:
             raise AcquisitionError("; ".join(differences))
         if self._plan.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-        for watch in self._master.nodes:
-            watch.booted, watch.emergency, watch.nmt, watch.heard_ns = False, None, None, 0
-        self._master.nmt(START)
+        self._master.start()
         now_ns = self._link.now_ns()
-        for watch in self._master.nodes:
-            watch.heard_ns = now_ns
         self._beat.next_ns = now_ns + self._bus.period_ns
         if self._plan.duration_s is not None:
             self._beat.until_ns = now_ns + round(self._plan.duration_s * 1e9)

@@ -141,6 +141,56 @@ class ErrorFrames(Through):
         return frame._replace(flags=4, data=b"\0\0\0\x19") if frame and self.count == 1500 else frame
 
 
+@dataclass(kw_only=True)
+class StaleHeartbeats(Through):
+    """After START the first heartbeats of a node still say pre-operational."""
+
+    stale: int = 0
+
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if frame is None or frame.can_id != 0x702 or frame.data != b"\x05" or not self.stale:
+            return frame
+        self.stale -= 1
+        return frame._replace(data=b"\x7f")
+
+
+def test_a_heartbeat_from_before_start_is_no_fault(tmp_path):
+    @dataclass(kw_only=True)
+    class Once(StaleHeartbeats):
+        stale: int = 2
+
+    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=1.0), through=Once)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert len(outcome.recording.samples) >= 495
+
+
+def test_a_node_that_does_not_start_or_leaves_is_a_fault(tmp_path):
+    @dataclass(kw_only=True)
+    class Ever(StaleHeartbeats):
+        stale: int = 10**9
+
+    @dataclass(kw_only=True)
+    class Leaves(Through):
+        count: int = 0
+
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            self.count += frame is not None and frame.can_id == 0x701 and frame.data == b"\x05"
+            return frame._replace(data=b"\x7f") if frame and frame.can_id == 0x701 and self.count == 4 else frame
+
+    for through, reason in (
+        (Ever, "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
+        (Leaves, "node 1 (motor_1): left operational (NMT state 127)"),
+    ):
+        outcome = dry_session(tmp_path / f"{through.__name__}.mcap", TRACK, through=through)
+        assert outcome.ending is not None
+        assert outcome.ending.reason == reason
+        assert outcome.ending.fault
+        assert outcome.drives.all_disabled
+
+
 def test_an_error_frame_stops_motion(tmp_path):
     outcome = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
     assert outcome.ending is not None
