@@ -61,23 +61,23 @@ def relative_error_percent(tau: Vector, rho: Vector) -> float | None:
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
-def hac_sigma(Q: Vector, bread: Vector, rho: Vector, n: int) -> Vector:
+def hac_sigma(Q: Vector, bread: Vector, rho: Vector, n: int, *, rows: int) -> Vector:
     """Standard deviations (b,) that hold for correlated residuals (Newey and West).
 
     beta - beta_true = bread Qᵀ rho, with Q (r, b) and the weighted rho (r,) stacked joint by joint, n joints of equally
-    many rows. The scores of all joints at one instant are added first, so correlation between joints counts as well as
-    correlation in time; the window spans 1.3 sqrt(T) of the T instants. The formula's deviations assume white residuals.
+    many, of which `rows` count; rho is zero in the others. The scores of all joints at one instant are added first, so
+    correlation between joints counts as well as correlation in time; the window spans 1.3 sqrt(T) of the T instants. The
+    formula's deviations assume white residuals.
     """
-    r, b = Q.shape
+    b = Q.shape[1]
     scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
     T = len(scores)
-    lags = int(np.ceil(1.3 * np.sqrt(T)))
-    S = scores.T @ scores
-    for lag in range(1, min(lags, T - 1) + 1):
-        G = scores[lag:].T @ scores[:-lag]
-        S += (1.0 - lag / (lags + 1.0)) * (G + G.T)
-    variance = np.einsum("ij,jk,ik->i", bread, S, bread)
-    return np.asarray(np.sqrt(r / max(1, r - b) * np.maximum(variance, 0.0)))
+    width = min(int(np.ceil(1.3 * np.sqrt(T))), T - 1) + 1
+    # Bartlett's weights 1 - lag/width are those of sums over a moving window: S is the mean product of such sums.
+    running = np.cumsum(np.concatenate([np.zeros((width, b)), scores, np.zeros((width - 1, b))]), axis=0)
+    sums = (running[width:] - running[:-width]) @ bread.T
+    variance = (sums**2).sum(axis=0) / width
+    return np.asarray(np.sqrt(rows / max(1, rows - b) * variance))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: fl
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
     V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
     outside = V - Qw @ (Qw.T @ V)
-    R = linalg.qr(outside, mode="r", pivoting=True)[0]
+    U, R, _ = linalg.qr(outside, mode="economic", pivoting=True)
     independent = int((np.abs(np.diag(R)) > 1e-6).sum())
     nothing = InstrumentTests(
         dwh_F=None,
@@ -122,7 +122,7 @@ def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: fl
     freedom = rows - b - independent
     if not independent or freedom < 1:
         return nothing
-    U = linalg.qr(outside, mode="economic", pivoting=True)[0][:, :independent]
+    U = U[:, :independent]
     rho = Y - Qw @ (Qw.T @ Y)
     explained = float(((U.T @ rho) ** 2).sum())
     left = float(rho @ rho) - explained

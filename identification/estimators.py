@@ -179,7 +179,7 @@ def _solve(
         raise IdentificationError(f"{r} decimated rows for {W.shape[1]} parameters; expected more rows than parameters")
     singular = _refuse_rank_deficiency(Ww, names)
     Q, A, d = _factors(Ww, Ww)
-    return _estimate(Q, A, d, Ww, Yw, r, names, weights, float(np.linalg.cond(W)), float(singular[0] / singular[-1]))
+    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W), float(singular[0] / singular[-1]))
 
 
 def instrumental_variables(
@@ -206,7 +206,7 @@ def instrumental_variables(
     condition = float(np.linalg.cond(A))
     if not condition < 1 / RANK_TOLERANCE:
         raise IdentificationError(f"instruments and regressor have too little in common: cond(ZᵀW) = {condition:.2g}")
-    return _estimate(Q, A, d, Ww, Yw, r, names, weights, float(np.linalg.cond(W)), condition)
+    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W), condition)
 
 
 def _factors(Z: Vector, W: Vector) -> tuple[Vector, Vector, Vector]:
@@ -252,6 +252,11 @@ def _covariance(W: Vector, Y: Vector, r: int) -> tuple[Vector, Vector, float]:
     Q, A, d = _factors(W, W)
     estimate = _estimate(Q, A, d, W, Y, r, (), np.ones(1), np.nan, np.nan)
     return estimate.beta, estimate.covariance, estimate.residual_norm
+
+
+def _condition(W: Vector) -> float:
+    """cond(W), that of its R factor."""
+    return float(np.linalg.cond(np.linalg.qr(W, mode="r")))
 
 
 def _norms(W: Vector) -> Vector:
