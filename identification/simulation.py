@@ -11,7 +11,9 @@ Control acts on motor positions q_m = R q, once per controller period, and is he
 | `cascade_p_p` | position_gain · velocity_gain | velocity_gain | 0 | - |
 | `cascade_p_pi` | position_gain · velocity_gain | velocity_gain | 0 | velocity error, Ki = velocity_gain · integral_gain |
 | `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
-| `computed_torque` | position_gain | velocity_gain | 1 | -; the law gives an acceleration, the model the torque |
+| `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
+
+Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
 """
 
 from dataclasses import dataclass, replace
@@ -49,35 +51,36 @@ class Loop:
     computed_torque: bool
 
     def scaled(self, factor: Vector) -> "Loop":
-        """The same loop for other inertias: all gains and the saturation times `factor` (n,), the gain update."""
-        if self.computed_torque:
-            return self
+        """The same loop for other inertias: gains and saturation times `factor` (n,), the gain update.
+
+        Gains of computed torque stay: they are of accelerations, and the model in the loop has the other inertias.
+        """
+        gains = np.ones_like(factor) if self.computed_torque else factor
         return replace(
-            self,
-            Kp=self.Kp * factor,
-            Kd=self.Kd * factor,
-            Ki=self.Ki * factor,
-            saturation=self.saturation * factor,
+            self, Kp=self.Kp * gains, Kd=self.Kd * gains, Ki=self.Ki * gains, saturation=self.saturation * factor
         )
+
+    def inertias(self, bandwidth_hz: float) -> Vector:
+        """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal."""
+        return np.asarray(((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2)
 
 
 @dataclass(frozen=True, eq=False)
 class Simulated:
     """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
 
-    `saturated` counts the instants at which a drive was at its limit; `reason` says why it ended early, if it did.
+    There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
     """
 
     q: Vector
     dq: Vector
     ddq: Vector
     tau: Vector
-    saturated: int
     reason: str | None
 
-    def until(self, k: int, saturated: int, reason: str | None) -> "Simulated":
-        """The first k instants."""
-        return Simulated(self.q[:k], self.dq[:k], self.ddq[:k], self.tau[:k], saturated, reason)
+    def until(self, row: int, reason: str) -> "Simulated":
+        """The rows before `row`."""
+        return Simulated(self.q[:row], self.dq[:row], self.ddq[:row], self.tau[:row], reason)
 
 
 def recorded_loop(robot: Robot) -> Loop:
@@ -160,27 +163,26 @@ def simulate(
     """
     N, n = q_ref.shape
     h = loop.period_s / substeps
-    q_out, dq_out, ddq_out, tau_out = np.empty((4, N, n))
-    out = Simulated(q_out, dq_out, ddq_out, tau_out, 0, None)
+    q_out, dq_out, ddq_out, tau_out = np.empty((4, N * substeps, n))
+    out = Simulated(q_out, dq_out, ddq_out, tau_out, None)
     q, v = (x.copy() for x in start)
     friction = Friction(model, dq_ref, v, h)
     control = _Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
     offset = model.offset
     for k in range(N):
         tau = control.torque(k, q, v)
-        for sub in range(substeps):
+        for row in range(k * substeps, (k + 1) * substeps):
             M, bias = model.inertia_and_bias(q, v)
             dv = friction.step(M, h * (tau - bias - offset), v)
             if dv is None:
-                return out.until(k, control.saturated, "the inertia matrix is not positive definite")
-            if sub == 0:
-                out.q[k], out.dq[k], out.ddq[k], out.tau[k] = q, v, dv / h, tau
+                return out.until(row, "the inertia matrix is not positive definite")
+            out.q[row], out.dq[row], out.ddq[row], out.tau[row] = q, v, dv / h, tau
             q, v = q + h * (v + 0.5 * dv), v + dv
         if k % _LOOK_EVERY == 0 and not (np.abs(q - q_ref[k]) < bound).all():
             j = int(np.argmin(np.abs(q - q_ref[k]) < bound))
             reason = f"the simulated robot leaves its reference at joint {j + 1}, {k * loop.period_s:.3f} s"
-            return out.until(k, control.saturated, reason)
-    return out.until(N, control.saturated, None)
+            return out.until(k * substeps, reason)
+    return out
 
 
 class _Control:
@@ -195,9 +197,14 @@ class _Control:
         self._ahead = q_ref @ self._P.T + loop.feedforward * (dq_ref @ self._D.T)
         self._to_joints = loop.R.T * loop.G
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
-        self._integral = np.zeros(len(loop.Kp))
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
-        self.saturated = 0
+        self._integral = np.zeros(len(loop.Kp))
+        if self._integrates:
+            # What a loop that has been running for a while holds: the first effort balances the robot.
+            effort = self._motor_effort(model.inverse(q, v, ddq_ref[0], dq_ref[0]))
+            wanted = np.clip(effort, -loop.saturation, loop.saturation)
+            missing = wanted - (self._ahead[0] - self._P.dot(q) - self._D.dot(v))
+            self._integral = np.divide(missing, loop.Ki, out=self._integral, where=loop.Ki > 0)
 
     def torque(self, k: int, q: Vector, v: Vector) -> Vector:
         """Joint torques (n,) that the controller gives at its instant k."""
@@ -214,16 +221,22 @@ class _Control:
                 x = x - loop.R.dot(dq)
             before, self._integral = self._integral, self._integral + x * self._T
             u = u + loop.Ki * self._integral
+        if loop.computed_torque:
+            ddq = self._ddq_ref[k] + np.linalg.solve(loop.R, u)
+            tau = self._model.inverse(q, v, ddq, self._dq_ref[k])
+            if not self._limited:
+                return tau
+            u = self._motor_effort(tau)
         if self._limited:
             limited = np.clip(u, -loop.saturation, loop.saturation)
-            if (limited != u).any():
-                self.saturated += 1
-                if self._integrates:
-                    self._integral = before  # no wind-up
+            if self._integrates:
+                self._integral = np.where(limited != u, before, self._integral)  # no wind-up
             u = limited
-        if loop.computed_torque:
-            return self._model.inverse(q, v, self._ddq_ref[k] + u, self._dq_ref[k])
         return np.asarray(self._to_joints.dot(u))
+
+    def _motor_effort(self, tau: Vector) -> Vector:
+        """Motor efforts (n,) that give the joint torques (n,)."""
+        return np.asarray(np.linalg.solve(self._to_joints, tau))
 
 
 class Friction:

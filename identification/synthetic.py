@@ -95,11 +95,11 @@ def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: No
     dynamics = Dynamics(robot)
     base = base_parameters(dynamics)
     model = direct_model(dynamics, base.representative(truth(dynamics, base)))
-    loop = surrogate_loop(
-        robot.controller.bandwidth_hz, inertias(model, q_ref[:: max(1, len(q_ref) // 300)]), sample_rate_hz
-    )
     if has_controller(robot.controller):
         loop = recorded_loop(robot)
+    else:
+        J = inertias(model, q_ref[:: max(1, len(q_ref) // 300)])
+        loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
         raise IdentificationError(
             f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
@@ -113,11 +113,12 @@ def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: No
     if done.reason:
         raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
     rng = np.random.default_rng(seed)
-    tau = done.tau.copy()
-    tau[1:] = 0.5 * (done.tau[1:] + done.tau[:-1])
+    held = done.tau[::SUBSTEPS]
+    tau = held.copy()
+    tau[1:] = 0.5 * (held[1:] + held[:-1])
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
-        q=noise.on_position(done.q, rng),
+        q=noise.on_position(done.q[::SUBSTEPS], rng),
         q_ref=q_ref,
         effort=noise.on_effort(tau, rng),
         sample_rate_hz=sample_rate_hz,

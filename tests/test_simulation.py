@@ -164,7 +164,7 @@ def test_every_control_law_holds_against_a_push(structure, gains, settles, estim
         assert done.q[-1, 0] == pytest.approx(-8.0 / stiffness, rel=1e-3)
 
 
-def test_saturation_limits_the_torque_and_is_counted():
+def test_saturation_limits_the_torque():
     robot = controller_robot("pd", position_gain=[50_000.0], velocity_gain=[2000.0])
     dynamics = Dynamics(robot)
     base = base_parameters(dynamics)
@@ -174,7 +174,7 @@ def test_saturation_limits_the_torque_and_is_counted():
         model, recorded_loop(robot), zero, zero, zero, start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
     )
     assert np.abs(done.tau).max() == pytest.approx(50.0 * 10.0 * 2.0)
-    assert done.saturated > 10
+    assert (np.abs(done.tau) > 999.9).sum() > 10
 
 
 def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
