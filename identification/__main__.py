@@ -120,7 +120,7 @@ def _parser() -> argparse.ArgumentParser:
     study.add_argument("--runs", type=positive, default=100, metavar="N", help="default 100")
     study.add_argument("--cutoffs", type=cutoffs, default=(5.0, 10.0, 0.0), metavar="A,B,none", help="x bandwidth")
     study.add_argument(
-        "--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x smallest joint's inertia"
+        "--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x each joint's true inertia"
     )
     study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
     study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
@@ -323,6 +323,8 @@ def _study(options: argparse.Namespace) -> None:
             run_study(robot, study), description="runs", total=study.runs, console=Console(stderr=True), transient=True
         )
     )
+    if not any(run.error_ls > 0 for run in runs):
+        raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
     _print(study_table(robot.name, runs, true))
     if options.json:
         write_json(options.json, study_json(study, runs, base.names, true))

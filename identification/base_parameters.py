@@ -46,12 +46,14 @@ class BaseParameters:
         return len(self.names)
 
     def representative(self, beta: Vector) -> Vector:
-        """Standard parameters chi (p,) with K chi = beta: the links weigh 1 kg where their masses are free to choose.
+        """Standard parameters chi (p,) with K chi = beta: links whose masses are free to choose all weigh the same.
 
-        The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing.
+        The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing. Free
+        masses are larger than those of beta, so that none that is regrouped with them comes out as zero.
         """
         chi = np.zeros(self.K.shape[1])
-        chi[np.setdiff1d(self.masses, self.columns)] = 1.0
+        given = beta[np.isin(self.columns, self.masses)]
+        chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
         chi[self.columns] = beta - self.K @ chi
         return chi
 

@@ -228,7 +228,7 @@ def study_drawing(runs: Sequence[Run]) -> Drawing:
     sheet, (width, height) = _Sheet(), SHEET
     cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
     errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
-    low, high = 10 ** math.floor(_log10(min(errors))), 10 ** math.ceil(_log10(max(errors)))
+    low, high = 10 ** math.floor(_log10(min(errors, default=1.0))), 10 ** math.ceil(_log10(max(errors, default=100.0)))
     up = _Scale(left=height - 80, right=60, low=low, high=high, by=_log10)
     for power in range(round(_log10(low)), round(_log10(high)) + 1):
         y = up(10.0**power)
@@ -242,7 +242,8 @@ def study_drawing(runs: Sequence[Run]) -> Drawing:
         for k, run in enumerate(here):
             spread = 0.35 * (k + 0.5) / len(here)
             ended = ORANGE if run.status == "converged" else RED
-            sheet.dots.append((across(column + 0.1 + spread), up(100 * run.error_ls), PURPLE))
+            if math.isfinite(run.error_ls):
+                sheet.dots.append((across(column + 0.1 + spread), up(100 * run.error_ls), PURPLE))
             if math.isfinite(run.error_iv):
                 sheet.dots.append((across(column + 0.55 + spread), up(100 * run.error_iv), ended))
     title = f"|beta - true| / |true| of {len(runs)} runs: purple least squares, orange IV converged, red IV not"

@@ -176,7 +176,7 @@ class DirectModel:
 def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
     """The equation of motion of a robot with the standard parameters chi (p,).
 
-    No link's M may be zero where its MX, MY or MZ is not: pinocchio divides by it (`BaseParameters.representative`).
+    pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
@@ -195,6 +195,8 @@ def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
             levels += value * np.array([source.side >= 0, source.side <= 0])
         else:
             offset += value * source.direction
+    mass = _FROM_PINOCCHIO[LINK.index("M")]
+    values[values[:, mass] == 0.0, mass] = 1e-6
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     levels = np.array(list(coulomb.values())).reshape(-1, 2)

@@ -14,6 +14,7 @@ from .plan import Plan
 
 Vector = NDArray[np.float64]
 Method = Literal["ols", "wls", "iv"]
+InstrumentKind = Literal["simulated", "stepped back", "reference"]
 Status = Literal["solved", "converged", "max_iterations", "diverged"]
 
 
@@ -30,10 +31,11 @@ class Pass:
         gains: (n,) factors on the controller's gains, J_j(beta)/J_j(a priori).
         tracking_percent: simulated against measured position, None where nothing was simulated.
         condition: of ZᵀW with columns of norm one.
-        settled: whether residual and parameters changed less than the tolerance.
+        residual_percent: change of the residual norm by the pass, over the same rows.
+        residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
     """
 
-    instruments: Literal["simulated", "stepped back", "reference"]
+    instruments: InstrumentKind
     reason: str | None
     residual_norm: float
     change_sigma: float
@@ -42,7 +44,14 @@ class Pass:
     gains: Vector
     tracking_percent: float | None
     condition: float
-    settled: bool
+    residual_percent: float
+    residual_settled: bool
+    parameters_settled: bool
+
+    @property
+    def settled(self) -> bool:
+        """Whether both tests hold."""
+        return self.residual_settled and self.parameters_settled
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,5 +1,6 @@
 """What a viewer's text panel says of a fit, of a recording that is not fitted, and of two fits side by side."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -164,5 +165,6 @@ def study_markdown(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -
     for s in summaries(runs, true):
         told = f"{s.cutoff:g} x bandwidth" if s.cutoff else "none"
         share = "" if s.converged_percent is None else f"{s.converged_percent:.1f}"
-        lines.append(f"| {told} | {s.method} | {s.median_error_percent:.3f} | {s.worst_error_percent:.3f} | {share} |")
+        errors = (f"{x:.3f}" if math.isfinite(x) else "-" for x in (s.median_error_percent, s.worst_error_percent))
+        lines.append(f"| {told} | {s.method} | {' | '.join(errors)} | {share} |")
     return "\n".join(lines)

@@ -23,9 +23,9 @@ from .estimators import (
     weighted_least_squares,
 )
 from .fit import Fit, Pass
-from .instruments import experiment, fast_rows, instruments, regular_start
+from .instruments import experiment, fast_rows, instruments, regular_start, simulated_motion
 from .judgement import compared, judged, judged_iv, predicted_rows
-from .plan import CUTOFF_PER_BANDWIDTH, Overrides, Plan, make_plan
+from .plan import Overrides, Plan, make_plan, rule_cutoff_hz
 from .regression import regression_of_recording, torque_of_recording
 from .signals import Signals
 
@@ -111,13 +111,7 @@ def identify_iv(
         W, Y, joint_of_row, observed.rows, ls, correlation=lag_one(rho * ls.weights) or 0.0
     )
     kept = reduction.kept if essential else np.arange(base.b)
-    prior = ls.beta
-    if plan.smooth_ends:  # least squares without the rule's filter says little about the inertias
-        tuned = replace(
-            overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * signals.robot.controller.bandwidth_hz, decimation=None
-        )
-        prior = identify_ls(signals, tuned).beta
-    e = experiment(signals, plan, idm, base, prior)
+    e = experiment(signals, plan, idm, base, _prior(signals, overrides, plan, ls.beta))
     beta = ls.beta if iteration.start == "ls" else regular_start(idm, base)
     if iteration.values is not None:
         beta = iteration.values(base)
@@ -138,16 +132,30 @@ def identify_iv(
         except IdentificationError as error:
             failure = f"pass {len(passes) + 1}: {error}"
             break
-        before = passes[-1] if passes else None
-        passes.append(compared(estimate, z, observed, used, before, iteration.tolerance_percent))
+        passes.append(compared(estimate, z, observed, used, iteration.tolerance_percent))
         beta = estimate.among(names)
         if len(passes) >= RELAXED_AFTER:
             beta = 0.5 * (beta + z.beta)
     if not passes:
         raise IdentificationError(f"{signals.recording}: no instruments: {failure}")
+    final = simulated_motion(e, estimate.among(names), gain_update=iteration.gain_update)
     return judged_iv(
-        signals, idm, plan, observed, estimate, reduction, e, tuple(passes), used, iteration.start, failure
+        signals, idm, plan, observed, estimate, reduction, e, final, tuple(passes), used, iteration.start, failure
     )
+
+
+def _prior(signals: Signals, overrides: Overrides, plan: Plan, beta_ls: Vector) -> Vector:
+    """Parameters (b,) whose inertias the controller's gains are taken to be set for: least squares at the rule's cut-off.
+
+    Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
+    """
+    if not plan.smooth_ends:
+        return beta_ls
+    cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
+    try:
+        return identify_ls(signals, replace(overrides, cutoff_hz=cutoff_hz, decimation=plan.decimation)).beta
+    except IdentificationError:
+        return beta_ls
 
 
 def validate(

@@ -1,9 +1,11 @@
 """From a base estimate to instruments: simulate the closed loop, evaluate the model along it, decimate as W was.
 
 What is simulated needs no more samples than its bandwidth asks for: instruments carry no noise. They are evaluated at 100
-times the bandwidth or more, at instants that the decimated rows of W have too.
+times the bandwidth or more, or at the recording's rate where that is less, at instants that the decimated rows of W have
+too. Between the instants of a slower controller the robot is simulated in steps as fine.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,18 +16,19 @@ from . import IdentificationError
 from .base_parameters import BaseParameters
 from .dynamics import DirectModel, Dynamics, direct_model
 from .filtering import Decimation, Motion, differentiate, motion_between
-from .plan import CUTOFF_PER_BANDWIDTH, Plan
+from .fit import InstrumentKind
+from .plan import Plan, rule_cutoff_hz
 from .regression import decimated_regressor
 from .signals import Signals
 from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate_loop
 
 Vector = NDArray[np.float64]
-InstrumentKind = Literal["simulated", "stepped back", "reference"]
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 POSES = 300  # positions of the trajectory at which M must be positive
 LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed noise: rows slower than this are left out
+LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 
 
@@ -40,8 +43,8 @@ class Experiment:
         q: (N, n) measured position, filtered, at the instruments' instants.
         poses: (P, n) positions at which M is checked.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
-        J_prior: (n,) inertias that the loop's gains were set for.
-        period_s: of the controller; `grid_s`: (N,) instants of the instruments, `times_s`: (K,) of the controller.
+        J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
+        grid_s: (N,) instants of the instruments; `times_s`: (K,) of the controller, each with `substeps` simulated steps.
         decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
@@ -58,10 +61,12 @@ class Experiment:
     poses: Vector
     loop: Loop | None
     J_prior: Vector
+    J_known: bool
     bandwidth_hz: float
     rate_hz: float
     grid_s: Vector
     times_s: Vector
+    substeps: int
     decimation: Decimation
     saturated_percent: float | None
     directions: Vector
@@ -111,7 +116,12 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     rate_hz = fs / m
     period_s = loop.period_s if loop else 1.0 / rate_hz
     times_s = grid[0] / fs + period_s * np.arange(int(np.floor((grid[-1] - grid[0]) / fs / period_s + 1e-6)) + 1)
-    cutoff_hz = min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * fs)
+    if len(times_s) < LEAST_INSTANTS:
+        raise IdentificationError(
+            f"robot {robot.name}: controller.sample_rate_hz = {1 / period_s:g}: {len(times_s)} instants in the "
+            f"{(plan.stop - plan.start) / fs:.3g} s of {signals.recording}; expected at least {LEAST_INSTANTS}"
+        )
+    cutoff_hz = rule_cutoff_hz(bandwidth_hz, fs)
     measured = motion_between(
         signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=plan.start, stop=plan.stop
     )
@@ -126,8 +136,9 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     q = measured.q[grid - plan.start]
     prior = direct_model(dynamics, base.representative(beta_ls))
     J_prior = inertias(prior, _poses(q))
-    if not (J_prior > 0).all():  # of a least squares estimate that cannot be: any positive inertias will do
-        J_prior = inertias(direct_model(dynamics, base.representative(regular_start(dynamics, base))), _poses(q))
+    J_known = bool((J_prior > 0).all())
+    if not J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
+        J_prior = loop.inertias(bandwidth_hz) if loop else np.ones(robot.n)
     return Experiment(
         dynamics=dynamics,
         base=base,
@@ -140,10 +151,12 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         poses=_poses(q),
         loop=loop,
         J_prior=J_prior,
+        J_known=J_known,
         bandwidth_hz=bandwidth_hz,
         rate_hz=rate_hz,
         grid_s=grid / fs,
         times_s=times_s,
+        substeps=max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9)) if loop else 1,
         decimation=Decimation(factor=plan.decimation // m, smooth_ends=plan.smooth_ends),
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,
@@ -167,7 +180,7 @@ def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update
         s = simulated_motion(e, simulated, gain_update=gain_update)
         if s.motion is not None:
             break
-    q, dq, ddq = (_on_grid(e, x) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
+    q, dq, ddq = (_on_grid(e, x, 1) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
     motion = s.motion or Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
     return Instruments(
@@ -191,10 +204,10 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, e.rate_hz)
     travel = np.ptp(e.q_ref, axis=0)
     bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
-    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound)
+    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound, substeps=e.substeps)
     if done.reason is not None:
         return SimulatedMotion(motion=None, reason=done.reason, gains=gains, tracking_percent=None)
-    q, dq, ddq, tau = (_on_grid(e, x) for x in (done.q, done.dq, done.ddq, done.tau))
+    q, dq, ddq, tau = (_on_grid(e, x, e.substeps) for x in (done.q, done.dq, done.ddq, done.tau))
     error = 100 * np.linalg.norm(q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
     motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
     return SimulatedMotion(motion=motion, reason=None, gains=gains, tracking_percent=float(error))
@@ -225,40 +238,47 @@ def inertias(model: DirectModel, poses: Vector) -> Vector:
 
 def not_positive(model: DirectModel, poses: Vector) -> str | None:
     """None where M is positive definite at all poses (P, n), else a line that says so."""
-    lowest = float(np.linalg.eigvalsh(model.inertia(poses)).min())
+    M = model.inertia(poses)
+    if not np.isfinite(M).all():
+        return "the inertia matrix is not finite on the trajectory"
+    lowest = float(np.linalg.eigvalsh(M).min())
     return (
         None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
     )
 
 
-def regular_start(dynamics: Dynamics, base: BaseParameters) -> Vector:
-    """Base parameters (b,) of a robot of which nothing is known: each motor turns 1 kg m² (or 1 kg) at its joint.
+def regular_start(dynamics: Dynamics, base: BaseParameters, J: Vector | None = None) -> Vector:
+    """Base parameters (b,) of a robot of which nothing is known but that each motor turns J (n,) at its joint, 1 by default.
 
-    With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has a
-    link with that inertia about every axis, or that mass.
+    J is in kg m² (or kg). With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40.
+    A joint without Ia has a link with that inertia about every axis, or that mass.
     """
     chi, robot = np.zeros(dynamics.p), dynamics.robot
+    J = np.ones(robot.n) if J is None else J
     place = {name: c for c, name in enumerate(dynamics.names)}
     R = np.abs(robot.R) > 0
     for j, joint in enumerate(robot.joints):
         if joint.rotor_inertia:
-            shares = [(robot.R[m, j] / robot.R[m, m]) ** 2 for m in range(robot.n) if m != j and R[m, m] and R[m, j]]
-            chi[place[f"Ia{j + 1}"]] = 1.0 + (sum(shares) if R[j].sum() == 1 else 0.0)
+            turning = [m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1]
+            shares = [J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning]
+            chi[place[f"Ia{j + 1}"]] = J[j] + sum(shares)
         elif joint.type == "revolute":
             for axis in ("XX", "YY", "ZZ"):
-                chi[place[f"{axis}{j + 1}"]] = 1.0
+                chi[place[f"{axis}{j + 1}"]] = J[j]
         else:
-            chi[place[f"M{j + 1}"]] = 1.0
+            chi[place[f"M{j + 1}"]] = J[j]
     return np.asarray(base.K @ chi)
 
 
-def _on_grid(e: Experiment, x: Vector) -> Vector:
-    """x (K, n) at the controller's instants, at the instruments': picked where they coincide, else linear in between."""
-    ratio = (e.grid_s[1] - e.grid_s[0]) / (e.times_s[1] - e.times_s[0])
+def _on_grid(e: Experiment, x: Vector, substeps: int) -> Vector:
+    """x (K substeps, n) from the controller's first instant on, at the instruments' instants: picked or linear in between."""
+    h = (e.times_s[1] - e.times_s[0]) / substeps
+    ratio = (e.grid_s[1] - e.grid_s[0]) / h
     step = round(ratio)
     if step >= 1 and abs(ratio - step) < 1e-9 and (len(x) - 1) // step + 1 >= len(e.grid_s):
         return x[::step][: len(e.grid_s)]
-    return np.stack([np.interp(e.grid_s, e.times_s, column) for column in x.T], axis=1)
+    own = e.times_s[0] + h * np.arange(len(x))
+    return np.stack([np.interp(e.grid_s, own, column) for column in x.T], axis=1)
 
 
 def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:

@@ -14,7 +14,7 @@ from .diagnostics import (
 from .dynamics import Dynamics
 from .estimators import Estimate, Reduction
 from .fit import DirectModelError, Fit, InstrumentEvidence, Method, Pass, Status
-from .instruments import Experiment, Instruments, simulated_motion
+from .instruments import Experiment, Instruments, SimulatedMotion
 from .plan import Plan
 from .regression import Regression, torque_of_recording
 from .signals import Signals
@@ -53,7 +53,8 @@ def judged(
     sigma_hac = np.full(len(estimate.names), np.nan)
     if not observed.reduced:
         rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-        sigma_hac = hac_sigma(estimate.Q, estimate.bread, rho if used is None else rho * used, signals.robot.n)
+        counted = rho if used is None else rho * used
+        sigma_hac = hac_sigma(estimate.Q, estimate.bread, counted, signals.robot.n, rows=estimate.rows)
     return Fit(
         method=method,
         status=status,
@@ -73,20 +74,20 @@ def compared(
     z: Instruments,
     observed: Regression,
     used: Vector,
-    before: Pass | None,
     tolerance_percent: float,
 ) -> Pass:
     """A pass that led from the parameters simulated to `estimate`, and whether it settled.
 
     Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
-    half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves.
+    half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves. Both norms are of
+    the rows that this pass used.
     """
     tolerance = 0.01 * tolerance_percent
     old = np.array([z.beta[observed.base.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
-    norm_before = before.residual_norm if before else _residual_norm(z.beta, observed, estimate.weights, used)
-    residual_settled = abs(estimate.residual_norm - norm_before) <= tolerance * norm_before
-    parameters_settled = bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all())
+    w = estimate.weights[observed.joint_of_row] * used
+    norm_before = float(np.linalg.norm(w * (observed.Y - observed.W @ z.beta)))
+    norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
         in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
@@ -100,13 +101,10 @@ def compared(
         gains=z.gains,
         tracking_percent=z.tracking_percent,
         condition=estimate.condition_number_scaled,
-        settled=residual_settled and parameters_settled,
+        residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
+        residual_settled=norm_change <= tolerance * norm_before,
+        parameters_settled=bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()),
     )
-
-
-def _residual_norm(beta: Vector, observed: Regression, weights: Vector, used: Vector) -> float:
-    w = weights[observed.joint_of_row] * used
-    return float(np.linalg.norm(w * (observed.Y - observed.W @ beta)))
 
 
 def judged_iv(
@@ -117,13 +115,13 @@ def judged_iv(
     estimate: Estimate,
     reduction: Reduction,
     e: Experiment,
+    final: SimulatedMotion,
     passes: tuple[Pass, ...],
     used: Vector,
     start: str,
     failure: str | None,
 ) -> Fit:
-    """A fit by instruments. The robot is simulated once more, with the final estimate: the direct model's validation."""
-    final = simulated_motion(e, estimate.among(observed.base.names))
+    """A fit by instruments; `final` is the robot simulated with the estimate: the direct model's validation."""
     w = estimate.weights[observed.joint_of_row] * used
     among = [observed.base.names.index(name) for name in estimate.names]
     W, Y = observed.W[:, among] * w[:, None], observed.Y * w
@@ -197,10 +195,12 @@ def _verdict(
     if last.settled and last.instruments != "simulated":
         return "diverged", f"settled without simulated instruments: {last.reason}"
     if not last.settled:
-        return (
-            "max_iterations",
-            f"after {len(passes)} passes {last.changed} still changes by {last.change_sigma:.2g} sigma",
-        )
+        moving = []
+        if not last.parameters_settled:
+            moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+        if not last.residual_settled:
+            moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+        return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
     return "converged", None
 
 
@@ -213,6 +213,11 @@ def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
         )
     if e.loop is None:
         warnings.append(f"surrogate controller: none is described, a PD of {e.bandwidth_hz:g} Hz stands in")
+    if not e.J_known and e.loop is not None:
+        warnings.append(
+            "least squares gives no positive inertias: those that the described gains suit at "
+            f"{e.bandwidth_hz:g} Hz stand in for the gain update"
+        )
     if e.saturated_percent is not None and e.saturated_percent > SATURATED_PERCENT:
         warnings.append(f"a drive is saturated in {e.saturated_percent:.1f} % of the samples")
     if tests.first_stage_F < WEAK_INSTRUMENTS_F:

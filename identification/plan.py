@@ -16,6 +16,7 @@ CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
 MOVING = 0.02  # of a joint's peak speed: below, it stands
+STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
 _BLOCK = 200_000  # samples looked through at a time for the span of motion
 
 
@@ -63,7 +64,8 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
     """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
 
     Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
-    first and last motion, or the recording's tracking phase; borders of 5 periods of the cut-off cut.
+    first and last motion, or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end of
+    the recording.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     bandwidth_hz = signals.robot.controller.bandwidth_hz
@@ -85,12 +87,13 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
             "accelerations, and the estimates with them"
         )
     decimation = overrides.decimation or stored.decimation or decimation_rule(fs, bandwidth_hz)
-    if 0.8 * fs / (2 * decimation) < bandwidth_hz:
+    kept_hz = 0.8 * fs / (2 * decimation)
+    if decimation > decimation_rule(fs, bandwidth_hz) and kept_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
         warnings.append(
-            f"decimation by {decimation} keeps {0.8 * fs / (2 * decimation):g} Hz, less than the bandwidth of "
-            f"{bandwidth_hz:g} Hz"
+            f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
-    start, stop, span = _span(signals, cutoff_hz, overrides.span or stored.span)
+    start, stop, span, standing = _span(signals, cutoff_hz, overrides.span or stored.span)
+    warnings += [f"joint {name} does not move" for name in standing]
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     N = len(signals.q)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
@@ -112,6 +115,11 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
     )
 
 
+def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
+    """Cut-off by the rule, or 0.4 times the rate where the recording does not reach that far."""
+    return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
+
+
 def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
     """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; the next lower number that small factors make up."""
     n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
@@ -120,14 +128,15 @@ def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
     return n_d
 
 
-def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int, int, str]:
+def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int, int, str, tuple[str, ...]]:
+    """First and last sample, what they are, and joints that stand, as far as that is looked into."""
     N, fs = len(signals.q), signals.sample_rate_hz
     if wanted == "all":
-        return 0, N, "all samples"
+        return 0, N, "all samples", ()
     if signals.track is not None:
-        return *signals.track, "the recording's tracking phase"
+        return *signals.track, "the recording's tracking phase", ()
     if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
-        cutoff_hz = min(CUTOFF_PER_BANDWIDTH * signals.robot.controller.bandwidth_hz, 0.4 * fs)
+        cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, _BLOCK):
         b = min(N, a + _BLOCK)
@@ -136,5 +145,9 @@ def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int,
     peak = speed.max(axis=0)
     if not peak.any():
         raise IdentificationError(f"{signals.recording}: no joint moves; expected an exciting trajectory")
-    moving = np.flatnonzero((speed > MOVING * peak).any(axis=1))
-    return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion"
+    joints = signals.robot.joints
+    fastest = np.array([max(p for p, other in zip(peak, joints, strict=True) if other.type == j.type) for j in joints])
+    moves = peak > STANDS * fastest
+    moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))
+    standing = tuple(j.name for j, m in zip(joints, moves, strict=True) if not m)
+    return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion", standing

@@ -128,9 +128,8 @@ def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> T
             f"{s.cutoff:g} x bandwidth" if s.cutoff else "none",
             s.method,
             str(s.runs),
-            *(f"{x:.3f}" for x in numbers),
-            f"{s.sigma_over_spread:.2f}",
-            f"{s.hac_over_spread:.2f}",
+            *(f"{x:.3f}" if np.isfinite(x) else "-" for x in numbers),
+            *(f"{x:.2f}" if np.isfinite(x) else "-" for x in (s.sigma_over_spread, s.hac_over_spread)),
             *("" if x is None else f"{x:.1f}" for x in (s.converged_percent, s.mean_passes, s.false_percent)),
         )
     return table

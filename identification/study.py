@@ -35,8 +35,9 @@ FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 class Study:
     """What is varied. Each run draws one of each list, seeded by its number.
 
-    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on the smallest joint's true inertia, given to
-    every joint; `gain_errors` factors on the controller's gains (on the bandwidth of a surrogate) as the fit knows them.
+    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
+    knows of the robot (`instruments.regular_start`); `gain_errors` factors on the controller's gains (on the bandwidth of a
+    surrogate) as the fit knows them.
     """
 
     runs: int = 100
@@ -55,20 +56,21 @@ class Run:
     """One run. Errors are |beta - true| / |true| over all parameters; vectors are (b,).
 
     `positive` says whether M of the estimate is positive on the reference; `error_tuned_ls` is that of least squares on the
-    same recording at the rule's cut-off. An IV that gives no estimate has NaN, and its `status` is the reason.
+    same recording at the rule's cut-off. A method that gives no estimate has NaN; `reason` says why a status of IV is not
+    `converged`.
     """
 
     number: int
     cutoff: float
     start: float
     gain_error: float
-    status: str
-    reason: str | None
-    passes: int
-    positive: bool
-    error_ls: float
-    error_iv: float
-    error_tuned_ls: float
+    status: str = "diverged"
+    reason: str | None = None
+    passes: int = 0
+    positive: bool = False
+    error_ls: float = float("nan")
+    error_iv: float = float("nan")
+    error_tuned_ls: float = float("nan")
     beta_ls: Vector
     beta_iv: Vector
     sigma_ls: Vector
@@ -77,9 +79,12 @@ class Run:
     hac_iv: Vector
 
 
+_PER_METHOD = ("beta", "sigma", "hac", "error")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Summary:
-    """Runs at one cut-off by one method; of iv those that converged.
+    """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN where there are none.
 
     `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
     `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one.
@@ -102,7 +107,14 @@ class Summary:
 
 
 def run_study(robot: Robot, study: Study) -> Iterator[Run]:
-    """All runs on all cores, as they finish. Raises `IdentificationError` where the robot cannot be simulated."""
+    """All runs on all cores, in order; a run that fails says so. Raises `IdentificationError` where no run can succeed."""
+    fs, bandwidth_hz = study.sample_rate_hz, robot.controller.bandwidth_hz
+    study_truth(robot)
+    if max(study.cutoffs) * bandwidth_hz >= fs / 2:
+        raise IdentificationError(
+            f"cut-off {max(study.cutoffs):g} x bandwidth = {max(study.cutoffs) * bandwidth_hz:g} Hz: expected below "
+            f"{fs / 2:g} Hz, half the rate"
+        )
     jobs = [(dict(robot.files), study, number) for number in range(study.runs)]
     # One thread of linear algebra per process: the processes are the parallelism.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -122,57 +134,65 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     gain_error = float(rng.choice(study.gain_errors))
     fs, seed = study.sample_rate_hz, int(rng.integers(2**31))
     q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed)
-    signals = closed_loop(robot, q_ref, fs, noise=study.noise, seed=seed)
     idm = Dynamics(robot)
     base = base_parameters(idm)
     true = truth(idm, base)
     bandwidth_hz = robot.controller.bandwidth_hz
     n_d = robot.identification.decimation or decimation_rule(fs, bandwidth_hz)
     overrides = Overrides(cutoff_hz=cutoff * bandwidth_hz, decimation=n_d)
-    tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
-    ls = tuned if cutoff == CUTOFF_PER_BANDWIDTH else identify_ls(signals, overrides)
+    nan = np.full(base.b, np.nan)
+    run = Run(
+        number=number,
+        cutoff=cutoff,
+        start=start,
+        gain_error=gain_error,
+        beta_ls=nan,
+        beta_iv=nan,
+        sigma_ls=nan,
+        sigma_iv=nan,
+        hac_ls=nan,
+        hac_iv=nan,
+    )
+    try:
+        signals = closed_loop(robot, q_ref, fs, noise=study.noise, seed=seed)
+        tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
+        ls = tuned if cutoff == CUTOFF_PER_BANDWIDTH else identify_ls(signals, overrides)
+    except IdentificationError as error:
+        return replace(run, reason=str(error))
+
+    def off(beta: Vector) -> float:
+        return float(np.linalg.norm(beta - true) / np.linalg.norm(true))
+
+    run = replace(
+        run,
+        error_ls=off(ls.beta),
+        error_tuned_ls=off(tuned.beta),
+        beta_ls=ls.beta,
+        sigma_ls=ls.estimate.sigma,
+        hac_ls=ls.sigma_hac,
+    )
     poses = q_ref[:: max(1, len(q_ref) // 300)]
     J = inertias(direct_model(idm, base.representative(true)), poses)
-    wrong = start * J.min() * regular_start(idm, base)
-    nan = np.full(base.b, np.nan)
-    beta_iv, sigma_iv, hac_iv, status, reason, passes = nan, nan, nan, "diverged", None, 0
+    wrong = regular_start(idm, base, start * J)
     try:
         iv = identify_iv(
             replace(signals, robot=_misinformed(robot, gain_error)),
             overrides,
             Iteration(start=f"{start:g} x", values=lambda _: wrong, low_speed_percent=study.low_speed_percent),
         )
-        assert iv.iv is not None
-        beta_iv, sigma_iv, hac_iv = iv.beta, iv.estimate.sigma, iv.sigma_hac
-        status, reason, passes = iv.status, iv.iv.reason, len(iv.iv.passes)
     except IdentificationError as error:
-        reason = str(error)
-    positive = (
-        bool(np.isfinite(beta_iv).all())
-        and not_positive(direct_model(idm, base.representative(beta_iv)), poses) is None
-    )
-
-    def off(beta: Vector) -> float:
-        return float(np.linalg.norm(beta - true) / np.linalg.norm(true))
-
-    return Run(
-        number=number,
-        cutoff=cutoff,
-        start=start,
-        gain_error=gain_error,
-        status=status,
-        reason=reason,
-        passes=passes,
-        positive=positive,
-        error_ls=off(ls.beta),
-        error_iv=off(beta_iv),
-        error_tuned_ls=off(tuned.beta),
-        beta_ls=ls.beta,
-        beta_iv=beta_iv,
-        sigma_ls=ls.estimate.sigma,
-        sigma_iv=sigma_iv,
-        hac_ls=ls.sigma_hac,
-        hac_iv=hac_iv,
+        return replace(run, reason=str(error))
+    assert iv.iv is not None
+    return replace(
+        run,
+        status=iv.status,
+        reason=iv.iv.reason,
+        passes=len(iv.iv.passes),
+        positive=not_positive(direct_model(idm, base.representative(iv.beta)), poses) is None,
+        error_iv=off(iv.beta),
+        beta_iv=iv.beta,
+        sigma_iv=iv.estimate.sigma,
+        hac_iv=iv.sigma_hac,
     )
 
 
@@ -203,14 +223,10 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
     for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.cutoff == cutoff]
         settled = [r for r in here if r.status == "converged"]
-        for method, used in (("wls", here), ("iv", settled)):
+        solved = [r for r in here if np.isfinite(r.error_ls)]
+        for method, used in (("wls", solved), ("iv", settled)):
             kind = "ls" if method == "wls" else "iv"
-            if not used:
-                continue
-            beta, sigma, hac = (
-                np.array([getattr(r, f"{name}_{kind}") for r in used]) for name in ("beta", "sigma", "hac")
-            )
-            errors = 100 * np.array([getattr(r, f"error_{kind}") for r in used])
+            beta, sigma, hac, errors = (_stacked(used, f"{name}_{kind}", true) for name in _PER_METHOD)
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
             found.append(
                 Summary(
@@ -221,14 +237,19 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
                     spread_percent=float(100 * np.linalg.norm(spread) / np.linalg.norm(true)),
                     sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
                     hac_over_spread=float(np.median(np.median(hac, axis=0) / spread)),
-                    median_error_percent=float(np.median(errors)),
-                    worst_error_percent=float(errors.max()),
+                    median_error_percent=float(100 * np.median(errors)),
+                    worst_error_percent=float(100 * errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
-                    mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" else None,
+                    mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
                     false_percent=100 * sum(map(_false, here)) / len(here) if method == "iv" else None,
                 )
             )
     return found
+
+
+def _stacked(runs: Sequence[Run], name: str, true: Vector) -> Vector:
+    """An attribute of all runs (runs, ...); a row of NaN where there are no runs."""
+    return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
 
 
 def _false(run: Run) -> bool:

@@ -84,6 +84,7 @@ IDENTIFICATION = {
         "base_parameters",
         "dynamics",
         "filtering",
+        "fit",
         "plan",
         "regression",
         "signals",

@@ -20,7 +20,8 @@ GOOD = InstrumentTests(
 def verdict(tracking, errors, tests=GOOD):
     settled = Pass(
         instruments="simulated", reason=None, residual_norm=1.0, change_sigma=0.1, change_percent=0.1, changed="M1",
-        gains=None, tracking_percent=tracking, condition=1.0, settled=True,
+        gains=None, tracking_percent=tracking, condition=1.0,
+        residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
     direct = [
         DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
