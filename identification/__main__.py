@@ -318,11 +318,9 @@ def _study(options: argparse.Namespace) -> None:
         seed=options.seed,
     )
     base, true = study_truth(robot)
-    runs = list(
-        track(
-            run_study(robot, study), description="runs", total=study.runs, console=Console(stderr=True), transient=True
-        )
-    )
+    err = Console(stderr=True)
+    each = run_study(robot, study)
+    runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     if not any(run.error_ls > 0 for run in runs):
         raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
     _print(study_table(robot.name, runs, true))

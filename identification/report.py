@@ -46,7 +46,7 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
             "yes" if name in essential else "",
         )
     reduction, b = fit.essential, len(fit.base.names)
-    kept = f"essential: {len(reduction.kept)} of {b} parameters"
+    kept = f"essential{' (by least squares)' if fit.iv else ''}: {len(reduction.kept)} of {b} parameters"
     if math.isfinite(reduction.F):
         kept += (
             f"; without the others F = {reduction.F:.2f}, p = {reduction.p_value:.2g}; with the residual's correlation "

@@ -17,6 +17,8 @@ from identification.idim import Iteration, identify_iv, identify_ls
 from identification.instruments import not_positive
 from identification.plan import Overrides
 from identification.signals import Signals, load_signals
+from identification.simulation import recorded_loop
+from identification.study import Run, summaries
 from identification.synthetic import Noise, closed_loop, random_reference, truth
 
 RAW = Overrides(cutoff_hz=0)
@@ -79,6 +81,9 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
     updated = identify_iv(signals, Overrides(), Iteration())
     assert all(p.instruments == "simulated" for p in updated.iv.passes)
     assert updated.iv.passes[0].tracking_percent < 5
+    assert fit.iv.passes[0].residual_norm > 1.02 * updated.iv.passes[0].residual_norm
+    # Nor are the gains updated for the last simulation, that of the result.
+    assert not np.array_equal(fit.iv.simulated.q, updated.iv.simulated.q)
 
 
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
@@ -185,6 +190,12 @@ def test_too_few_passes_are_called_what_they_are():
     fit = identify_iv(signals, Overrides(), Iteration(max_iterations=1))
     assert fit.status == "max_iterations"
     assert "after 1 passes" in fit.iv.reason
+    assert " sigma and the residual norm still changes by " in fit.iv.reason
+    # One pass on the parameters hardly change; held to a tolerance that nothing meets, they do not settle either.
+    for tolerance, told in ((1e-9, " still changes by "), (30.0, None)):
+        fit = identify_iv(signals, Overrides(), Iteration(max_iterations=2, tolerance_percent=tolerance))
+        assert (fit.iv.reason is None) == (told is None)
+        assert fit.iv.passes[-1].residual_settled == (told is None)
 
 
 def test_a_reference_of_another_recording_is_refused():
@@ -192,6 +203,58 @@ def test_a_reference_of_another_recording_is_refused():
     foreign = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
     with pytest.raises(IdentificationError, match="expected the reference of this recording"):
         identify_iv(foreign, Overrides(), Iteration())
+
+
+def thinned(signals: Signals, step: int) -> Signals:
+    """Every step-th sample, for a controller that still runs at the full rate."""
+    return dataclasses.replace(
+        signals,
+        t_s=signals.t_s[::step],
+        q=signals.q[::step],
+        q_ref=signals.q_ref[::step],
+        effort=signals.effort[::step],
+        sample_rate_hz=signals.sample_rate_hz / step,
+    )
+
+
+def test_recordings_of_few_samples_are_fitted():
+    """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
+    robot = robot_named("scara")
+    dynamics = Dynamics(robot)
+    true = truth(dynamics, base_parameters(dynamics))
+    q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
+    signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
+    slow = identify_iv(thinned(signals, 25), Overrides(), Iteration())
+    assert slow.plan.cutoff_hz is None
+    assert any("no low-pass" in text for text in slow.warnings)
+    assert slow.status == "converged"
+    assert error_percent(slow.beta, true) < 5
+    short = dataclasses.replace(signals, **{k: getattr(signals, k)[3000:4250] for k in ("t_s", "q", "q_ref", "effort")})
+    fit = identify_iv(short, RAW, Iteration())
+    assert fit.status == "converged"
+    assert error_percent(fit.beta, true) < 10
+    with pytest.raises(IdentificationError, match="30 decimated rows"):
+        identify_ls(short, Overrides())
+
+
+def test_a_controller_too_slow_for_the_recording_is_refused():
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=1.0)
+    robot = dataclasses.replace(signals.robot, controller=slow)
+    with pytest.raises(IdentificationError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
+        identify_iv(dataclasses.replace(signals, robot=robot), Overrides(), Iteration())
+
+
+def test_gains_tell_the_inertias_where_least_squares_has_none():
+    """A torque of the wrong sign leaves least squares without positive inertias: Kp = J w² then gives those of the gains."""
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    c = signals.robot.controller
+    fit = identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
+    assert any("those that the described gains suit at 5 Hz" in text for text in fit.warnings)
+    J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
+    np.testing.assert_allclose(recorded_loop(signals.robot).inertias(c.bandwidth_hz), J)
+    # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
+    assert (fit.iv.passes[0].gains >= 1 / J - 1e-9).all()
 
 
 def test_a_saturated_drive_is_reported(emps):
@@ -274,6 +337,42 @@ def test_study_reports_both_methods(capsys, tmp_path):
         assert run["status"] == "converged"
         assert run["positive"]
         assert run["error_iv"] <= 5 * run["error_tuned_ls"]
+
+
+def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
+    out, drawing = tmp_path / "study.json", tmp_path / "s.rrd"
+    command = ["study", str(REPLAY / "scara" / "robot.toml"), "--runs", "2", "--duration-s", "2", "--json", str(out)]
+    assert main([*command, "--rrd", str(drawing), "--position-noise", "0.05", "--cutoffs", "none"]) == 0
+    told = capsys.readouterr().out
+    assert "iv" in told
+    summaries = {s["method"]: s for s in json.loads(out.read_text())["summaries"]}
+    assert summaries["wls"]["runs"] == 2
+    assert (summaries["iv"]["runs"], summaries["iv"]["converged_percent"]) == (0, 0.0)
+    assert summaries["iv"]["median_error_percent"] is None
+    assert drawing.stat().st_size > 1000
+    robot = str(REPLAY / "scara" / "robot.toml")
+    assert "cut-off 600 x bandwidth = 3000 Hz: expected below 500 Hz" in refused(
+        capsys, "study", robot, "--cutoffs", "600"
+    )
+    assert "no run can be fitted: robot SCARA: controller.sample_rate_hz = 1000: expected 500" in refused(
+        capsys, "study", robot, "--runs", "2", "--rate-hz", "500"
+    )
+
+
+def test_a_study_counts_what_is_called_converged_and_should_not_be():
+    nan, true = np.full(2, np.nan), np.array([1.0, 2.0])
+    good = Run(
+        number=0, cutoff=5.0, start=1.0, gain_error=1.0, status="converged", positive=True, passes=2, error_ls=0.01,
+        error_iv=0.02, error_tuned_ls=0.01, beta_ls=true, beta_iv=true, sigma_ls=nan, sigma_iv=nan, hac_ls=nan, hac_iv=nan,
+    )  # fmt: skip
+    lucky = dataclasses.replace(
+        good, error_tuned_ls=0.0001
+    )  # of least squares; 0.02 is what the study's runs are off by
+    wrong, lost = dataclasses.replace(good, error_iv=0.06), dataclasses.replace(good, positive=False)
+    honest = dataclasses.replace(lost, status="diverged", error_iv=0.06)
+    for run, share in ((lucky, 0.0), (wrong, 20.0), (lost, 20.0), (honest, 0.0)):
+        iv = summaries([good, good, good, good, run], true)[1]
+        assert (iv.method, iv.false_percent) == ("iv", share)
 
 
 def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):

@@ -9,6 +9,7 @@ from conftest import REPLAY, robot_named
 import identification.regression as regression_module
 from identification import IdentificationError
 from identification.base_parameters import base_parameters
+from identification.diagnostics import hac_sigma
 from identification.dynamics import Dynamics
 from identification.estimators import (
     essential_parameters,
@@ -92,6 +93,23 @@ def test_weights_are_the_joints_noise_and_beat_equal_rows():
     weighted = weighted_least_squares(*problem, tuple("abcd"))
     equal = ordinary_least_squares(*problem, tuple("abcd"))
     assert np.abs(weighted.beta - beta)[:3].max() < 0.3 * np.abs(equal.beta - beta)[:3].max()
+
+
+def test_robust_deviations_are_the_sum_over_lags_with_bartletts_weights():
+    """Newey and West 1987: S = G0 + sum over k of (1 - k/(L + 1)) (Gk + Gk'), L = ceil(1.3 sqrt(T)); factor r/(r - b)."""
+    rng, n, T, b = np.random.default_rng(11), 2, 90, 3
+    Q, bread = np.linalg.qr(rng.normal(size=(n * T, b)))[0], rng.normal(size=(b, b))
+    rho = np.convolve(rng.normal(size=n * T + 4), np.ones(5), mode="valid")
+    scores = (Q * rho[:, None])[:T] + (Q * rho[:, None])[T:]
+    lags = 13
+    S = sum(
+        (1 - abs(k) / (lags + 1)) * np.outer(scores[t], scores[t + k])
+        for k in range(-lags, lags + 1)
+        for t in range(T)
+        if 0 <= t + k < T
+    )
+    wanted = np.sqrt(150 / 147 * np.diag(bread @ S @ bread.T))
+    np.testing.assert_allclose(hac_sigma(Q, bread, rho, n, rows=150), wanted, rtol=1e-9)
 
 
 def test_estimate_is_that_of_the_normal_equations():
@@ -215,6 +233,10 @@ def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
     assert (plan.cutoff_hz, plan.decimation) == (10.0, 7)
     assert "below 5 times the bandwidth of 5 Hz" in plan.warnings[0]
     assert make_plan(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
+    assert (
+        "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz"
+        in make_plan(signals, Overrides(decimation=30)).warnings[0]
+    )
     with pytest.raises(IdentificationError, match="cut-off 300 Hz: expected below 250 Hz"):
         make_plan(signals, Overrides(cutoff_hz=300.0))
     with pytest.raises(IdentificationError, match="expected at least 60000, 30 decimated rows"):
@@ -233,6 +255,12 @@ def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it(
     plan = make_plan(padded, Overrides())
     assert plan.start == pytest.approx(2000, abs=200)
     assert plan.stop == pytest.approx(2000 + len(signals.q), abs=200)
+    # A joint that stands has noise only, all the time: it does not tell when motion begins.
+    noise = 1e-5 * np.random.default_rng(2).normal(size=len(padded.q))
+    one_stands = dataclasses.replace(padded, q=np.stack([padded.q[:, 0], 0.3 + noise], axis=1))
+    stands = make_plan(one_stands, Overrides())
+    assert plan.start <= stands.start < plan.start + 500 < stands.stop <= plan.stop
+    assert "joint elbow does not move" in stands.warnings
     everything = make_plan(padded, Overrides(span="all"))
     assert (everything.start, everything.stop) == (100, len(padded.q) - 100)
     tracked = make_plan(dataclasses.replace(padded, track=(3000, 9000)), Overrides())

@@ -9,9 +9,9 @@ from conftest import robot_named
 from acquisition.robot import robot_from_files
 from identification import IdentificationError
 from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics, direct_model
+from identification.dynamics import DirectModel, Dynamics, direct_model
 from identification.instruments import inertias, not_positive, regular_start
-from identification.simulation import Loop, recorded_loop, simulate, surrogate_loop
+from identification.simulation import Loop, _Control, recorded_loop, simulate, surrogate_loop
 from identification.synthetic import known_parameters, random_reference, truth
 
 RATE = 1000.0
@@ -177,6 +177,120 @@ def test_saturation_limits_the_torque():
     assert (np.abs(done.tau) > 999.9).sum() > 10
 
 
+def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
+    """With the exact model e'' + Kd e' + Kp e = 0, whatever the ratio: 60² = 4 · 900 gives e0 (1 + 30 t) exp(-30 t)."""
+    robot = controller_robot("computed_torque", position_gain=[900.0], velocity_gain=[60.0])
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    zero, t = still(1, 0.3), np.arange(300) / RATE
+    for substeps in (1, 4):
+        start = (np.array([1e-3]), np.zeros(1))
+        done = simulate(model, recorded_loop(robot), zero, zero, zero, start=start, bound=np.ones(1), substeps=substeps)
+        np.testing.assert_allclose(done.q[::substeps, 0], 1e-3 * (1 + 30 * t) * np.exp(-30 * t), atol=2e-5)
+    # From further off the drive is at its limit: 50 A of 10 N/A at a ratio of 2.
+    start = (np.array([0.2]), np.zeros(1))
+    done = simulate(model, recorded_loop(robot), zero, zero, zero, start=start, bound=np.ones(1))
+    assert np.abs(done.tau).max() == pytest.approx(50.0 * 10.0 * 2.0)
+    assert (np.abs(done.tau) > 999.9).sum() > 10
+
+
+def scara_pid(saturation: float) -> tuple[DirectModel, Loop]:
+    """The SCARA under a PID, motor 1 limited to `saturation`."""
+    _, _, model = model_of("scara")
+    J = inertias(model, still(2, 0.01))
+    loop = surrogate_loop(5.0, J, RATE)
+    limits = np.array([saturation, np.inf])
+    return model, dataclasses.replace(loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits)
+
+
+def test_a_saturated_motor_holds_its_own_integral_only():
+    """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
+    model, loop = scara_pid(saturation=0.5)
+    zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
+    control = _Control(model, loop, reference, zero, zero, zero[0], zero[0])
+    tau = np.array([control.torque(k, zero[0], zero[0]) for k in range(10)])
+    np.testing.assert_allclose(tau[:, 0], 0.5)
+    np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
+
+
+def test_a_loop_with_an_integral_starts_in_balance():
+    model, loop = scara_pid(saturation=np.inf)
+    pushed = dataclasses.replace(model, offset=np.array([3.0, -0.5]))
+    zero = still(2, 1.0)
+    done = simulate(pushed, loop, zero, zero, zero, start=(zero[0], zero[0]), bound=np.ones(2))
+    assert np.abs(done.q).max() < 1e-9
+    np.testing.assert_allclose(done.tau[0], [3.0, -0.5], rtol=1e-12)
+
+
+def test_substeps_show_the_motion_between_the_controllers_instants():
+    _, _, model = model_of("emps")
+    zero = still(1, 0.2)
+    loop = surrogate_loop(5.0, np.array([95.0]), RATE)
+    start = (np.array([1e-3]), np.array([0.05]))
+    coarse, fine = (simulate(model, loop, zero, zero, zero, start=start, bound=np.ones(1), substeps=s) for s in (1, 8))
+    assert len(fine.q) == 8 * len(coarse.q)
+    np.testing.assert_allclose(fine.q[::8], coarse.q, atol=1e-6)
+    assert (np.diff(fine.tau.reshape(-1, 8), axis=1) == 0).all()  # held in between
+
+
+TURN_SLIDE_TURN = """
+name = "turn slide turn"
+[controller]
+bandwidth_hz = 5
+[[joint]]
+name = "shoulder"
+type = "revolute"
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+rotor_inertia = false
+[[joint]]
+name = "slide"
+type = "prismatic"
+dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }
+rotor_inertia = false
+[[joint]]
+name = "turn"
+type = "revolute"
+dh = { alpha_deg = 90, d_m = 0.1, theta_deg = 0, r_m = 0.2 }
+rotor_inertia = false
+[[motor]]
+name = "s"
+effort_unit = "N m"
+[[motor]]
+name = "a"
+effort_unit = "N"
+[[motor]]
+name = "b"
+effort_unit = "N m"
+"""
+
+
+@pytest.mark.parametrize("mass", [1e-3, 1.0, 2.0, 7.0])
+def test_a_representative_robot_has_no_link_without_mass(mass):
+    """M2R = M2 + M3, and M3 is free to choose: whatever M2R is, M2 must not come out as zero."""
+    dynamics = Dynamics(robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml"))
+    base = base_parameters(dynamics)
+    assert "M2R" in base.names
+    assert "M3" not in base.names
+    beta = np.array([{"M2R": mass}.get(name, 0.1) for name in base.names])
+    chi = base.representative(beta)
+    np.testing.assert_allclose(base.K @ chi, beta, atol=1e-12)
+    assert (np.abs(chi[base.masses[1:]]) > 0.5).all()
+    q = np.array([[0.2, 0.1, 0.4]])
+    M = direct_model(dynamics, chi).inertia(q)[0]
+    rest = dynamics.regressor(q, 0 * q, 0 * q)[0]
+    columns = [(dynamics.regressor(q, 0 * q, unit[None])[0] - rest) @ chi for unit in np.eye(3)]
+    np.testing.assert_allclose(M, np.stack(columns, axis=1), atol=1e-12)
+
+
+def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
+    dynamics = Dynamics(robot_named("scara"))
+    massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
+    assert not_positive(direct_model(dynamics, massless), np.zeros((1, 2))) is None
+    broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
+    assert not_positive(broken, np.zeros((1, 2))) == "the inertia matrix is not finite on the trajectory"
+
+
 def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
     _, _, model = model_of("emps", Off=500.0)
     zero = still(1, 1.0)
@@ -218,6 +332,9 @@ def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint
     beta = regular_start(dynamics, base)
     start = {name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value}
     assert start == {"ZZ1R": 1.0, "ZZ2R": 1.0, "Ia3": 1.0, "Ia4": 1.0, "Ia5": 2.0, "Ia6": 1.0}
+    J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
+    M = direct_model(dynamics, base.representative(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
+    np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
     assert not_positive(direct_model(dynamics, base.representative(beta)), np.zeros((1, 6))) is None
 
 
