@@ -43,9 +43,8 @@ class RigidBodyPlant:
         steps = max(1, round(duration_s / self._step_s))
         for _ in range(steps):
             M, bias = self._model.inertia_and_bias(self._q, self._dq)
-            force = self._step_s * (effort + noise - bias - self._model.offset)
-            dv = self._friction.step(M + np.diag(BRAKE * held), force, self._dq)
-            if dv is None:
+            force = self._step_s * (effort + noise - bias)
+            after = self._friction.step(M + np.diag(BRAKE * held), force, self._dq)
+            if after is None:
                 raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
-            self._q = self._q + self._step_s * (self._dq + 0.5 * dv)
-            self._dq = self._dq + dv
+            self._q, self._dq = self._q + 0.5 * self._step_s * (self._dq + after), after

@@ -16,7 +16,7 @@ Vector = NDArray[np.float64]
 
 _SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
-_GROUP = 8  # series filtered at a time: they stay in the cache
+_FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -112,8 +112,9 @@ def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters
     entries = dynamics.entries(base.columns)
     series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
     W = np.zeros((motion.q.shape[1], base.b, decimation.rows(len(motion.q))))
-    for k in range(0, len(entries), _GROUP):
-        group = slice(k, k + _GROUP)
+    size = max(1, _FILTERED // series.shape[1])
+    for k in range(0, len(entries), size):
+        group = slice(k, k + size)
         W[entries[group, 0], entries[group, 1]] = decimation.filtered(series[group])
     return W
 

@@ -78,10 +78,6 @@ class Simulated:
     tau: Vector
     reason: str | None
 
-    def until(self, row: int, reason: str) -> "Simulated":
-        """The rows before `row`."""
-        return Simulated(self.q[:row], self.dq[:row], self.ddq[:row], self.tau[:row], reason)
-
 
 def recorded_loop(robot: Robot) -> Loop:
     """The loop of the description's `[controller]`; errors name the keys that are missing."""
@@ -164,26 +160,30 @@ def simulate(
     """
     N, n = q_ref.shape
     h = loop.period_s / substeps
-    q_out, dq_out, ddq_out, tau_out = np.empty((4, N * substeps, n))
-    out = Simulated(q_out, dq_out, ddq_out, tau_out, None)
+    q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
     q, v = (x.copy() for x in start)
     friction = Friction(model, dq_ref, v, h)
     control = _Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
-    offset, look_every = model.offset, max(1, _LOOK_EVERY // substeps)
+    look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
+    rows = 0
     for k in range(N):
         tau = control.torque(k, q, v)
-        for row in range(k * substeps, (k + 1) * substeps):
+        for row in range(rows, rows + substeps):
             M, bias = model.inertia_and_bias(q, v)
-            dv = friction.step(M, h * (tau - bias - offset), v)
-            if dv is None:
-                return out.until(row, "the inertia matrix is not positive definite")
-            out.q[row], out.dq[row], out.ddq[row], out.tau[row] = q, v, dv / h, tau
-            q, v = q + h * (v + 0.5 * dv), v + dv
-        if k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
+            after = friction.step(M, h * (tau - bias), v)
+            if after is None:
+                reason = "the inertia matrix is not positive definite"
+                break
+            q_out[row], dq_out[row], tau_out[row] = q, v, tau
+            q, v = q + half * (v + after), after
+            rows = row + 1
+        if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
             j = int(np.argmin(np.abs(q - q_ref[k]) < bound))
             reason = f"the simulated robot leaves its reference at joint {j + 1}, {k * loop.period_s:.3f} s"
-            return out.until(k * substeps, reason)
-    return out
+        if reason is not None:
+            break
+    dq = dq_out[:rows]
+    return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
 
 
 class _Control:
@@ -197,6 +197,7 @@ class _Control:
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
         self._ahead = q_ref @ self._P.T + loop.feedforward * (dq_ref @ self._D.T)
         self._to_joints = loop.R.T * loop.G
+        self._plain = False
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
         self._integral = np.zeros(len(loop.Kp))
@@ -207,9 +208,16 @@ class _Control:
             missing = wanted - (self._ahead[0] - self._P.dot(q) - self._D.dot(v))
             self._integral = np.divide(missing, loop.Ki, out=self._integral, where=loop.Ki > 0)
 
+        simple = loop.velocity_estimate == "exact" and not loop.computed_torque
+        if simple and not self._limited and not self._integrates:  # a linear law: straight to joint torques
+            self._plain, B = True, self._to_joints
+            self._ahead, self._P, self._D = self._ahead @ B.T, B @ self._P, B @ self._D
+
     def torque(self, k: int, q: Vector, v: Vector) -> Vector:
         """Joint torques (n,) that the controller gives at its instant k."""
         loop, dq = self._loop, v
+        if self._plain:
+            return np.asarray(self._ahead[k] - self._P.dot(q) - self._D.dot(v))
         if loop.velocity_estimate == "backward_difference":
             dq = (q - self._q1) / self._T
         elif loop.velocity_estimate == "two_sample_mean":
@@ -241,7 +249,7 @@ class _Control:
 
 
 class Friction:
-    """Implicit friction: solves (M + h V) dv = force - h Sᵀ f for dv, where f in each direction slips or sticks.
+    """Implicit friction: solves (M + h V) dv = force - h (V v + Sᵀ f + offset), where f in each direction slips or sticks.
 
     A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The
     modes of the step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
@@ -262,15 +270,14 @@ class Friction:
         self._mode, self._stuck = mode, bool((mode == 0).any())
         stuck = mode == 0
         level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
-        self._slipping = h * (level @ self._S)
+        self._slipping = h * (level @ self._S + model.offset)
         self._creep = h * (self._ST * (self._slope * stuck)) @ self._S
 
     def step(self, M: Vector, force: Vector, v: Vector) -> Vector | None:
-        """Change of speed (n,) over the step; None where no positive definite matrix is to be solved with."""
+        """Speed (n,) after a step under the impulse `force`; None where no positive definite matrix is to be solved with."""
         if self._one_sided:
             self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
             self._hV = self._h * self._V
-        slip = self._S.dot(v)
         M, force = M + self._hV, force - self._hV.dot(v)
         for _ in range(MODE_PASSES):
             if self._stuck:
@@ -279,8 +286,8 @@ class Friction:
                 _, dv, info = lapack.dposv(M, force - self._slipping)
             if info:
                 return None
-            after = slip + self._S.dot(dv)
-            mode = self._mode
+            w = v + dv
+            after, mode = self._S.dot(w), self._mode
             if not self._stuck and min((mode * after).tolist(), default=1.0) > 0:
                 break
             stuck = mode == 0
@@ -289,4 +296,4 @@ class Friction:
             if (found == mode).all():
                 break
             self._turn(found)
-        return np.asarray(dv)
+        return np.asarray(w)
