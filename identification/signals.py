@@ -61,8 +61,13 @@ class Signals:
                 raise IdentificationError(f"{self.recording}: {name} has shape {part.shape}; expected {shape}")
         if n != self.robot.n:
             raise IdentificationError(f"{self.recording}: {n} joints recorded; the robot has {self.robot.n}")
-        for array in (self.t_s, self.q, self.q_ref, self.effort):
+        for name, array in (("t_s", self.t_s), ("q", self.q), ("q_ref", self.q_ref), ("effort", self.effort)):
             if array is not None:
+                if not np.isfinite(array).all():
+                    row = int(np.argwhere(~np.isfinite(array))[0, 0])
+                    raise IdentificationError(
+                        f"{self.recording}: {name} row {row} is not finite; expected finite numbers"
+                    )
                 array.flags.writeable = False
 
 
@@ -79,7 +84,9 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
         )
     samples = recording.samples
     if samples is None or len(samples) == 0:
-        raise IdentificationError(f"{path}: holds no joint samples; expected the channel /samples")
+        raise IdentificationError(
+            f"{path}: holds no joint samples; expected the channel /samples (`robot-acquire decode` makes it of frames)"
+        )
     stamps = samples["stamp_ns"]
     rate_hz = _uniform_rate(stamps, path)
     q, effort, reference = samples["position"], samples["effort"], None

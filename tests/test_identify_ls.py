@@ -207,6 +207,14 @@ def test_reduced_rows_give_the_same_fit(monkeypatch):
         assert a.relative_error_percent == pytest.approx(b.relative_error_percent, rel=1e-7)
 
 
+def test_signals_that_are_not_finite_are_refused():
+    signals = synthetic_signals(seconds=5.0)
+    broken = signals.effort.copy()
+    broken[70, 1] = np.inf
+    with pytest.raises(IdentificationError, match=r"made.mcap: effort row 70 is not finite"):
+        dataclasses.replace(signals, effort=broken)
+
+
 def test_torque_and_position_are_not_shifted_against_each_other():
     """Moving the torque by a few samples either way must make the fit worse: it is aligned as it comes."""
     signals = synthetic_signals()
