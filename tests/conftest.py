@@ -3,6 +3,7 @@
 from pathlib import Path
 
 import pytest
+from made_up_recordings import write
 
 from acquisition.robot import Robot, load_robot
 from acquisition.tables import import_tables
@@ -20,6 +21,20 @@ def needs_data(*parts: str) -> Path:
     path = DATA.joinpath(*parts)
     if not path.exists():
         pytest.skip(f"real recording not here: ../shared/data/{'/'.join(parts)} (see replay_data/README.md)")
+    return path
+
+
+@pytest.fixture(scope="session")
+def robot() -> Robot:
+    """The SCARA."""
+    return robot_named("scara")
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
+    """A small recording of the SCARA with something of everything, whole."""
+    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
+    write(path, robot)
     return path
 
 

@@ -18,18 +18,6 @@ from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Robot, load_robot
 
 
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return robot_named("scara")
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
-    write(path, robot)
-    return path
-
-
 def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
     recording = read_recording(whole)
     assert recording.samples is not None

@@ -12,26 +12,13 @@ from typing import IO
 
 import numpy as np
 import pytest
-from conftest import robot_named
-from made_up_recordings import attempt, is_prefix, same, some_samples, write
+from made_up_recordings import attempt, is_prefix, same, some_samples
 from mcap.writer import Writer
 
 from acquisition import AcquisitionError, mcap_content
 from acquisition.blocks import FRAME, sample_dtype
 from acquisition.recording import read_recording, recover
 from acquisition.robot import Robot
-
-
-@pytest.fixture(scope="module")
-def robot() -> Robot:
-    return robot_named("scara")
-
-
-@pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory, robot: Robot) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
-    write(path, robot)
-    return path
 
 
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole: Path, tmp_path: Path) -> None:

@@ -77,6 +77,19 @@ def wait_for(path: Path, size: int, timeout_s: float = 20.0) -> None:
         time.sleep(0.05)
 
 
+@contextmanager
+def tracking(folder: Path, out: Path) -> Iterator["subprocess.Popen[str]"]:
+    """A session that follows the reference and has begun to record."""
+    session = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"))
+    try:
+        wait_for(out, 4000)
+        yield session
+    finally:
+        if session.poll() is None:
+            session.terminate()
+            session.communicate(timeout=20)
+
+
 def children(pid: int) -> list[int]:
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -126,11 +139,7 @@ def test_simulate_check_record(folder):
 
 def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(folder):
     out = folder / "log.mcap"
-    with drives(folder):
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv")
-        )
-        wait_for(out, 4000)
+    with drives(folder), tracking(folder, out) as session:
         time.sleep(2.5)
         recorder = recorder_of(session.pid)
         killed_ns = time.time_ns()
@@ -157,11 +166,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
 
 def test_a_killed_session_leaves_a_whole_file_and_drives_that_stop_by_themselves(folder):
     out = folder / "log.mcap"
-    with drives(folder):
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv")
-        )
-        wait_for(out, 4000)
+    with drives(folder), tracking(folder, out) as session:
         time.sleep(1.5)
         recorder = recorder_of(session.pid)
         session.kill()
@@ -180,11 +185,7 @@ def test_a_killed_session_leaves_a_whole_file_and_drives_that_stop_by_themselves
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_session_in_order(folder, number):
     out = folder / "log.mcap"
-    with drives(folder):
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv")
-        )
-        wait_for(out, 4000)
+    with drives(folder), tracking(folder, out) as session:
         time.sleep(1.5)
         session.send_signal(number)
         told, errors = session.communicate(timeout=30)
