@@ -120,7 +120,7 @@ def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> T
     """A study's summaries: one row per cut-off and method."""
     table = Table(title=f"{robot}: {len(runs)} runs", title_justify="left")
     columns = ("cut-off", "method", "runs", "bias %", "spread %", "median error %", "worst error %", "sigma/spread")
-    for column in (*columns, "HAC/spread", "converged %", "passes", "false %"):
+    for column in (*columns, "HAC/spread", "within 3 sigma %", "converged %", "passes", "false %"):
         table.add_column(column, justify="left" if column in ("cut-off", "method") else "right")
     for s in summaries(runs, true):
         numbers = (s.bias_percent, s.spread_percent, s.median_error_percent, s.worst_error_percent)
@@ -130,6 +130,7 @@ def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> T
             str(s.runs),
             *(f"{x:.3f}" if np.isfinite(x) else "-" for x in numbers),
             *(f"{x:.2f}" if np.isfinite(x) else "-" for x in (s.sigma_over_spread, s.hac_over_spread)),
+            f"{s.within_percent:.1f}" if np.isfinite(s.within_percent) else "-",
             *("" if x is None else f"{x:.1f}" for x in (s.converged_percent, s.mean_passes, s.false_percent)),
         )
     return table

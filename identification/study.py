@@ -87,7 +87,8 @@ class Summary:
     """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN where there are none.
 
     `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
-    `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one.
+    `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one;
+    `within_percent` is the share of true values within three deviations, formula or HAC, whichever is larger.
     `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
     times that of least squares at the rule's cut-off: on the same recording, or the median of all runs where that is larger,
     since by luck least squares may be right to many digits.
@@ -100,6 +101,7 @@ class Summary:
     spread_percent: float
     sigma_over_spread: float
     hac_over_spread: float
+    within_percent: float
     median_error_percent: float
     worst_error_percent: float
     converged_percent: float | None
@@ -234,6 +236,7 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
             kind = "ls" if method == "wls" else "iv"
             beta, sigma, hac, errors = (_stacked(used, f"{name}_{kind}", true) for name in _PER_METHOD)
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
+            off = np.abs(beta - true)
             found.append(
                 Summary(
                     method=method,
@@ -243,6 +246,7 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
                     spread_percent=float(100 * np.linalg.norm(spread) / np.linalg.norm(true)),
                     sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
                     hac_over_spread=float(np.median(np.median(hac, axis=0) / spread)),
+                    within_percent=float(100 * (off <= 3 * np.maximum(sigma, hac)).mean()) if used else np.nan,
                     median_error_percent=float(100 * np.median(errors)),
                     worst_error_percent=float(100 * errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,

@@ -333,6 +333,13 @@ def test_study_reports_both_methods(capsys, tmp_path):
     study = json.loads(out.read_text())
     assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]
     assert {s["method"] for s in study["summaries"]} == {"wls", "iv"}
+    for s in study["summaries"]:
+        runs = [r for r in study["runs"] if r["cutoff"] == s["cutoff"]]
+        kind = "iv" if s["method"] == "iv" else "ls"
+        beta, sigma, hac = (np.array([r[f"{name}_{kind}"] for r in runs]) for name in ("beta", "sigma", "hac"))
+        inside = np.abs(beta - study["true"]) <= 3 * np.maximum(sigma, hac)
+        assert s["within_percent"] == pytest.approx(100 * inside.mean())
+        assert s["within_percent"] > 90
     for run in study["runs"]:
         assert run["status"] == "converged"
         assert run["positive"]
