@@ -8,6 +8,7 @@ import struct
 import time
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -46,13 +47,11 @@ class Link:
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
-        if passive:
-            for name in ("send", "send_periodic"):  # no way round this object either
-                setattr(bus, name, _refuse_to_send)
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
 
     def now_ns(self) -> int:
-        """Time of this link: of frames, events, deadlines."""
-        return time.time_ns()
+        """Time of this link, of events and deadlines: the clock's at its opening, and never set back or forth since."""
+        return self._epoch_ns + time.monotonic_ns()
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send a frame. Raises `AcquisitionError` where the link is passive or the bus does not take it."""
@@ -75,20 +74,29 @@ class Link:
         """The next frame, None when there is none within `timeout_s`."""
         import can
 
-        try:
-            message = self._bus.recv(timeout_s)
-        except (can.CanError, OSError) as error:
-            raise AcquisitionError(f"bus: cannot be read: {error}") from error
-        if message is None or getattr(message, "is_fd", False):
-            return None
+        until_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                message = self._bus.recv(max(0.0, until_s - time.monotonic()))
+            except (can.CanError, OSError) as error:
+                if _is_no_frame(self._bus, error):
+                    continue
+                raise AcquisitionError(f"bus: cannot be read: {error}") from error
+            if message is None:
+                return None
+            if not getattr(message, "is_fd", False):
+                break
         frame = _frame_of(message)
         if self._tap is not None:
             self._tap(frame)
         return frame
 
     def close(self) -> None:
-        """Leave the bus."""
-        self._bus.shutdown()
+        """Leave the bus, also one that is gone."""
+        import can
+
+        with suppress(can.CanError, OSError):
+            self._bus.shutdown()
 
 
 class LockStepLink(Link):
@@ -143,8 +151,18 @@ def _refuse_to_send(*_: object, **__: object) -> None:
     raise AcquisitionError("bus: passive: nothing is ever sent: expected an active session for that")
 
 
+def _is_no_frame(bus: Any, error: Exception) -> bool:
+    """Whether an error of reading is about a datagram that is no frame, which anyone may send to a group."""
+    import can
+
+    return isinstance(error, can.CanOperationError) and getattr(bus, "_multicast", None) is not None
+
+
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """python-can's bus object for a description. Raises `AcquisitionError` when it cannot be opened."""
+    """python-can's bus object for a description; where `passive`, one that cannot send.
+
+    Raises `AcquisitionError` when it cannot be opened.
+    """
     import can
 
     options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
@@ -165,6 +183,9 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         raise AcquisitionError(f"bus: {file.interface} {file.channel}: cannot be opened: {told}") from error
     if file.interface == "udp_multicast" and file.loopback:
         _stay_on_loopback(bus, file)
+    if passive:
+        for name in ("send", "send_periodic"):
+            setattr(bus, name, _refuse_to_send)
     sock = socket_of(bus)
     if sock is not None:
         _enlarge_queue(sock)
@@ -264,10 +285,10 @@ class Receiver:
         while not self.stopped:
             try:
                 message = self._bus.recv(0.1)
-            except can.CanOperationError:
-                if not getattr(self._bus, "_multicast", None):
+            except can.CanOperationError as error:
+                if not _is_no_frame(self._bus, error):
                     raise
-                continue  # a datagram that is no frame
+                continue
             if message is not None:
                 self._items.append(message)
 

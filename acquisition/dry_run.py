@@ -84,10 +84,9 @@ def serve(
             now_ns = link.now_ns()
             due = drives.due_ns()
             frame = link.receive(min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000))
-            if frame is not None:
-                sent = drives.receive(link.now_ns(), frame.can_id, frame.data)
-            else:
-                sent = drives.advance(link.now_ns())
+            sent = [] if frame is None else drives.receive(link.now_ns(), frame.can_id, frame.data)
+            if frame is None or (due is not None and due <= now_ns):  # a full bus keeps no heartbeat back
+                sent = sent + drives.advance(link.now_ns())
     finally:
         with suppress(AcquisitionError):
             link.close()
