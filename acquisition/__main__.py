@@ -128,8 +128,8 @@ def _record(arguments: argparse.Namespace) -> None:
     from .robot import load_robot
     from .session import Stop
 
-    if arguments.duration is not None and not arguments.duration > 0:
-        raise AcquisitionError(f"--duration {arguments.duration:g}: expected more than 0")
+    if arguments.duration is not None and not 0 < arguments.duration < float("inf"):
+        raise AcquisitionError(f"--duration {arguments.duration:g}: expected more than 0, and an end")
     robot = load_robot(arguments.robot)
     if robot.bus is None:
         raise AcquisitionError(

@@ -14,7 +14,7 @@ from .drives import resolve
 from .dry_run import DryRun, dry_run
 from .master import Master
 from .recorder import Recorded, Recorder, Status
-from .recorder_process import InlineLog, ProcessLog
+from .recorder_process import STOPPING, InlineLog, ProcessLog
 from .reference import table_reference
 from .robot import Robot
 from .session import Ending, Plan, Stop, run_active
@@ -46,6 +46,8 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
         raise AcquisitionError(
             f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
         )
+    if wanted.track is not None and wanted.duration_s is not None:
+        raise AcquisitionError("--track: lasts as long as its reference: expected it without --duration")
     plan = Plan(duration_s=wanted.duration_s)
     if wanted.track is not None:
         reference = table_reference(wanted.track, robot, robot.bus.sync_period_s)
@@ -64,8 +66,13 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
         link = simulated.link
     else:
         shared = robot.bus.interface in SHARED
-        log = ProcessLog(out, robot, source="CAN, active", place=place, feed=not shared, passive=False)
-        link = open_link(robot.bus, passive=False, tap=None if shared else log.tap)
+        # The link first: a bus that cannot be opened leaves no file behind.
+        link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
+        try:
+            log = ProcessLog(out, robot, source="CAN, active", place=place, feed=not shared, passive=False)
+        except BaseException:
+            link.close()
+            raise
     try:
         started_ns = link.now_ns()
         watched = _Told(
@@ -139,12 +146,14 @@ def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Ctrl-C and SIGTERM end the session in order in place of ending the program on the spot."""
+    """Ctrl-C, SIGTERM and a terminal that is gone end the session in order in place of ending the program on the spot."""
 
     def asked(number: int, _: FrameType | None) -> None:
         stop.reason = stop.reason or f"stopped by {signal.Signals(number).name}"
 
-    before = {number: signal.signal(number, asked) for number in (signal.SIGINT, signal.SIGTERM)}
+    # One that is ignored already stays so, as `nohup` has it.
+    numbers = [n for n in STOPPING if signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, asked) for number in numbers}
     try:
         yield
     finally:

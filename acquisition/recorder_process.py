@@ -26,6 +26,8 @@ from .sdo import REQUEST
 BLOCK_S = 0.1
 START_S = 20.0  # for the process to come up
 FINISH_S = 600.0  # to decode a long session
+SILENT_S = 5.0  # a recorder that tells nothing for so long does not write: its disk hangs
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # the session's business
 
 
 class InlineLog:
@@ -75,9 +77,15 @@ class ProcessLog:
         self._frames: list[Frame] | None = [] if feed else None
         arguments = (other, str(path.absolute()), dict(robot.files), source, place, feed, passive)
         self._process = context.Process(target=_main, args=arguments, name="recorder", daemon=True)
-        self._process.start()
+        # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         other.close()
         self._expect("ready", START_S)
+        self._heard_s = time.monotonic()
 
     @property
     def pid(self) -> int | None:
@@ -94,7 +102,7 @@ class ProcessLog:
         self._send(("event", stamp_ns, kind, text))
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended."""
+        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs."""
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
         status = None
@@ -106,6 +114,11 @@ class ProcessLog:
                 status = content if kind == "status" else status
         except (EOFError, OSError) as error:
             raise AcquisitionError("the recorder has ended: expected it to go on until the session ends") from error
+        if status is not None:
+            self._heard_s = time.monotonic()
+        silent_s = time.monotonic() - self._heard_s
+        if silent_s > SILENT_S:
+            raise AcquisitionError(f"the recorder tells nothing for {silent_s:.1f} s: expected news every 0.5 s")
         return status
 
     def finish(self, stamp_ns: int) -> Recorded:
@@ -150,9 +163,10 @@ class ProcessLog:
 def _main(
     connection: Connection, path: str, files: Mapping[str, bytes], source: str, place: str, feed: bool, passive: bool
 ) -> None:
-    """The recorder's process. Ctrl-C and SIGTERM are the session's business: it ends when told, or left alone."""
-    for number in (signal.SIGINT, signal.SIGTERM):
+    """The recorder's process. Ctrl-C and its like are the session's business: it ends when told, or left alone."""
+    for number in STOPPING:
         signal.signal(number, signal.SIG_IGN)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     bus = None
     try:
         robot = robot_from_files(files, place)
