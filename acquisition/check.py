@@ -9,9 +9,9 @@ import numpy as np
 
 from . import AcquisitionError
 from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
-from .cia402 import STATUSWORD, state_of
+from .cia402 import State
 from .drives import LARGEST_LOAD, Bus
-from .master import Master, Wire
+from .master import Master, Wire, identity_of
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
 
@@ -58,8 +58,9 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
     for drive in bus.drives:
         subject = f"node {drive.node} ({drive.name})"
         try:
-            word = master.read(drive.node, STATUSWORD)
-            findings.append(Finding(subject=subject, found=state_of(word).words, ok=True))
+            state = master.state(drive)
+            told = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
+            findings.append(Finding(subject=subject, found=told, ok=state is not State.FAULT))
         except AcquisitionError as error:
             everyone = False
             findings.append(Finding(subject=subject, found=str(error), ok=False))
@@ -72,9 +73,23 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
             differences = [str(error)]
         findings += [Finding(subject="description", found=text, ok=False) for text in differences]
         if not differences:
-            findings.append(Finding(subject="description", found="agrees with identity and rated values", ok=True))
+            findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
     findings.append(_jitter(link, master))
     return findings
+
+
+def _agreement(bus: Bus) -> str:
+    """What was compared, so that nobody takes for checked what was not."""
+    identity = [d.name for d in bus.drives if d.dictionary is not None and identity_of(d.dictionary)]
+    rated = [d.name for d in bus.drives if d.rated]
+    parts = [
+        f"{what} of {', '.join(names)}" for what, names in (("identity", identity), ("rated values", rated)) if names
+    ]
+    return (
+        "agrees with " + " and ".join(parts)
+        if parts
+        else "nothing to compare: no dictionary with an identity, no rated value"
+    )
 
 
 def _mapped(master: Master, node: int) -> str:

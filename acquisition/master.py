@@ -6,8 +6,18 @@ from typing import Protocol
 from . import AcquisitionError
 from .blocks import ERROR, EXTENDED, REMOTE
 from .bus import Frame
-from .cia402 import HEARTBEAT_TIME, MODE_DISPLAY, MODE_OF_OPERATION, Mode, State, state_of
+from .cia402 import (
+    CONTROLWORD,
+    HEARTBEAT_TIME,
+    MODE_DISPLAY,
+    MODE_OF_OPERATION,
+    STATUSWORD,
+    Mode,
+    State,
+    state_of,
+)
 from .drives import Bus, Drive
+from .object_dictionary import ObjectDictionary
 from .pdo import configuration
 from .sdo import ANSWER, REQUEST, answer_of, check_answer, read_request, write_request
 
@@ -105,13 +115,15 @@ class Master:
             self._process_data(frame)
         elif frame.can_id == self.bus.file.sync_can_id:
             self.sync_times.append(frame.time_ns)
-            for watch in self.nodes:
-                watch.answers = 0
+            if self.bus.file.sync_producer == "recorder":
+                self.bus_error = "another producer sends SYNC"  # drives would take over targets at its instants
+            self._next_sync()
         elif function == ANSWER:
             self._answers[node] = frame.data
         elif node in self._by_node and function == 0x700 and frame.data:
             watch = self._by_node[node]
-            watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, frame.time_ns
+            # By our clock: an adapter may stamp frames by its own.
+            watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
@@ -134,23 +146,32 @@ class Master:
 
     def sync(self) -> None:
         """Send SYNC; count who did not answer the one before."""
+        self._next_sync()
+        self.link.send(self.bus.file.sync_can_id, b"")
+
+    def _next_sync(self) -> None:
         for watch in self.nodes:
             watch.silent_syncs = 0 if watch.answers else watch.silent_syncs + 1
             watch.answers = 0
-        self.link.send(self.bus.file.sync_can_id, b"")
 
     def nmt(self, command: int, node: int = 0) -> None:
         """Network management to one node, 0 to all."""
         self.link.send(0, bytes([command, node]))
 
     def start(self) -> None:
-        """START to all nodes; what they said before counts no more."""
+        """START to all nodes; what they said before counts no more, positions least of all."""
         for watch in self.nodes:
+            watch.statusword, watch.counts, watch.effort = None, None, None
+            watch.answers, watch.silent_syncs = 0, 0
             watch.booted, watch.emergency, watch.nmt = False, None, None
             watch.started, watch.unstarted = False, 0
         self.nmt(START)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
+
+    def state(self, drive: Drive) -> State:
+        """State of a drive, asked for by SDO. Raises `AcquisitionError` when it does not answer."""
+        return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
         """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
@@ -198,18 +219,19 @@ class Master:
 
     def choose_mode(self, mode: Mode) -> None:
         """Mode of operation and interpolation period of every drive. Raises `AcquisitionError` when one does not follow."""
-        period_us = round(self.bus.file.sync_period_s * 1e6)
-        unit, count = (-3, period_us // 1000) if period_us % 1000 == 0 else (-4, period_us // 100)
         for drive in self.bus.drives:
-            if drive.dictionary is None or (INTERPOLATION_PERIOD, 1) in drive.dictionary.entries:
-                self.write(drive.node, INTERPOLATION_PERIOD, 1, count, 1)
-                self.write(drive.node, INTERPOLATION_PERIOD, 2, unit, 1)
-            self.write(drive.node, MODE_OF_OPERATION, 0, mode, 1)
-            if drive.dictionary is None or (MODE_DISPLAY, 0) in drive.dictionary.entries:
+            axis = axis_of(drive)
+            if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
+                count, unit = interpolation_period(self.bus.file.sync_period_s)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
+            self.write(drive.node, MODE_OF_OPERATION + axis, 0, mode, 1)
+            display = MODE_DISPLAY + axis
+            if drive.dictionary is None or (display, 0) in drive.dictionary.entries:
                 until_ns = self.link.now_ns() + 500_000_000
-                while (shown := self.read(drive.node, MODE_DISPLAY)) != mode:
+                while (shown := self.read(drive.node, display)) != mode:
                     if self.link.now_ns() > until_ns:
-                        told = f"node {drive.node}: mode of operation (6061:0) = {shown}"
+                        told = f"node {drive.node}: mode of operation ({display:04X}:0) = {shown}"
                         raise AcquisitionError(f"{told}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})")
                     self.wait(self.link.now_ns() + 10_000_000)
 
@@ -218,13 +240,11 @@ class Master:
         found = []
         for drive in self.bus.drives:
             dictionary = drive.dictionary
-            for sub, name in ((1, "vendor"), (2, "product")) if dictionary is not None else ():
-                expected = dictionary.entries.get((IDENTITY, sub)) if dictionary is not None else None
-                if expected is not None and expected.value:
-                    said = self.read(drive.node, IDENTITY, sub)
-                    if said != expected.value:
-                        told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
-                        found.append(f"{told}: expected 0x{expected.value:X} as its dictionary says")
+            for sub, name, expected in identity_of(dictionary) if dictionary is not None else ():
+                said = self.read(drive.node, IDENTITY, sub)
+                if said != expected:
+                    told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
+                    found.append(f"{told}: expected 0x{expected:X} as its dictionary says")
             for index, rated in drive.rated.items():
                 if dictionary is None or (index, 0) in dictionary.entries:
                     raw = self.read(drive.node, index)
@@ -233,3 +253,40 @@ class Master:
                             f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
                         )
         return found
+
+
+def identity_of(dictionary: ObjectDictionary) -> list[tuple[int, str, int]]:
+    """Vendor and product as far as a dictionary states them, in 1018h or in its [DeviceInfo]: sub-index, name, number."""
+    stated = ((1, "vendor", dictionary.vendor), (2, "product", dictionary.product))
+    found = []
+    for sub, name, number in stated:
+        entry = dictionary.entries.get((IDENTITY, sub))
+        if entry is not None and (entry.value or number):
+            found.append((sub, name, entry.value or number))
+    return found
+
+
+def interpolation_period(period_s: float) -> tuple[int, int]:
+    """60C2h: count (U8) and power of ten (I8) that make the SYNC period exactly. Raises `AcquisitionError` where none do."""
+    for unit in (-3, -4, -5, -6):
+        count = period_s / 10.0**unit
+        if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
+            return round(count), unit
+    raise AcquisitionError(
+        f"bus.sync_period_s = {period_s:g}: the interpolation period of drives (60C2) cannot say it: expected up to 255 "
+        "times 1 ms, 0.1 ms, 10 µs or 1 µs"
+    )
+
+
+def axis_of(drive: Drive) -> int:
+    """What a drive's control and status objects are beyond 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
+
+    Raises `AcquisitionError` where they are not of one axis.
+    """
+    axis = drive.control.index - CONTROLWORD
+    if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
+        raise AcquisitionError(
+            f"node {drive.node}: control {drive.control} and status {drive.status}: expected those of one axis, such as "
+            "6040:0 and 6041:0"
+        )
+    return axis

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
-from .cia402 import CONTROLWORD, DISABLED, MODE_OF_OPERATION, STATUSWORD, Command, Mode, State, state_of, toward
+from .cia402 import DISABLED, MODE_OF_OPERATION, Command, Mode, State, toward
 from .guards import Motion, motion_fault, node_fault
-from .master import PRE_OPERATIONAL, Master
+from .master import PRE_OPERATIONAL, Master, axis_of
 from .recorder import Status
 from .reference import approach, check_limits
 from .robot import Robot
@@ -66,7 +66,7 @@ class Plan:
 
 @dataclass(frozen=True, kw_only=True)
 class Ending:
-    """How a session ended: in order or by a fault, and whether every drive confirmed that it is disabled."""
+    """How a session ended: in order or by a fault, and whether every drive that was addressed confirmed to be disabled."""
 
     reason: str
     fault: bool
@@ -104,9 +104,10 @@ def run_active(robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -
         with suppress(AcquisitionError):  # a recorder that has ended keeps no drive enabled
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
-        text = f"nodes {unconfirmed} did not confirm" if unconfirmed else "every drive confirmed"
-        with suppress(AcquisitionError):
-            log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
+        if session.addressed:
+            text = f"nodes {unconfirmed} did not confirm" if unconfirmed else "every drive confirmed"
+            with suppress(AcquisitionError):
+                log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
     return Ending(reason=reason, fault=fault, all_disabled=not unconfirmed)
 
 
@@ -119,6 +120,7 @@ class _Session:
         self._period_s = master.bus.file.sync_period_s
         self._beat = _Beat(next_ns=0, until_ns=None)
         self._last_orders: Orders | None = None
+        self.addressed = False  # whether anything was sent to the drives
 
     def prepare(self) -> None:
         """Everything that can be refused before a node is started."""
@@ -126,11 +128,13 @@ class _Session:
             check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
             self._check_carriers()
         self._log.event(self._link.now_ns(), "phase", "configure")
+        self.addressed = True
         self._master.configure()
         differences = self._master.differences()
         if differences:
             raise AcquisitionError("; ".join(differences))
         if self._plan.reference is not None:
+            self._refuse_enabled()
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
         self._master.start()
         now_ns = self._link.now_ns()
@@ -138,10 +142,21 @@ class _Session:
         if self._plan.duration_s is not None:
             self._beat.until_ns = now_ns + round(self._plan.duration_s * 1e9)
 
+    def _refuse_enabled(self) -> None:
+        """A drive that gives torque before it was told to is somebody else's; one in fault is told, and reset later."""
+        for drive in self._bus.drives:
+            state = self._master.state(drive)
+            if state not in DISABLED:
+                told = f"node {drive.node}: {state.words} before the session began"
+                raise AcquisitionError(f"{told}: expected switch on disabled: does another master hold it?")
+            if state is State.FAULT:
+                self._log.event(self._link.now_ns(), "mark", f"node {drive.node}: found in fault; it is reset")
+
     def _check_carriers(self) -> None:
         """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0."""
         for drive in self._bus.drives:
-            known = {str(entry) for entry in (drive.control, drive.target)} | {f"{MODE_OF_OPERATION:04X}:0"}
+            mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"
+            known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
             for entry in (drive.control, drive.target):
                 if drive.carrier(entry, "rpdo") is None:
                     raise AcquisitionError(
@@ -230,7 +245,7 @@ class _Session:
             values = {
                 (drive.control.index, drive.control.sub): control,
                 (drive.target.index, drive.target.sub): target,
-                (MODE_OF_OPERATION, 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
+                (MODE_OF_OPERATION + axis_of(drive), 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
             }
             for pdo in drive.rpdos:
                 self._link.send(pdo.can_id, pdo.pack(values))
@@ -276,13 +291,20 @@ class _Session:
         raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {told}: expected operation enabled")
 
     def _follow(self, path: Vector) -> Iterator[Orders]:
-        """Along a path, one row a SYNC; when a stop is asked for, ever slower until at rest."""
+        """Along a path, one row a SYNC; when a stop is asked for, ever slower until at rest.
+
+        Slowing down takes at most half of each joint's acceleration limit, beside what the path itself takes.
+        """
         at, rate = 0.0, 1.0
+        speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / self._period_s
+        stop_s = max(
+            SLOW_STOP_S, *(2 * v / j.si("acceleration") for v, j in zip(speed, self._robot.joints, strict=True))
+        )
         enabled = [Command.ENABLE_OPERATION.controlword] * self._robot.n
         while at < len(path) - 1 and rate > 0.0:
             yield self._orders(enabled, _between(path, at))
             if self._stop.reason:
-                rate = max(0.0, rate - self._period_s / SLOW_STOP_S)
+                rate = max(0.0, rate - self._period_s / stop_s)
             at = min(at + rate, len(path) - 1.0)
         yield self._orders(enabled, _between(path, at))
 
@@ -297,7 +319,10 @@ class _Session:
             states = [watch.state for watch in self._master.nodes]
             if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):
                 return
-            downs = [_DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states if state is not None]
+            downs = [
+                Command.DISABLE_VOLTAGE if state is None else _DOWN.get(state, Command.DISABLE_VOLTAGE)
+                for state in states
+            ]
             yield self._orders([command.controlword for command in downs])
         raise AcquisitionError(f"not disabled after {ENABLE_S:g} s: expected switch on disabled")
 
@@ -305,9 +330,11 @@ class _Session:
         """Stop and disable every drive, whatever happened; nodes that did not confirm.
 
         Quick stop by PDO while SYNC goes on, then voltage off by PDO and by SDO. No step may keep the next from being tried.
+        Without a reference nothing was commanded: drives that were started are asked for their state.
         """
-        if self._beat.next_ns == 0:
-            return []  # no node was ever started
+        if not self.addressed or (self._beat.next_ns == 0 and self._plan.reference is None):
+            self.addressed = False
+            return []
         self._stop.reason = self._stop.reason or "safe state"
         cycles = max(5, round(QUICK_STOP_S / self._period_s))
         for k in range(2 * cycles if self._last_orders is not None else 0):  # else nothing was ever commanded
@@ -320,15 +347,15 @@ class _Session:
                 self._one_more_sync()
         unconfirmed = []
         for watch in self._master.nodes:
-            node = watch.drive.node
+            drive, control = watch.drive, watch.drive.control
             try:
                 if self._plan.reference is not None:
-                    self._master.write(node, CONTROLWORD, 0, Command.DISABLE_VOLTAGE.controlword, 2)
-                state = state_of(self._master.read(node, STATUSWORD))
-                if state not in DISABLED:
-                    unconfirmed.append(node)
+                    word = Command.DISABLE_VOLTAGE.controlword
+                    self._master.write(drive.node, control.index, control.sub, word, control.bits // 8)
+                if self._master.state(drive) not in DISABLED:
+                    unconfirmed.append(drive.node)
             except AcquisitionError:
-                unconfirmed.append(node)
+                unconfirmed.append(drive.node)
         with suppress(AcquisitionError):
             self._master.nmt(PRE_OPERATIONAL)
         return unconfirmed

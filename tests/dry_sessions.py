@@ -64,12 +64,16 @@ def dry_session(
     plant: Plant | None = None,
     through: type[Through] = Through,
     stop: Stop | None = None,
+    drives: Bus | None = None,
 ) -> Outcome:
-    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised."""
+    """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.
+
+    `drives` are those on the bus, where they are others than the session thinks.
+    """
     robot = robot or robot_of(bus_text(2))
     bus = bus or bus_of(robot)
     log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
-    run = dry_run(robot, bus, plant, faults=faults, tap=log.tap)
+    run = dry_run(robot, drives or bus, plant, faults=faults, tap=log.tap)
     ending, raised = None, None
     try:
         ending = run_active(robot, Master(through(link=run.link), bus), log, plan, stop or Stop())

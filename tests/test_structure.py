@@ -26,7 +26,7 @@ ACQUISITION = {
     "simulated_node": {"cia402", "drives", "pdo", "sdo"},
     "simulated_drives": {"cia402", "drives", "plants", "robot", "simulated_node"},
     "dry_run": {"__init__", "bus", "drives", "plants", "robot", "simulated_drives"},
-    "master": {"__init__", "blocks", "bus", "cia402", "drives", "pdo", "sdo"},
+    "master": {"__init__", "blocks", "bus", "cia402", "drives", "object_dictionary", "pdo", "sdo"},
     "guards": {"cia402", "master", "robot"},
     "recorder": {"__init__", "blocks", "decoding", "drives", "recording", "robot"},
     "recorder_process": {"__init__", "blocks", "bus", "drives", "recorder", "robot", "sdo"},

@@ -1,0 +1,366 @@
+"""What a session must not be led into: stale frames, other masters, clocks, signals, recorders that hang."""
+
+import dataclasses
+import os
+import signal
+import struct
+import time
+from dataclasses import dataclass
+
+import can
+import numpy as np
+import pytest
+from conftest import needs_data
+from dry_sessions import Through, dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+import acquisition.dry_run as dry_run_module
+import acquisition.recorder_process as recorder_process
+from acquisition import AcquisitionError
+from acquisition.blocks import SENT
+from acquisition.bus import Frame, Link, open_bus
+from acquisition.check import look
+from acquisition.cia402 import State
+from acquisition.dry_run import dry_run, serve
+from acquisition.master import Master, axis_of, identity_of, interpolation_period
+from acquisition.object_dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
+from acquisition.record import Wanted, record, stop_on_signals
+from acquisition.recorder_process import ProcessLog
+from acquisition.sdo import write_request
+from acquisition.session import Plan, Stop
+from acquisition.simulated_drives import SimulatedFault
+from acquisition.simulated_node import SimulatedNode
+
+TRACK = Plan(reference=swing(2))
+ENABLED = 0x0237
+
+
+@dataclass(kw_only=True)
+class StaleAnswers(Through):
+    """PDOs of an earlier session are still in the queue: enabled, and far from where the drives stand."""
+
+    count: int = 0
+
+    def receive(self, until_ns):
+        self.count += 1
+        if self.count <= 4:
+            node = 1 + self.count % 2
+            return Frame(self.now_ns(), 0x180 + node, struct.pack("<Hih", ENABLED, 300_000, 0))
+        return super().receive(until_ns)
+
+
+def test_positions_from_before_start_command_nothing(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=StaleAnswers)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    frames = next(iter(outcome.recording.frames.values()))
+    first = frames[(frames["can_id"] == 0x201) & ((frames["flags"] & SENT) != 0)][0]
+    control, target = struct.unpack("<Hi", first["data"].tobytes()[:6])
+    assert control == 0x06  # shutdown, the first step up, not enable operation
+    assert abs(target) < 10
+    assert np.ptp(outcome.recording.samples["position"], axis=0) == pytest.approx(0.6, abs=0.01)
+
+
+def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch):
+    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda _: ENABLED))
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending is not None
+    assert "node 1: operation enabled before the session began" in outcome.ending.reason
+    assert not any(node.operational for node in outcome.drives.nodes)
+    assert outcome.events("disabled") == []
+    assert outcome.events("not disabled") == ["nodes [1, 2] did not confirm"]
+
+
+def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
+    begin = SimulatedNode.boot
+
+    def in_fault(self):
+        sent = begin(self)
+        self.state = State.FAULT
+        self.tick()
+        return sent
+
+    monkeypatch.setattr(SimulatedNode, "boot", in_fault)
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "finished"
+    assert outcome.events("mark") == [f"node {k}: found in fault; it is reset" for k in (1, 2)]
+    robot = robot_of(bus_text(2))
+    run = dry_run(robot, bus_of(robot))
+    findings = look(run.link, bus_of(robot))
+    assert [f.ok for f in findings if f.subject in ("node 1 (motor_1)", "node 2 (motor_2)")] == [False, False]
+    run.close()
+
+
+@pytest.mark.parametrize("plan", [TRACK, Plan(duration_s=1.0)])
+def test_a_stop_before_anything_began(tmp_path, plan):
+    outcome = dry_session(tmp_path / "a.mcap", plan, stop=Stop(reason="stopped by SIGTERM"))
+    assert outcome.raised is None
+    assert outcome.ending is not None
+    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGTERM", False)
+    assert outcome.drives.all_disabled
+
+
+def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_for_those_away(tmp_path):
+    too_far = dry_session(tmp_path / "a.mcap", Plan(reference=swing(2, amplitude=2.0)))
+    assert "position of joint_1" in too_far.ending.reason
+    assert too_far.events("disabled") + too_far.events("not disabled") == []
+    frames = next(iter(too_far.recording.frames.values()), None)
+    assert frames is None or not (frames["flags"] & SENT).any()
+    robot, other = robot_of(bus_text(2)), robot_of(bus_text(2).replace("node = 2", "node = 9"))
+    for plan, told in ((TRACK, ["nodes [9] did not confirm"]), (Plan(duration_s=1.0), [])):
+        path = tmp_path / f"{len(told)}.mcap"
+        away = dry_session(path, plan, robot=other, bus=bus_of(other), drives=bus_of(robot))
+        assert "node 9: object 1017:0: no answer" in away.ending.reason
+        assert away.events("disabled") == []
+        assert away.events("not disabled") == told
+
+
+@pytest.mark.parametrize(
+    ("period_s", "said"),
+    [(0.002, (2, -3)), (0.1, (100, -3)), (0.00125, (125, -5)), (0.0333, None), (0.3, None), (1 / 300, None)],
+)
+def test_the_interpolation_period_is_exact_or_refused(period_s, said):
+    if said is None:
+        with pytest.raises(AcquisitionError, match=r"interpolation period of drives \(60C2\) cannot say it"):
+            interpolation_period(period_s)
+    else:
+        count, unit = interpolation_period(period_s)
+        assert (count, unit) == said
+        assert count * 10.0**unit == pytest.approx(period_s)
+
+
+def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
+    entry = DictionaryEntry(name="", type="U32", writable=False, value=None)
+    dictionary = ObjectDictionary(
+        entries={(0x1018, 1): entry, (0x1018, 2): dataclasses.replace(entry, value=7)},
+        vendor=0xFB,
+        product=9,
+        product_name="",
+    )
+    assert identity_of(dictionary) == [(1, "vendor", 0xFB), (2, "product", 7)]
+    maxon = load_dictionary(needs_data("eds", "maxon_EPOS4.eds").read_bytes(), "maxon", 1)
+    assert identity_of(maxon) == [(1, "vendor", 0xFB), (2, "product", 0x60500000)]
+
+
+class Asked:
+    """A link that keeps what is sent, and answers nothing."""
+
+    def __init__(self):
+        self.sent = []
+
+    def now_ns(self):
+        return 0
+
+    def send(self, can_id, data):
+        self.sent.append((can_id, data))
+
+    def receive(self, until_ns):
+        return None
+
+
+def test_a_second_axis_is_asked_by_its_own_objects():
+    axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
+    bus = bus_of(robot_of(bus_text(1, drive=axis)))
+    assert axis_of(bus.drives[0]) == 0x800
+    link = Asked()
+    with pytest.raises(AcquisitionError, match="object 6841:0"):
+        Master(link, bus).state(bus.drives[0])
+    assert link.sent == [(0x601, bytes.fromhex("4041680000000000"))]
+    mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
+    with pytest.raises(AcquisitionError, match="expected those of one axis"):
+        axis_of(mixed.drives[0])
+
+
+@dataclass(kw_only=True)
+class AnotherSync(Through):
+    """One SYNC from somebody else in mid-motion."""
+
+    done: bool = False
+
+    def receive(self, until_ns):
+        if not self.done and self.now_ns() > 1_600_000_000:
+            self.done = True
+            return Frame(self.now_ns(), 0x80, b"")
+        return super().receive(until_ns)
+
+
+def test_sync_of_another_producer_stops_ours(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=AnotherSync)
+    assert outcome.ending is not None
+    assert outcome.ending.reason == "bus: another producer sends SYNC"
+    assert outcome.drives.all_disabled
+
+
+def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
+    @dataclass(kw_only=True)
+    class SyncOfAnother(Through):
+        next_ns: int = 1_050_000_000
+
+        def receive(self, until_ns):
+            frame = super().receive(min(until_ns, self.next_ns))
+            if frame is None and self.now_ns() >= self.next_ns and self.next_ns < 4_000_000_000:
+                self.next_ns += 2_000_000
+                self.link.send(0x80, b"")
+                return Frame(self.now_ns(), 0x80, b"")
+            return frame
+
+    robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
+    fault = SimulatedFault(kind="missing", node=1, sync=300, count=4)
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])
+    assert outcome.ending is not None
+    assert "node 1 (motor_1): 3 SYNC not answered" in outcome.ending.reason
+    assert outcome.drives.all_disabled
+
+
+def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
+    limit = np.radians(60)
+    robot = robot_of(bus_text(1).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60"))
+    t = np.arange(0, 6, 0.002)
+    # 0.5 rad/s², up to 1 rad/s and down again: far more than 0.5 s is needed to come to rest.
+    speed = np.interp(t, [0, 0.5, 2.5, 3.5, 5.5, 6], [0, 0, 1.0, 1.0, 0, 0])
+    reference = (np.cumsum(speed) * 0.002 - 1.5)[:, None]
+    stop = Stop()
+
+    @dataclass(kw_only=True)
+    class Interrupting(Through):
+        def receive(self, until_ns):
+            if self.now_ns() > 12_700_000_000 and not stop.reason:  # tracking, at full speed
+                stop.reason = "stopped by SIGINT"
+            return super().receive(until_ns)
+
+    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=reference), robot=robot, through=Interrupting, stop=stop)
+    assert outcome.ending is not None
+    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGINT", False)
+    targets = outcome.recording.samples["reference"][:, 0]
+    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
+    tracked = targets[(outcome.recording.samples["stamp_ns"] > stamps["track"])]
+    assert np.abs(np.diff(tracked)).max() / 0.002 > 0.9
+    # Targets are whole counts: a second difference of 50 samples takes their rounding out.
+    smooth = (tracked[100:] - 2 * tracked[50:-50] + tracked[:-100]) / 0.1**2
+    assert np.abs(smooth).max() < 1.5 * limit
+
+
+def test_time_does_not_follow_a_clock_that_is_set(monkeypatch):
+    link = Link(None, passive=True)
+    before = link.now_ns()
+    assert abs(before - time.time_ns()) < 1_000_000_000
+    real = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: real() - 3600 * 10**9)
+    assert 0 <= link.now_ns() - before < 1_000_000_000
+
+
+class Group:
+    """A bus of a multicast group on which a datagram comes that is no frame."""
+
+    _multicast = object()
+
+    def __init__(self):
+        self.items = [can.CanOperationError("no frame"), can.Message(arbitration_id=0x181, data=b"x", timestamp=1.0)]
+
+    def recv(self, timeout):
+        item = self.items.pop(0)
+        if isinstance(item, Exception):
+            raise item
+        return item
+
+    def shutdown(self):
+        raise can.CanOperationError("the adapter is gone")
+
+
+def test_a_datagram_that_is_no_frame_ends_nothing_and_a_bus_that_is_gone_is_left():
+    link = Link(Group(), passive=False)
+    assert link.take(0.1).can_id == 0x181
+    link.close()
+    alone = Group()
+    alone._multicast = None
+    with pytest.raises(AcquisitionError, match="bus: cannot be read: no frame"):
+        Link(alone, passive=False).take(0.1)
+
+
+def test_a_bus_opened_to_listen_cannot_send_whoever_holds_it():
+    bus = open_bus(robot_of(bus_text(1, channel="listening")).bus, passive=True)
+    with pytest.raises(AcquisitionError, match="passive: nothing is ever sent"):
+        bus.send(can.Message(arbitration_id=1))
+    bus.shutdown()
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
+def test_signals_ask_for_a_stop(number):
+    stop = Stop()
+    with stop_on_signals(stop):
+        os.kill(os.getpid(), number)
+        time.sleep(0.01)
+    assert stop.reason == f"stopped by {number.name}"
+
+
+def test_a_hangup_that_is_ignored_stays_so():
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        stop = Stop()
+        with stop_on_signals(stop):
+            os.kill(os.getpid(), signal.SIGHUP)
+            time.sleep(0.01)
+        assert not stop.reason
+    finally:
+        signal.signal(signal.SIGHUP, before)
+
+
+def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
+    monkeypatch.setattr(recorder_process, "SILENT_S", 1.0)
+    log = ProcessLog(
+        tmp_path / "a.mcap", robot_of(bus_text(1)), source="", place="robot.toml", feed=True, passive=False
+    )
+    until_s = time.monotonic() + 10
+    while log.poll(time.time_ns()) is None:  # it lives
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+    os.kill(log.pid, signal.SIGSTOP)
+    try:
+        told = ""
+        while not told and time.monotonic() < until_s + 10:
+            time.sleep(0.05)
+            try:
+                log.poll(time.time_ns())
+            except AcquisitionError as error:
+                told = str(error)
+        assert told.startswith("the recorder tells nothing for")
+    finally:
+        os.kill(log.pid, signal.SIGCONT)
+        log.close()
+
+
+def test_what_is_refused_leaves_no_file(tmp_path):
+    out = tmp_path / "a.mcap"
+    nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
+    with pytest.raises(AcquisitionError, match=r"bus: slcan .*: cannot be opened"):
+        record(nowhere, "robot.toml", out, Wanted(duration_s=1.0), lambda *_: None, Stop())
+    with pytest.raises(AcquisitionError, match="--track: lasts as long as its reference"):
+        record(nowhere, "robot.toml", out, Wanted(duration_s=1.0, track=tmp_path / "x.csv"), lambda *_: None, Stop())
+    assert not out.exists()
+
+
+def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
+    robot = robot_of(bus_text(1))
+    sent = []
+
+    class Busy:
+        def __init__(self):
+            self.frames = [Frame(0, 0x601, write_request(0x1017, 0, 10, 2))]
+
+        def now_ns(self):
+            return time.monotonic_ns()
+
+        def send(self, can_id, data):
+            sent.append((can_id, data))
+
+        def receive(self, until_ns):
+            return self.frames.pop() if self.frames else Frame(0, 0x7FF, b"")
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: Busy())
+    until_s = time.monotonic() + 0.3
+    serve(robot, bus_of(robot), lambda: time.monotonic() > until_s)
+    assert sent.count((0x701, b"\x7f")) >= 5
