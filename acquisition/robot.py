@@ -313,6 +313,9 @@ def _check(f: RobotFile, place: str) -> None:
             refuse("motor_matrix", [len(row) for row in f.motor_matrix], f"{n} rows of {n} numbers")
         if np.linalg.matrix_rank(np.array(f.motor_matrix)) < n:
             refuse("motor_matrix", f.motor_matrix, "an invertible matrix")
+        for i, row in enumerate(f.motor_matrix):
+            if row[i] == 0:  # names such as Ia2 and gains go by joint: each motor has one of its own
+                refuse(f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so")
     for name in ("position_gain", "velocity_gain", "integral_gain"):
         gains = getattr(f.controller, name)
         if gains is not None and len(gains) != n:

@@ -163,6 +163,14 @@ class DirectModel:
         M = pin.crba(self.rigid, self.data, q) + self.rotor
         return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
 
+    def gravity(self, q: Vector) -> Vector:
+        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
+        g = np.tile(self.offset, (len(q), 1))
+        if self.rigid.gravity.linear.any():
+            for k, qk in enumerate(np.ascontiguousarray(q)):
+                g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
+        return g
+
     def inverse(self, q: Vector, dq: Vector, ddq: Vector, dq_sign: Vector) -> Vector:
         """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
         u = self.directions @ dq_sign
@@ -246,6 +254,9 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     try:
         root = ET.fromstring(robot.urdf or "")
         for joint in root.iter("joint"):
+            axis = joint.find("axis")
+            if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
+                raise IdentificationError(f"{place}: joint {joint.get('name')!r}: axis is zero; expected a direction")
             if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
                 joint.set("type", "revolute")
                 limits = {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}

@@ -115,6 +115,8 @@ def joint_weights(W: Vector, Y: Vector, joint_of_row: NDArray[np.intp], rows: ND
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves rounding only: its joints then weigh alike, not by the noise of the last digit.
         s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
+    # A joint that stands without torque must not outweigh the others until they look like zero beside it.
+    s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
 

@@ -143,7 +143,7 @@ def iv_json(iv: InstrumentEvidence) -> dict[str, Any]:
                 "largest_change_sigma": _number(p.change_sigma),
                 "largest_change_percent": _number(p.change_percent),
                 "changed_most": p.changed,
-                "gains": [float(g) for g in p.gains],
+                "gains": [_number(g) for g in p.gains],
                 "tracking_error_percent": p.tracking_percent,
                 "condition_number_ztw": _number(p.condition),
                 "settled": p.settled,

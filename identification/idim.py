@@ -130,7 +130,8 @@ def identify_iv(
                 z.Z[:, kept], W[:, kept], Y, joint_of_row, tuple(names[i] for i in kept), ls.weights, used
             )
         except IdentificationError as error:
-            failure = f"pass {len(passes) + 1}: {error}"
+            failure = f"pass {len(passes) + 1}, {100 * used.mean():.0f} % of the rows fast enough: {error}"
+            failure += f"; {z.reason}" if z.reason else ""
             break
         passes.append(compared(estimate, z, observed, used, iteration.tolerance_percent))
         beta = estimate.among(names)

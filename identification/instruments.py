@@ -6,7 +6,7 @@ too. Between the instants of a slower controller the robot is simulated in steps
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -110,6 +110,8 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     """
     robot, fs = signals.robot, signals.sample_rate_hz
     loop = recorded_loop(robot) if has_controller(robot.controller) else None
+    if loop is not None and signals.q_ref is None:
+        loop = replace(loop, gravity=True)
     bandwidth_hz = robot.controller.bandwidth_hz
     m = _stride(fs, plan.decimation, bandwidth_hz)
     grid = np.arange((plan.stop - 1 - plan.start) % m + plan.start, plan.stop, m)
@@ -127,7 +129,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     )
     if signals.q_ref is not None:
         q_ref = np.array(signals.q_ref[plan.start : plan.stop])
-        _refuse_foreign_reference(q_ref, measured.q, signals)
+        _refuse_foreign_reference(q_ref, signals.q[plan.start : plan.stop], signals)
         dq_ref = differentiate(q_ref, fs)
         reference = (q_ref, dq_ref, differentiate(dq_ref, fs))
     else:
@@ -299,10 +301,12 @@ def _poses(q: Vector) -> Vector:
 
 def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> None:
     """A reference far from the measured position belongs to another recording, or to other units."""
-    for j, joint in enumerate(signals.robot.joints):
+    joints = signals.robot.joints
+    for j, joint in enumerate(joints):
         spread = np.std(q[:, j])
+        largest = max(np.std(q[:, i]) for i, other in enumerate(joints) if other.type == joint.type)
         error = np.sqrt(np.mean((q_ref[:, j] - q[:, j]) ** 2))
-        if error > LOST * max(spread, 0.02 * np.std(q, axis=0).max()):
+        if error > LOST * max(spread, 0.02 * largest):
             raise IdentificationError(
                 f"{signals.recording}: reference of joint {joint.name}: {error:.3g} {joint.position_unit} rms off the "
                 f"measured position, which varies by {spread:.3g}; expected the reference of this recording"

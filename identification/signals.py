@@ -95,6 +95,7 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
     if robot is not None and robot.n == recording.robot.n:
         # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
         was = recording.robot
+        _refuse_other_units(was, robot, path)
         q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
         reference = None if reference is None else robot.joint_position(was.motor_position(reference))
     return Signals(
@@ -113,6 +114,19 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
         ),
         health=_health(recording, int(stamps[0])),
     )
+
+
+def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
+    """Another description may correct ratios and gains; what was recorded in volts never becomes amperes, nor rad m."""
+    for kind, old, new in (
+        ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
+        ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
+    ):
+        for (name, before), now in zip(old, new, strict=True):
+            if before != now:
+                raise IdentificationError(
+                    f"{path}: recorded in {before} at {kind} {name}; robot {robot.name} says {now}: expected {before}"
+                )
 
 
 def _uniform_rate(stamps: NDArray[np.int64], path: Path) -> float:

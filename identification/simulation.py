@@ -13,6 +13,9 @@ Control acts on motor positions q_m = R q, once per controller period, and is he
 | `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
 | `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
 
+A surrogate, of the controller or of the reference, adds the model's gravity along the reference: a real loop holds its
+robot up by an integral or its own model, and a measured position has that sag in it already.
+
 Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
 """
 
@@ -49,6 +52,7 @@ class Loop:
     saturation: Vector
     velocity_estimate: str
     computed_torque: bool
+    gravity: bool = False  # whether the model's gravity along the reference is added
 
     def scaled(self, factor: Vector) -> "Loop":
         """The same loop for other inertias: gains and saturation times `factor` (n,), the gain update.
@@ -122,7 +126,7 @@ SURROGATE_DAMPING = 0.8
 
 
 def surrogate_loop(bandwidth_hz: float, J: Vector, rate_hz: float) -> Loop:
-    """A PD at the joints with velocity feed-forward: w_n = 2 pi bandwidth, zeta 0.8, for the inertias J (n,)."""
+    """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth, zeta 0.8, inertias J (n,)."""
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return Loop(
         period_s=1.0 / rate_hz,
@@ -136,6 +140,7 @@ def surrogate_loop(bandwidth_hz: float, J: Vector, rate_hz: float) -> Loop:
         saturation=np.full(n, np.inf),
         velocity_estimate="exact",
         computed_torque=False,
+        gravity=True,
     )
 
 
@@ -178,12 +183,20 @@ def simulate(
             q, v = q + half * (v + after), after
             rows = row + 1
         if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
-            j = int(np.argmin(np.abs(q - q_ref[k]) < bound))
-            reason = f"the simulated robot leaves its reference at joint {j + 1}, {k * loop.period_s:.3f} s"
+            reason = _lost(q, q_ref[k], bound, k * loop.period_s)
         if reason is not None:
             break
+    far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
+    if reason is None and far.size:
+        k = int(far[0])
+        reason, rows = _lost(q_out[k * substeps], q_ref[k], bound, k * loop.period_s), k * substeps
     dq = dq_out[:rows]
     return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
+
+
+def _lost(q: Vector, q_ref: Vector, bound: Vector, t_s: float) -> str:
+    j = int(np.argmin(np.abs(q - q_ref) < bound))
+    return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
 
 
 class _Control:
@@ -197,6 +210,8 @@ class _Control:
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
         self._ahead = q_ref @ self._P.T + loop.feedforward * (dq_ref @ self._D.T)
         self._to_joints = loop.R.T * loop.G
+        if loop.gravity and not loop.computed_torque:
+            self._ahead = self._ahead + self._motor_effort(model.gravity(q_ref).T).T
         self._plain = False
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
@@ -244,7 +259,7 @@ class _Control:
         return np.asarray(self._to_joints.dot(u))
 
     def _motor_effort(self, tau: Vector) -> Vector:
-        """Motor efforts (n,) that give the joint torques (n,)."""
+        """Motor efforts (n, ...) that give the joint torques (n, ...)."""
         return np.asarray(np.linalg.solve(self._to_joints, tau))
 
 

@@ -87,8 +87,9 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
 
 
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
+    """All rows are used: which of them are slow turns on single samples, with either rate."""
     signals = load_signals(tx40)
-    to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=4)
+    to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6, low_speed_percent=0.0)
     coarse = identify_iv(signals, Overrides(), to_the_end)
     monkeypatch.setattr("identification.instruments.RATE_PER_BANDWIDTH", 500.0)
     fine = identify_iv(signals, Overrides(), to_the_end)
