@@ -19,10 +19,12 @@ from .cia402 import (
     PositionCodec,
 )
 from .object_dictionary import ObjectDictionary, load_dictionary
-from .pdo import Pdo, bus_load, pdos_of, usual_can_id
+from .pdo import HIGHEST_CAN_ID, LOWEST_CAN_ID, Pdo, bus_load, pdos_of, usual_can_id
 from .robot import Motor, Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
+USUAL_SYNC = 0x80
+FREE_CAN_IDS = range(0x680, 0x6E0)  # those that CiA 301 gives to no service, beside those of PDOs
 
 Values = Mapping[tuple[int, int], int]
 Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
@@ -97,15 +99,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
         for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True))
     )
     bus = Bus(file=robot.bus, drives=drives)
-    used: dict[int, str] = {robot.bus.sync_can_id: "SYNC"}
-    for i, drive in enumerate(drives):
-        for pdo in (*drive.tpdos, *drive.rpdos):
-            if pdo.can_id in used:
-                raise AcquisitionError(
-                    f"{place}: bus.drive[{i}]: PDO identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}: "
-                    "expected one of its own"
-                )
-            used[pdo.can_id] = f"a PDO of {drive.name}"
+    _refuse_pdos(bus, place)
     if bus.load > LARGEST_LOAD:
         fastest_s = bus.load * robot.bus.sync_period_s / LARGEST_LOAD
         raise AcquisitionError(
@@ -113,6 +107,35 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
             f"expected {LARGEST_LOAD:.0%} at most: {fastest_s:.2g} s or longer, or fewer PDOs"
         )
     return bus
+
+
+def _refuse_pdos(bus: Bus, place: str) -> None:
+    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have.
+
+    A controlword on the identifier of another service would be a command of that service, to every node.
+    """
+    sync = bus.file.sync_can_id
+    if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
+        free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
+        raise AcquisitionError(f"{place}: bus.sync_can_id = 0x{sync:X}: expected 0x{USUAL_SYNC:X}, or {free}")
+    used: dict[int, str] = {}
+    for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
+        for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
+            numbers: set[int] = set()
+            for pdo in pdos:
+                key = f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
+                if pdo.number in numbers:
+                    raise AcquisitionError(f"{key}: number = {pdo.number} is there twice: expected one of its own")
+                numbers.add(pdo.number)
+                if pdo.bits > 64:
+                    raise AcquisitionError(f"{key}: {pdo.length} bytes: expected 8 at most")
+                if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID:
+                    expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}"
+                    raise AcquisitionError(f"{key}: identifier 0x{pdo.can_id:03X}: expected {expected}")
+                if pdo.can_id in used:
+                    told = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
+                    raise AcquisitionError(f"{key}: {told}: expected one of its own")
+                used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
 def _drive(

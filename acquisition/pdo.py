@@ -11,6 +11,9 @@ ON_SYNC = 1  # transmission type: at every SYNC
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
 USUAL_CAN_ID = {"tpdo": 0x180, "rpdo": 0x200}  # of the first; 0x100 more for each of the next three
+# Identifiers of PDOs: below lie NMT, SYNC, emergencies and time, above SDO and heartbeats.
+LOWEST_CAN_ID, HIGHEST_CAN_ID = 0x181, 0x57F
+_IDENTIFIER = 0x3FFFFFFF  # of a COB-ID with bit 29, which tells that it has 29 bits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,14 +81,15 @@ def pdos_of(
 ) -> tuple[Pdo, ...]:
     """PDOs that the `values` of a dictionary's parameters describe; `types` by object.
 
-    PDOs that are switched off are left out. Raises `AcquisitionError`, naming `place`, for an object of unknown type.
+    PDOs that are switched off, or have the identifier 0, are left out. Raises `AcquisitionError`, naming `place`, for an
+    object of unknown type.
     """
     communication, mapping = PARAMETERS[direction]
     found = []
     for index in sorted({i for i, _ in values if communication <= i < communication + 0x200}):
         can_id, number = values.get((index, 1)), index - communication + 1
         count = values.get((mapping + number - 1, 0), 0)
-        if can_id is None or can_id & NOT_VALID or not count:
+        if can_id is None or can_id & NOT_VALID or not can_id & _IDENTIFIER or not count:
             continue
         entries = []
         for k in range(1, count + 1):
@@ -98,7 +102,7 @@ def pdos_of(
                 told = f"{key[0]:04X}:{key[1]} of {word & 0xFF} bits"
                 raise AcquisitionError(f"{place}: {direction} {number}: {told}: expected whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
-        found.append(Pdo(number=number, can_id=can_id & 0x7FF, entries=tuple(entries)))
+        found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)
 
 

@@ -170,8 +170,8 @@ class SimulatedNode:
         place = f"node {self.drive.node}"
         values = {key: value for key, value in self.values.items() if 0x1400 <= key[0] <= 0x1BFF}
         known = {key: kind for key, kind in self.types.items() if key in self.values}
-        self.tpdos = tuple(p for p in pdos_of("tpdo", values, known, place) if p.bits <= 64)
-        self.rpdos = tuple(p for p in pdos_of("rpdo", values, known, place) if p.bits <= 64)
+        self.tpdos = tuple(p for p in pdos_of("tpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
+        self.rpdos = tuple(p for p in pdos_of("rpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:

@@ -79,7 +79,7 @@ def test_a_rate_of_six_axes():
         (("node = 1\n", 'node = 1\ndictionary = "../x.eds"\n'), "dictionary = '../x.eds': expected the name of a file beside"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064", "606C"] }]\n'), "2 + 4 + 4 = 10 bytes: expected 8"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064"] }]\n'), "no PDO from the drive carries 6074:0"),
-        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x80 }]\n'), "0x080 is that of SYNC"),
+        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x80 }]\n'), "0x080: expected 0x181 to 0x57F"),
         (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 5 }]\n'), "can_id is not there"),
         (("node = 1\n", 'node = 1\nmapping = "dictionary"\n'), "expected a dictionary (EDS or DCF)"),
     ],
@@ -88,6 +88,28 @@ def test_refused_in_one_line(change, expected):
     text = bus_text()
     assert change[0] in text
     refused(text.replace(*change, 1), expected)
+
+
+OWN = "expected one of its own"
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ('rpdo = [{ objects = ["6040"], can_id = 0x601 }]', "rpdo 1 (mapping = 'table'): identifier 0x601: expected 0x181"),
+        ('rpdo = [{ objects = ["6040"], can_id = 0x701 }]', "identifier 0x701: expected 0x181 to 0x57F"),
+        ('rpdo = [{ objects = ["6040"], can_id = 0x182 }]', f"identifier 0x182 is that of a PDO of motor_1: {OWN}"),
+        ('tpdo = [{ objects = ["6041", "6064"] }, { objects = ["6074"], number = 1, can_id = 0x281 }]', "is there twice"),
+    ],
+)  # fmt: skip
+def test_pdos_that_would_be_misunderstood(line, expected):
+    refused(bus_text().replace("node = 1\n", f"node = 1\n{line}\n"), expected)
+
+
+@pytest.mark.parametrize("can_id", ["0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF"])
+def test_sync_on_the_identifier_of_another_service(can_id):
+    refused(bus_text(extra=f"sync_can_id = {can_id}"), f"bus.sync_can_id = {can_id}: expected 0x80, or 0x680 to 0x6DF")
+    assert bus_of(robot_of(bus_text(extra="sync_can_id = 0x6DF"))).file.sync_can_id == 0x6DF
 
 
 def test_a_robot_without_a_bus_is_told():
@@ -160,6 +182,81 @@ def test_mapping_of_a_dcf():
     pdos = pdos_of("tpdo", values, types, name)
     assert pdos[0].can_id == 0x181
     assert str(pdos[0].entries[0]) == "6041:0"
+
+
+MINIMAL_EDS = """
+[6040]
+ParameterName=controlword
+DataType=6
+AccessType=rw
+[6041]
+ParameterName=statusword
+DataType=6
+AccessType=ro
+[6064]
+ParameterName=position
+DataType=4
+AccessType=ro
+[6074]
+ParameterName=torque demand
+DataType=3
+AccessType=ro
+[607A]
+ParameterName=target
+DataType=4
+AccessType=rw
+"""
+
+
+def record_eds(index: int, values: list[int]) -> str:
+    """A parameter record, its sub-indices from 0; the number of mapped objects, or the COB-ID as sub-index 1."""
+    text = f"[{index:04X}]\nParameterName=p\nObjectType=9\nSubNumber={len(values)}\n"
+    for sub, value in enumerate(values):
+        kind = 7 if sub else 5
+        text += f"[{index:04X}sub{sub}]\nParameterName=s\nDataType={kind}\nAccessType=rw\nDefaultValue=0x{value:X}\n"
+    return text
+
+
+SENT_OBJECTS = [3, 0x60410010, 0x60640020, 0x60740010]
+TAKEN_OBJECTS = [2, 0x60400010, 0x607A0020]
+
+
+def dictionary_and_text(records: dict[int, list[int]]) -> tuple[str, dict[str, bytes]]:
+    """A drive mapped as its dictionary says, and that dictionary."""
+    known = {0x1800: [1, 0x181], 0x1A00: SENT_OBJECTS, 0x1400: [1, 0x201], 0x1600: TAKEN_OBJECTS} | records
+    eds = MINIMAL_EDS + "".join(record_eds(index, values) for index, values in known.items())
+    text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.dcf"\nmapping = "dictionary"\n')
+    return text, {dictionary_label("a.dcf"): eds.encode()}
+
+
+@pytest.mark.parametrize(
+    ("records", "expected"),
+    [
+        ({0x1A00: [4, *SENT_OBJECTS[1:], 0x60410010]}, "tpdo 1 (mapping = 'dictionary'): 10 bytes: expected 8 at most"),
+        ({0x1400: [1, 0x601]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x601: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x20000201]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x20000201: expected 0x181 to 0x57F"),
+        ({0x1400: [1, 0x181]}, "rpdo 1 (mapping = 'dictionary'): identifier 0x181 is that of a PDO of motor_1"),
+        ({0x1800: [1, 0]}, "no PDO from the drive carries 6064:0"),
+    ],
+)
+def test_pdos_of_a_dictionary_are_looked_at_as_those_of_the_file(records, expected):
+    text, files = dictionary_and_text(records)
+    refused(text, expected, files)
+
+
+def test_a_pdo_with_the_identifier_0_is_switched_off():
+    """Controlwords would go out as commands of network management."""
+    drive = bus_of(robot_of(*dictionary_and_text({}))).drives[0]
+    assert [pdo.can_id for pdo in drive.rpdos] == [0x201]
+    for off in (0, 0x40000000):
+        assert bus_of(robot_of(*dictionary_and_text({0x1400: [1, off]}))).drives[0].rpdos == ()
+
+
+def test_pdos_of_traffic_are_looked_at_too():
+    values = {(0x1800, 1): 0x701, (0x1A00, 0): 3} | {(0x1A00, k): SENT_OBJECTS[k] for k in (1, 2, 3)}
+    robot = robot_of(bus_text(1, drive='mapping = "traffic"'))
+    with pytest.raises(AcquisitionError, match=r"tpdo 1 \(mapping = 'traffic'\): identifier 0x701"):
+        resolve(robot, "r.toml", {1: values})
 
 
 def test_damaged_dictionaries(tmp_path):
