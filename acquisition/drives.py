@@ -100,6 +100,8 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     )
     bus = Bus(file=robot.bus, drives=drives)
     _refuse_pdos(bus, place)
+    for i in range(robot.n):
+        _refuse_counts(robot, i, robot.bus.drive[i], f"{place}: bus.drive[{i}]")
     if bus.load > LARGEST_LOAD:
         fastest_s = bus.load * robot.bus.sync_period_s / LARGEST_LOAD
         raise AcquisitionError(
@@ -136,6 +138,23 @@ def _refuse_pdos(bus: Bus, place: str) -> None:
                     told = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
                     raise AcquisitionError(f"{key}: {told}: expected one of its own")
                 used[pdo.can_id] = f"a PDO of {drive.name}"
+
+
+def _refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
+    """Refuse counts per metre of a motor that turns, and per turn of one that slides.
+
+    A torque or a force tells which; where efforts are amperes or volts alone, the joints that the motor moves do.
+    """
+    motor = robot.motors[i]
+    unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
+    slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
+    if file.counts_per_m is not None and (unit == "N m" or (unit != "N" and not slides)):
+        why = "gives a torque" if unit == "N m" else "moves no prismatic joint"
+        told = f"{place}.counts_per_m = {file.counts_per_m:g}: motor {motor.name!r} {why}"
+        raise AcquisitionError(f"{told}: expected counts_per_turn")
+    if file.counts_per_turn is not None and unit == "N":
+        told = f"{place}.counts_per_turn = {file.counts_per_turn:g}: motor {motor.name!r} gives a force"
+        raise AcquisitionError(f"{told}: expected counts_per_m")
 
 
 def _drive(

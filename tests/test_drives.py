@@ -259,6 +259,29 @@ def test_pdos_of_traffic_are_looked_at_too():
         resolve(robot, "r.toml", {1: values})
 
 
+@pytest.mark.parametrize(
+    ("kind", "unit", "counts", "expected"),
+    [
+        ("revolute", '"A"', "counts_per_turn", None),
+        ("revolute", '"A"', "counts_per_m", "moves no prismatic joint: expected counts_per_turn"),
+        ("prismatic", '"A"', "counts_per_turn", None),  # a spindle
+        ("prismatic", '"A"', "counts_per_m", None),
+        ("prismatic", '"N"', "counts_per_m", None),
+        ("prismatic", '"N"', "counts_per_turn", "gives a force: expected counts_per_m"),
+        ("prismatic", '"N m"', "counts_per_m", "gives a torque: expected counts_per_turn"),
+    ],
+)
+def test_counts_per_turn_of_motors_that_turn(kind, unit, counts, expected):
+    rule = {'"A"': "mA", '"N"': "mN", '"N m"': "mN m"}[unit]
+    text = bus_text(1, drive=f'reference_rule = "{rule}"').replace('effort_unit = "N m"', f"effort_unit = {unit}")
+    text = text.replace("counts_per_turn", counts).replace('"revolute"', f'"{kind}"')
+    text = "\n".join(line for line in text.split("\n") if kind == "revolute" or "_deg" not in line or "dh" in line)
+    if expected is None:
+        assert bus_of(robot_of(text)).drives[0].name == "motor_1"
+    else:
+        refused(text, expected)
+
+
 def test_damaged_dictionaries(tmp_path):
     for data, expected in (
         (b"", "holds no objects"),
