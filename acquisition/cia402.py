@@ -294,9 +294,13 @@ class PositionCodec:
         """Motor position in rad or m, of any shape."""
         return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
 
+    def exact(self, value: Vector) -> Vector:
+        """Counts before they are rounded and held."""
+        return np.asarray(value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64)
+
     def raw(self, value: Vector) -> NDArray[np.int64]:
         """Nearest counts, held at the ends of 32 bits."""
-        return saturated(value * (self.sign * self.counts_per_unit) + self.zero_counts, "I32")
+        return saturated(self.exact(value), "I32")
 
 
 def saturated(value: Vector, kind: str) -> NDArray[np.int64]:

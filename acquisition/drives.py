@@ -4,10 +4,12 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .bus_description import BusFile, DriveFile, PdoFile, dictionary_label, parse_object
 from .cia402 import (
+    BITS,
     EFFORT_OBJECTS,
     RATED_CURRENT,
     RATED_TORQUE,
@@ -25,6 +27,8 @@ from .robot import Motor, Robot
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 USUAL_SYNC = 0x80
 FREE_CAN_IDS = range(0x680, 0x6E0)  # those that CiA 301 gives to no service, beside those of PDOs
+
+POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
 Values = Mapping[tuple[int, int], int]
 Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
@@ -111,6 +115,26 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     return bus
 
 
+def refuse_out_of_range(path: NDArray[np.float64], robot: Robot, bus: Bus, place: str) -> None:
+    """Refuse joint positions (N, n), one row each SYNC, whose counts are more than a drive's target object can hold.
+
+    A drive held at the end of its counts would stand still while the others go on. Raises `AcquisitionError` naming
+    `place`, the time, the motor, its counts and the range; also where a position is not finite.
+    """
+    low, high = -(2 ** (BITS[POSITION_TYPE] - 1)), 2 ** (BITS[POSITION_TYPE] - 1) - 1
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+        motors = robot.motor_position(path)
+        for i, drive in enumerate(bus.drives):
+            counts = drive.position_codec.exact(motors[:, i])
+            good = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
+            if not good.all():
+                k = int(np.argmin(good))
+                raise AcquisitionError(
+                    f"{place}: at {k * bus.file.sync_period_s:.4g} s: target of node {drive.node} ({drive.name}) = "
+                    f"{counts[k]:.10g} counts: expected {low} to {high}"
+                )
+
+
 def _refuse_pdos(bus: Bus, place: str) -> None:
     """Refuse what a drive or another node would misunderstand, whichever source the PDOs have.
 
@@ -188,6 +212,9 @@ def _drive(
     effort = _effort(file, word, entry(word, getattr(file, word) or ""), motor, place)
     status, control = entry("status", file.status), entry("control", file.control)
     position, target = entry("position", file.position), entry("target", file.target)
+    for key, found in (("position", position), ("target", target)):
+        if found.type != POSITION_TYPE:
+            raise AcquisitionError(f"{place}.{key} = {getattr(file, key)!r}: is {found.type}: expected {POSITION_TYPE}")
     if file.mapping == "table":
         default = {"tpdo": (status, position, effort.entry), "rpdo": (control, target)}
         pdos = {way: _pdos(way, getattr(file, way), default[way], file.node, entry, place) for way in default}

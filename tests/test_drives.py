@@ -3,6 +3,7 @@
 import re
 from contextlib import suppress
 
+import numpy as np
 import pytest
 from conftest import DATA, needs_data
 from hypothesis import given
@@ -12,7 +13,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition import AcquisitionError
 from acquisition.bus_description import dictionary_label
 from acquisition.cia402 import ObjectEntry
-from acquisition.drives import resolve
+from acquisition.drives import refuse_out_of_range, resolve
 from acquisition.object_dictionary import load_dictionary
 from acquisition.pdo import Pdo, configuration, frame_bits, pdos_of
 from acquisition.robot import load_robot
@@ -104,6 +105,33 @@ OWN = "expected one of its own"
 )  # fmt: skip
 def test_pdos_that_would_be_misunderstood(line, expected):
     refused(bus_text().replace("node = 1\n", f"node = 1\n{line}\n"), expected)
+
+
+@pytest.mark.parametrize(("key", "name"), [("position", "6064"), ("target", "607A")])
+@pytest.mark.parametrize("kind", ["I16", "U32"])
+def test_positions_of_another_size(key, name, kind):
+    text = bus_text().replace("node = 1\n", f'node = 1\nobjects = {{ "{name}" = "{kind}" }}\n')
+    refused(text, f"bus.drive[0].{key} = '{name}': is {kind}: expected I32")
+
+
+def test_targets_beyond_what_the_object_holds():
+    robot = robot_of(bus_text(2).replace("node = 2\n", "node = 2\nsign = -1\n"))
+    bus = bus_of(robot)
+    most = (2**31 - 1) / 65536 / 50 * 2 * np.pi  # of joint 1, at a ratio of 50
+    path = np.zeros((5, 2))
+    path[3] = most * (1 - 1e-12), most * (1 - 1e-12)
+    refuse_out_of_range(path, robot, bus, "x")
+    for column, value, told in (
+        (0, most * 1.001, "node 1 (motor_1) = 2149631"),
+        (1, most * 1.001, "node 2 (motor_2) = -2149631"),
+        (0, np.nan, "node 1 (motor_1) = nan counts"),
+        (1, 1e308, "node 2 (motor_2) = -inf counts"),
+    ):
+        path[3] = 0.0
+        path[3, column] = value
+        with pytest.raises(AcquisitionError, match=re.escape(f"x: at 0.006 s: target of {told}")) as caught:
+            refuse_out_of_range(path, robot, bus, "x")
+        assert str(caught.value).endswith("counts: expected -2147483648 to 2147483647")
 
 
 @pytest.mark.parametrize("can_id", ["0x1", "0x81", "0x181", "0x57F", "0x601", "0x701", "0x7FF"])
