@@ -75,23 +75,41 @@ def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierRef
 
 APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
 LARGEST_ROUNDING = 1e-9  # by which a reference may leave a limit
+LONGEST_S = 24 * 3600.0  # of a table
+LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
 
 
 def table_reference(path: Path, robot: Robot, period_s: float) -> Vector:
     """Joint positions (N, n) every `period_s` through a CSV table: `time_s`, then each joint by name, in rad or m.
 
-    Cubic splines between rows. Raises `AcquisitionError` when the table cannot be read or its time does not grow.
+    Cubic splines between rows. Raises `AcquisitionError` when the table cannot be read, its time does not grow, it is
+    longer than a day or than memory may hold, or its numbers are beyond what a spline can be laid through.
     """
     from scipy.interpolate import CubicSpline
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)])
     time_s = table[:, 0]
-    if len(table) < 2 or not (np.diff(time_s) > 0).all():
-        raise AcquisitionError(f"{path}: time_s: expected two rows or more, with growing times")
-    count = int((time_s[-1] - time_s[0]) / period_s + 1e-6) + 1
-    spline = CubicSpline(time_s, table[:, 1:], bc_type="clamped")
-    q: Vector = spline(time_s[0] + np.arange(count) * period_s)
+    with np.errstate(all="ignore"):  # what overflows is refused below
+        if len(table) < 2 or not (np.diff(time_s) > 0).all():
+            raise AcquisitionError(f"{path}: time_s: expected two rows or more, with growing times")
+        length_s = float(time_s[-1] - time_s[0])
+        longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
+        if length_s > longest_s:
+            told = f"{path}: time_s: {length_s:.6g} s from first to last"
+            raise AcquisitionError(f"{told}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
+        times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * period_s
+        try:
+            q: Vector = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
+        except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
+            raise AcquisitionError(_no_spline(path, time_s, table)) from error
+    if not np.isfinite(q).all():
+        raise AcquisitionError(_no_spline(path, time_s, table))
     return q
+
+
+def _no_spline(path: Path, time_s: Vector, table: Vector) -> str:
+    told = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
+    return f"{path}: {told}: expected positions in rad or m at times that a smooth path leads through"
 
 
 def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
@@ -107,8 +125,9 @@ def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
                     "expected one in robot.toml before anything moves"
                 )
     at_rest = np.concatenate([q[:1], q, q[-1:]])
-    dq = np.diff(at_rest, axis=0) / period_s
-    ddq = np.diff(dq, axis=0) / period_s
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+        dq = np.diff(at_rest, axis=0) / period_s
+        ddq = np.diff(dq, axis=0) / period_s
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         unit = joint.position_unit
@@ -118,9 +137,9 @@ def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
             ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
         ):
             slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
-            bad = (values < bottom - slack) | (values > top + slack)
-            if bad.any():
-                k = int(np.argmax(bad))
+            good = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
+            if not good.all():
+                k = int(np.argmin(good))
                 raise AcquisitionError(
                     f"{place}: at {k * period_s:.4g} s: {name} of {joint.name} = {values[k]:.4g} {unit}{per}: "
                     f"expected {bottom:.4g} to {top:.4g}"
