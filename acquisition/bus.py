@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from . import AcquisitionError
-from .blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block
+from .blocks import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE, SENT, Block
 from .bus_description import BusFile
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
@@ -343,16 +343,22 @@ def _frame_of(message: Any) -> Frame:
 
 
 def read_log(path: Path) -> Iterator[Frame]:
-    """Frames of a candump (.log), Vector ASC or BLF log. Raises `AcquisitionError` naming the file where it cannot."""
+    """Frames of a candump (.log), Vector ASC or BLF log.
+
+    Raises `AcquisitionError` naming the file, and the frame (from 1) where its time is none that a recording holds.
+    """
     import can
 
     if path.suffix.lower() not in (".log", ".asc", ".blf"):
         raise AcquisitionError(f"{path}: suffix {path.suffix!r}: expected .log (candump), .asc or .blf")
-    count = 0
+    count, latest_s = 0, LARGEST_STAMP_NS * 1e-9
     try:
         with can.LogReader(path) as reader:
             for message in reader:
                 count += 1
+                if not 0 <= message.timestamp <= latest_s:  # nor is NaN
+                    told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
+                    raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
                 yield _frame_of(message)
     except AcquisitionError:
         raise

@@ -86,6 +86,24 @@ def test_logs_that_are_none(tmp_path, name, content, expected):
     assert not (tmp_path / "o.mcap").exists()
 
 
+@pytest.mark.parametrize(
+    ("time", "told"),
+    [
+        ("99999999999999999999.0", "time 1e+20 s"),
+        ("-5.0", "time -5 s"),
+        ("4000000000.0", "time 4000000000 s"),
+        ("nan", "time nan s"),
+    ],
+)
+def test_a_time_that_no_recording_holds(tmp_path, time, told):
+    log = tmp_path / "a.log"
+    log.write_text(f"(1.0) can0 080#\n(1.001) can0 181#00\n({time}) can0 080#\n")
+    with pytest.raises(AcquisitionError) as caught:
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    assert str(caught.value) == f"{log}: frame 3: {told}: expected 0 to 2147483648"
+    assert list(tmp_path.iterdir()) == [log]
+
+
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
     from made_up_recordings import some_samples
 
