@@ -342,10 +342,11 @@ def _frame_of(message: Any) -> Frame:
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
 
 
-def read_log(path: Path) -> Iterator[Frame]:
-    """Frames of a candump (.log), Vector ASC or BLF log.
+def read_log(path: Path) -> Iterator[tuple[str, Frame | None]]:
+    """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF log.
 
-    Raises `AcquisitionError` naming the file, and the frame (from 1) where its time is none that a recording holds.
+    None stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
+    (from 1) where its time is none that a recording holds.
     """
     import can
 
@@ -359,7 +360,7 @@ def read_log(path: Path) -> Iterator[Frame]:
                 if not 0 <= message.timestamp <= latest_s:  # nor is NaN
                     told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
                     raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
-                yield _frame_of(message)
+                yield str(message.channel), None if getattr(message, "is_fd", False) else _frame_of(message)
     except AcquisitionError:
         raise
     except OSError as error:

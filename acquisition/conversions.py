@@ -1,14 +1,14 @@
 """Recordings made from recordings and from logs of other tools: decoded again, exported, imported."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from . import AcquisitionError
 from .blocks import Block
-from .bus import block_of, read_log
+from .bus import Frame, block_of, read_log
 from .decoding import Decoded, decode, written_by_master
 from .drives import resolve
 from .recording import RecordingWriter, read_recording
@@ -55,16 +55,41 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
 
 
 def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
-    """A candump, ASC or BLF log into the recording `out`, decoded as `robot` has its drives."""
-    frames = block_of(list(read_log(log)))
-    if len(frames) == 0:
-        raise AcquisitionError(f"{log}: holds no CAN frames: expected some")
+    """A candump, ASC or BLF log of one interface into the recording `out`, decoded as `robot` has its drives.
+
+    Of a log of several interfaces those frames are taken whose interface the description names.
+    """
+    frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
     decoded, provenance = _decoded(frames, robot, str(log), place)
-    with whole_file(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, {}, {}) as writer:
+    decoded = replace(decoded, warnings=left_out + decoded.warnings)
+    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    with whole_file(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, notes, {}) as writer:
         writer.frames("log", frames)
         _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
     return _converted(robot, decoded, "log")
+
+
+def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+    """The frames of a log, and what is left out of them. Two buses in one would make two samples of every SYNC."""
+    found: dict[str, list[Frame]] = {}
+    fd = 0
+    for interface, frame in read_log(log):
+        if frame is None:
+            fd += 1
+        else:
+            found.setdefault(interface, []).append(frame)
+    if not found:
+        raise AcquisitionError(f"{log}: holds no CAN frames ({fd} of CAN FD): expected some of classic CAN")
+    wanted = next(iter(found)) if len(found) == 1 else robot.bus.channel if robot.bus is not None else ""
+    told = [f"{len(frames)} of interface {name}" for name, frames in found.items() if name != wanted]
+    if wanted not in found:
+        raise AcquisitionError(
+            f"{log}: frames: {', '.join(told)}: expected one interface: filter the log, or name one of them as "
+            "bus.channel in robot.toml"
+        )
+    told += [f"{fd} of CAN FD"] if fd else []
+    return block_of(found[wanted]), (f"frames left out: {', '.join(told)}",) if told else ()
 
 
 def export_csv(path: Path, out: Path) -> int:

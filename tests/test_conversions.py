@@ -104,6 +104,43 @@ def test_a_time_that_no_recording_holds(tmp_path, time, told):
     assert list(tmp_path.iterdir()) == [log]
 
 
+def log_of_two_interfaces(path) -> None:
+    write_log(path, flat(session()))
+    text = path.read_text()
+    path.write_text("".join(line + "\n" + line.replace("can0", "can1") + "\n" for line in text.splitlines()))
+
+
+def test_two_interfaces_are_not_taken_for_one(tmp_path):
+    log = tmp_path / "a.log"
+    log_of_two_interfaces(log)
+    with pytest.raises(AcquisitionError) as caught:
+        import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
+    told = "frames: 150 of interface can0, 150 of interface can1: expected one interface: filter the log, or name one"
+    assert str(caught.value) == f"{log}: {told} of them as bus.channel in robot.toml"
+
+
+def test_of_two_interfaces_the_one_that_the_description_names(tmp_path):
+    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
+    log_of_two_interfaces(log)
+    found = import_log(log, out, robot_of(bus_text(channel="can1")), "robot.toml")
+    assert (found.samples, found.warnings) == (50, ("frames left out: 150 of interface can0",))
+    recording = read_recording(out)
+    assert len(recording.frames["log"]) == 150
+    assert recording.metadata["left_out"] == "frames left out: 150 of interface can0"
+
+
+def test_can_fd_frames_are_left_out(tmp_path):
+    log, out = tmp_path / "a.log", tmp_path / "o.mcap"
+    write_log(log, flat(session()))
+    log.write_text(log.read_text() + "(1.2) can0 181##1000102030405060708090A0B\n")
+    found = import_log(log, out, ROBOT, "robot.toml")
+    assert (found.samples, found.warnings) == (50, ("frames left out: 1 of CAN FD",))
+    assert len(read_recording(out).frames["log"]) == 150
+    log.write_text("(1.2) can0 181##1000102030405060708090A0B\n")
+    with pytest.raises(AcquisitionError, match=r"a\.log: holds no CAN frames \(1 of CAN FD\): expected some"):
+        import_log(log, out, ROBOT, "robot.toml")
+
+
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
     from made_up_recordings import some_samples
 
