@@ -45,7 +45,7 @@ class Decoded:
 
     Attributes:
         samples: rows of `sample_dtype`; SYNCs that a drive did not answer are left out.
-        raw: (N, n, 2) position counts and effort integers of the same rows.
+        raw: (N, n, 2) position counts and effort integers of the same rows, as the drives sent them.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that drives answered but that were not recorded.
         period_s: between SYNCs, fitted to their receive times.
         jitter_s: standard deviation and worst deviation of the receive times from the fit.
@@ -117,6 +117,8 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     n = robot.n
     raw = np.empty((2, n, len(answered)), np.int64)
     motor = np.empty((2, len(answered), n))
+    counts_on = np.empty((n, len(answered)), np.int64)  # positions, going on where a counter wraps
+    wrapped = []
     everywhere = len(answered) == grid
     for i, drive in enumerate(bus.drives):
         for k, entry in enumerate((drive.position, drive.effort.entry)):
@@ -124,9 +126,16 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
             assert carrier is not None  # `resolve` has seen to it
             slot = slots[carrier.can_id]
             raw[k, i] = _integers(frames, slot if everywhere else slot[answered], carrier, entry)
-        motor[0, :, i], motor[1, :, i] = drive.position_codec.si(raw[0, i]), drive.effort.si(raw[1, i])
+        counts_on[i], wraps = unwrapped(raw[0, i], drive.position.bits)
+        if len(wraps):
+            first_s = (answered[wraps[0]] - answered[0]) * bus.file.sync_period_s
+            wrapped.append(
+                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
+                "positions go on from there"
+            )
+        motor[0, :, i], motor[1, :, i] = drive.position_codec.si(counts_on[i]), drive.effort.si(raw[1, i])
     q, effort = robot.joint_position(motor[0]), robot.joint_effort(motor[1])
-    reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q)
+    reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q, counts_on)
     stamps, period_s, jitter_s = _clock(times, index_of, bus.period_ns)
     samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None))
     samples["stamp_ns"] = stamps + answered * bus.period_ns
@@ -142,7 +151,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         syncs_lost=lost,
         period_s=period_s,
         jitter_s=jitter_s,
-        warnings=tuple(_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
+        warnings=(*wrapped, *_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
     )
 
 
@@ -222,6 +231,20 @@ def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:
     return found
 
 
+def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts that go on where a counter of `bits` wraps from one end to the other, and the rows at which it does.
+
+    No motor goes half of what a counter holds between two answers: a larger step is a wrap.
+    """
+    steps = np.diff(counts)
+    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
+    if not len(wraps):
+        return counts, wraps
+    turns = np.zeros(len(counts), np.int64)
+    turns[wraps + 1] = -np.sign(steps[wraps])
+    return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
 def _reference(
     frames: Block,
     ids: NDArray[np.uint32],
@@ -232,8 +255,11 @@ def _reference(
     robot: Robot,
     bus: Bus,
     q: NDArray[np.float64],
+    counts_on: Ints,
 ) -> NDArray[np.float64] | None:
     """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
+
+    A target wraps as the position does that it leads; of the counts it may stand for, those next to `counts_on` are meant.
 
     Before the first target the measured position stands in. None where a drive gets no targets, or only now and then: a
     master that commands the state alone sends them too.
@@ -251,7 +277,9 @@ def _reference(
         slot[following[before[rows]]] = np.arange(len(rows))
         held = np.maximum.accumulate(slot[:-1])[answered]
         known &= held >= 0
-        motors[:, i] = drive.position_codec.si(_integers(frames, rows, pdo, drive.target))[held]
+        target = _integers(frames, rows, pdo, drive.target)[held]
+        away = np.rint((counts_on[i] - target) / (1 << drive.target.bits)).astype(np.int64)
+        motors[:, i] = drive.position_codec.si(target + (away << drive.target.bits))
     return np.where(known[:, None], robot.joint_position(motors), q) if known.any() else None
 
 

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 from conftest import needs_data
+from hypothesis import given
+from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition import AcquisitionError
 from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE
-from acquisition.decoding import Decoded, decode, written_by_master
+from acquisition.decoding import Decoded, decode, unwrapped, written_by_master
 from acquisition.drives import resolve
 
 ROBOT = robot_of(bus_text())
@@ -140,6 +142,41 @@ def test_jitter_and_a_clock_that_is_another():
     assert np.diff(found.samples["stamp_ns"]).tolist() == [2_000_000] * 49
     slow = decode(flat(session(period_ns=30_000_000)), ROBOT, BUS, "log")
     assert "SYNC came every 30 ms: expected 2 ms as robot.toml says" in slow.warnings
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_counter_that_wraps_goes_on(way):
+    """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC earlier; back again at 40."""
+
+    def value(k: int) -> int:
+        return way * (2**31 + 10 - abs(30 - k))
+
+    def wrapped(counts: int) -> bytes:
+        return (counts % 2**32).to_bytes(4, "little")
+
+    intervals = session(targets=True)
+    for k, rows in enumerate(intervals):
+        t, _, _, flags, data = rows[1]
+        rows[1] = frame(t, 0x181, data.tobytes()[:2] + wrapped(value(k)) + data.tobytes()[6:], flags)
+        t, _, _, flags, data = rows[3]
+        rows[3] = frame(t, 0x201, data.tobytes()[:2] + wrapped(value(k + 1)), flags)
+    found = decoded(intervals)
+    codec = BUS.drives[0].position_codec
+    expected = codec.si(np.array([value(k) for k in range(50)])) / 50
+    assert found.samples["position"][:, 0] == pytest.approx(expected, rel=1e-12)
+    assert found.samples["reference"][:, 0] == pytest.approx(expected, rel=1e-12)
+    assert np.abs(found.raw[:, 0, 0]).max() <= 2**31
+    first_s = 0.04 if way == 1 else 0.042  # -2^31 is still held
+    told = f"motor_1: its position counter wrapped 2 times, first at {first_s:g} s: positions go on from there"
+    assert found.warnings == (told,)
+
+
+@given(st.lists(st.integers(-(2**31) + 1, 2**31 - 1), min_size=1, max_size=20), st.integers(-(2**31), 2**31 - 1))
+def test_what_wrapped_is_unwrapped(steps, start):
+    counts = np.cumsum([start, *steps])
+    found, rows = unwrapped((counts + 2**31) % 2**32 - 2**31, 32)
+    assert found.tolist() == counts.tolist()
+    assert rows.tolist() == (np.flatnonzero(np.diff((counts + 2**31) // 2**32)) + 1).tolist()
 
 
 @pytest.mark.parametrize(
