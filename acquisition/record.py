@@ -15,7 +15,7 @@ from .dry_run import DryRun, dry_run
 from .master import Master
 from .recorder import Recorded, Recorder, Status
 from .recorder_process import STOPPING, InlineLog, ProcessLog
-from .reference import table_reference
+from .reference import check_limits, table_reference
 from .robot import Robot
 from .session import Ending, Plan, Stop, run_active
 
@@ -51,6 +51,7 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
     plan = Plan(duration_s=wanted.duration_s)
     if wanted.track is not None:
         reference = table_reference(wanted.track, robot, robot.bus.sync_period_s)
+        check_limits(reference, robot, robot.bus.sync_period_s, str(wanted.track))  # before there is a file
         plan = Plan(reference=reference, place=str(wanted.track))
     if not by_traffic:
         resolve(robot, place)  # what can be refused is refused before anything is opened
@@ -64,6 +65,7 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
         log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
         simulated = dry_run(robot, bus, tap=log.tap)
         link = simulated.link
+        log.event(link.now_ns(), "warning", "dry run: a stand-in of independent joints moves, not the described robot")
     else:
         shared = robot.bus.interface in SHARED
         # The link first: a bus that cannot be opened leaves no file behind.

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .cia402 import DISABLED, MODE_OF_OPERATION, Command, Mode, State, toward
+from .drives import refuse_out_of_range
 from .guards import Motion, motion_fault, node_fault
 from .master import PRE_OPERATIONAL, Master, axis_of
 from .recorder import Status
@@ -126,6 +127,7 @@ class _Session:
         """Everything that can be refused before a node is started."""
         if self._plan.reference is not None:
             check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
+            refuse_out_of_range(self._plan.reference, self._robot, self._bus, self._plan.place)
             self._check_carriers()
         self._log.event(self._link.now_ns(), "phase", "configure")
         self.addressed = True

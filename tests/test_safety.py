@@ -116,6 +116,13 @@ def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_f
         assert away.events("not disabled") == told
 
 
+def test_a_path_beyond_the_counter_is_refused_before_anything_is_sent(tmp_path):
+    robot = robot_of(bus_text(2, drive="zero_counts = 2147480000"))
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert "counts: expected -2147483648 to 2147483647" in outcome.ending.reason
+    assert not outcome.recording.frames or not (next(iter(outcome.recording.frames.values()))["flags"] & SENT).any()
+
+
 @pytest.mark.parametrize(
     ("period_s", "said"),
     [(0.002, (2, -3)), (0.1, (100, -3)), (0.00125, (125, -5)), (0.0333, None), (0.3, None), (1 / 300, None)],
@@ -337,6 +344,11 @@ def test_what_is_refused_leaves_no_file(tmp_path):
         record(nowhere, "robot.toml", out, Wanted(duration_s=1.0), lambda *_: None, Stop())
     with pytest.raises(AcquisitionError, match="--track: lasts as long as its reference"):
         record(nowhere, "robot.toml", out, Wanted(duration_s=1.0, track=tmp_path / "x.csv"), lambda *_: None, Stop())
+    assert not out.exists()
+    far = tmp_path / "far.csv"
+    far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
+    with pytest.raises(AcquisitionError, match=r"far.csv: .*position of joint_1"):
+        record(nowhere, "robot.toml", out, Wanted(track=far, dry_run=True), lambda *_: None, Stop())
     assert not out.exists()
 
 

@@ -30,7 +30,7 @@ ACQUISITION = {
     "guards": {"cia402", "master", "robot"},
     "recorder": {"__init__", "blocks", "decoding", "drives", "recording", "robot"},
     "recorder_process": {"__init__", "blocks", "bus", "drives", "recorder", "robot", "sdo"},
-    "session": {"__init__", "cia402", "guards", "master", "recorder", "reference", "robot"},
+    "session": {"__init__", "cia402", "drives", "guards", "master", "recorder", "reference", "robot"},
     "blocks": {"__init__"},
     "cia402": {"__init__"},
     "mcap_content": {"__init__"},
