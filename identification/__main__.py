@@ -17,6 +17,7 @@ from .options import (
     add_simulation_options,
     cutoffs,
     factors,
+    make_folder,
     not_negative,
     positive,
     refuse_clash,
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
     from .fit import Fit
     from .plan import Overrides
     from .signals import Signals
+    from .synthetic import Noise
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -48,6 +50,10 @@ def main(arguments: list[str] | None = None) -> int:
         return 130
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except OSError as error:
+        print(f"robot-identify: standard output: cannot be written: {error.strerror}", file=sys.stderr)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
     return 0
 
 
@@ -124,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
     study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
-    add_simulation_options(study)
+    add_simulation_options(study, encoder_step=1e-5, effort_noise_percent=2.0)
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     study.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
     study.set_defaults(run=_study)
@@ -158,8 +164,9 @@ def _load(options: argparse.Namespace) -> "Signals":
 
 
 def _fit(options: argparse.Namespace) -> None:
-    refuse_clash(options.recording, options.json)
-    refuse_clash(options.recording, options.json, options.rrd, folders=False)
+    inputs = [options.recording, options.robot, Path(options.start)]
+    refuse_clash(inputs, options.json)
+    refuse_clash(inputs, options.json, options.rrd, folders=False)
     with _progress() as status:
         from .fit_file import fit_json, write_json
         from .report import fit_tables
@@ -206,7 +213,7 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
 
 def _view(options: argparse.Namespace) -> None:
     out = options.out or options.recording.with_suffix(".rrd")
-    refuse_clash(options.recording, out)
+    refuse_clash([options.recording, options.robot], out)
     with _progress() as status:
         from .viewer import write_recording_rrd
 
@@ -219,15 +226,16 @@ def _view(options: argparse.Namespace) -> None:
 
 def _compare(options: argparse.Namespace) -> None:
     from .comparison import difference_table, values_of_stored
-    from .fit_file import read_fit
+    from .fit_file import doubts, read_fit
 
-    for path in (options.a, options.b):
-        refuse_clash(path, options.rrd)
+    refuse_clash([options.a, options.b], options.rrd)
     labels = [options.a.stem, options.b.stem]
     if labels[0] == labels[1]:
         labels = [str(options.a), str(options.b)]
-    a, b = (values_of_stored(read_fit(p), label) for p, label in zip((options.a, options.b), labels, strict=True))
-    _print(difference_table(a, b))
+    fits = [read_fit(path) for path in (options.a, options.b)]
+    a, b = (values_of_stored(fit, label) for fit, label in zip(fits, labels, strict=True))
+    told = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
+    _print(difference_table(a, b), *(f"warning: {text}" for text in told))
     if options.rrd:
         from .viewer import write_comparison_rrd
 
@@ -235,9 +243,9 @@ def _compare(options: argparse.Namespace) -> None:
 
 
 def _validate(options: argparse.Namespace) -> None:
-    refuse_clash(options.recording, options.json)
+    refuse_clash([options.fit, options.recording, options.robot], options.json)
     with _progress() as status:
-        from .fit_file import errors_json, plan_json, provenance, read_fit, write_json
+        from .fit_file import doubts, errors_json, plan_json, provenance, read_fit, write_json
         from .idim import validate
         from .report import errors_table, plan_lines
 
@@ -246,13 +254,15 @@ def _validate(options: argparse.Namespace) -> None:
         status.update("predicting")
         plan, errors = validate(signals, _overrides(options), lambda base: stored.beta(base, str(options.fit)))
     units = signals.robot.effort_units
-    _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in plan.warnings))
+    warnings = [*plan.warnings, *doubts(stored, str(options.fit))]
+    _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
     if options.json:
         content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
-        write_json(options.json, {**content, "warnings": list(plan.warnings), "provenance": provenance(signals)})
+        write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
 
 
 def _base(options: argparse.Namespace) -> None:
+    refuse_clash([options.robot], options.json)
     with _progress() as status:
         from acquisition.robot import load_robot
 
@@ -270,24 +280,27 @@ def _base(options: argparse.Namespace) -> None:
 
 
 def _simulate(options: argparse.Namespace) -> None:
+    refuse_clash([options.robot], options.out)
     with _progress() as status:
         from acquisition.robot import load_robot
 
-        from .synthetic import Noise, closed_loop, random_reference, write_signals
+        from .synthetic import closed_loop, random_reference, write_signals
 
         status.update("simulating")
-        noise = Noise(
-            encoder_step=options.encoder_step,
-            position=options.position_noise,
-            effort_percent=options.effort_noise_percent,
-        )
         robot = load_robot(options.robot)
         q_ref = random_reference(
             robot, duration_s=options.duration_s, sample_rate_hz=options.rate_hz, seed=options.seed
         )
-        signals = closed_loop(robot, q_ref, options.rate_hz, noise=noise, seed=options.seed)
+        signals = closed_loop(robot, q_ref, options.rate_hz, noise=_noise(options), seed=options.seed)
         write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {options.seed}")
     _print(f"{options.out}: simulated, {options.duration_s:g} s at {options.rate_hz:g} Hz")
+
+
+def _noise(options: argparse.Namespace) -> "Noise":
+    from .synthetic import Noise
+
+    position, effort = options.position_noise, options.effort_noise_percent
+    return Noise(encoder_step=options.encoder_step, position=position, effort_percent=effort)
 
 
 def _study(options: argparse.Namespace) -> None:
@@ -299,16 +312,12 @@ def _study(options: argparse.Namespace) -> None:
     from .fit_file import write_json
     from .report import study_table
     from .study import Study, run_study, study_json, study_truth
-    from .synthetic import Noise
 
+    refuse_clash([options.robot], options.json, options.rrd)
     robot = load_robot(options.robot)
     study = Study(
         runs=options.runs,
-        noise=Noise(
-            encoder_step=options.encoder_step,
-            position=options.position_noise,
-            effort_percent=options.effort_noise_percent,
-        ),
+        noise=_noise(options),
         cutoffs=options.cutoffs,
         starts=options.starts,
         gain_errors=options.gain_errors,
@@ -348,7 +357,7 @@ def _demo(options: argparse.Namespace) -> None:
 
         place, out = description(options.robot), options.out
         robot = load_robot(place)
-        out.mkdir(parents=True, exist_ok=True)
+        make_folder(out)
         with whole_file(out / "session.mcap") as recording:
             rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), status.update)
         signals = load_signals(out / "session.mcap")

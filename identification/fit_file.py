@@ -59,6 +59,11 @@ class StoredFit(msgspec.Struct, frozen=True):
         return np.array([values.get(name, 0.0) for name in base.names])
 
 
+def doubts(stored: StoredFit, place: str) -> list[str]:
+    """What must be said wherever a fit is used that is not what it should be."""
+    return [f"{place}: its status is {stored.status}"] if stored.status in ("diverged", "max_iterations") else []
+
+
 def read_fit(path: Path) -> StoredFit:
     """Read a fit's JSON file; an error is one line that names the file, the key and what was expected."""
     try:

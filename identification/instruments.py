@@ -29,6 +29,7 @@ POSES = 300  # positions of the trajectory at which M must be positive
 LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed noise: rows slower than this are left out
 LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
+MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 
 
@@ -117,6 +118,13 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     grid = np.arange((plan.stop - 1 - plan.start) % m + plan.start, plan.stop, m)
     rate_hz = fs / m
     period_s = loop.period_s if loop else 1.0 / rate_hz
+    substeps = max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9)) if loop else 1
+    steps = (grid[-1] - grid[0]) / fs / period_s * substeps
+    if steps > MOST_STEPS:
+        raise IdentificationError(
+            f"robot {robot.name}: controller.sample_rate_hz = {1 / period_s:g}, bandwidth_hz = {bandwidth_hz:g}: {steps:.2g} "
+            f"steps to simulate; expected at most {MOST_STEPS:.2g}"
+        )
     times_s = grid[0] / fs + period_s * np.arange(int(np.floor((grid[-1] - grid[0]) / fs / period_s + 1e-6)) + 1)
     if len(times_s) < LEAST_INSTANTS:
         raise IdentificationError(
@@ -158,7 +166,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         rate_hz=rate_hz,
         grid_s=grid / fs,
         times_s=times_s,
-        substeps=max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9)) if loop else 1,
+        substeps=substeps,
         decimation=Decimation(factor=plan.decimation // m, smooth_ends=plan.smooth_ends),
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,

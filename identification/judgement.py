@@ -64,11 +64,12 @@ def judged(
         essential=reduction,
         sigma_hac=sigma_hac,
         errors=torque_errors(observed.tau, predicted, observed.speed, tuple(j.name for j in signals.robot.joints)),
-        warnings=(*plan.warnings, *gain_warnings(signals), *warnings),
+        warnings=(*plan.warnings, *gain_warnings(signals), *recording_warnings(signals), *warnings),
         iv=iv,
     )
 
 
+@np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def compared(
     estimate: Estimate,
     z: Instruments,
@@ -223,6 +224,11 @@ def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
     if tests.first_stage_F < WEAK_INSTRUMENTS_F:
         warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
     return tuple(warnings)
+
+
+def recording_warnings(signals: Signals) -> tuple[str, ...]:
+    """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
+    return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:

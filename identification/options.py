@@ -1,24 +1,35 @@
 """Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise."""
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 from . import IdentificationError
 
 
-def add_simulation_options(parser: argparse.ArgumentParser) -> None:
-    """Length, rate, seed and noise of a simulated recording."""
+def add_simulation_options(
+    parser: argparse.ArgumentParser, *, encoder_step: float = 0.0, effort_noise_percent: float = 0.0
+) -> None:
+    """Length, rate, seed and noise of a simulated recording, with the noise that is the default."""
     parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
     parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
-    parser.add_argument("--seed", type=int, default=1, metavar="K", help="of reference and noise (default 1)")
+    parser.add_argument("--seed", type=whole, default=1, metavar="K", help="of reference and noise (default 1)")
     parser.add_argument(
-        "--encoder-step", type=not_negative, default=0.0, metavar="Q", help="rad or m per count (default 0)"
+        "--encoder-step",
+        type=not_negative,
+        default=encoder_step,
+        metavar="Q",
+        help=f"rad or m per count (default {encoder_step:g})",
     )
     parser.add_argument(
         "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
     )
     parser.add_argument(
-        "--effort-noise-percent", type=not_negative, default=0.0, metavar="P", help="of each torque's rms"
+        "--effort-noise-percent",
+        type=not_negative,
+        default=effort_noise_percent,
+        metavar="P",
+        help=f"of each torque's rms (default {effort_noise_percent:g})",
     )
 
 
@@ -37,12 +48,20 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
 
 
-def refuse_clash(recording: Path, *outputs: Path | None, folders: bool = True) -> None:
-    """No output may take the place of the recording or of another output, or name a folder that is not there.
+def make_folder(out: Path) -> None:
+    """A folder for results, if it is not there."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IdentificationError(f"{out}: cannot be made: {error.strerror}; expected a folder") from error
+
+
+def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None, folders: bool = True) -> None:
+    """No output may take the place of an input or of another output, or name a folder that is not there.
 
     Without `folders` these are not looked for: a picture that cannot be written must not cost its fit.
     """
-    seen = {recording.resolve()}
+    seen = {path.resolve() for path in inputs if path is not None}
     for output in outputs:
         if output is None:
             continue
@@ -85,6 +104,14 @@ def above_zero(text: str) -> float:
     """A finite number above 0."""
     value = float(text)
     if not 0 < value < float("inf"):
+        raise ValueError(text)
+    return value
+
+
+def whole(text: str) -> int:
+    """A whole number from 0."""
+    value = int(text)
+    if value < 0:
         raise ValueError(text)
     return value
 

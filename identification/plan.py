@@ -86,16 +86,27 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
             f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
             "accelerations, and the estimates with them"
         )
-    decimation = overrides.decimation or stored.decimation or decimation_rule(fs, bandwidth_hz)
+    N = len(signals.q)
+    if cutoff_hz is not None and CUT_PERIODS * fs / cutoff_hz > N:
+        raise IdentificationError(
+            f"cut-off {cutoff_hz:g} Hz: expected more than {CUT_PERIODS * fs / N:.2g} Hz: {CUT_PERIODS:g} periods are longer "
+            f"than the {N / fs:.3g} s of {signals.recording}"
+        )
+    if fs / bandwidth_hz > N:
+        raise IdentificationError(
+            f"robot {signals.robot.name}: controller.bandwidth_hz = {bandwidth_hz:g}: expected a period shorter than the "
+            f"{N / fs:.3g} s of {signals.recording}"
+        )
+    rule = decimation_rule(fs, bandwidth_hz)
+    decimation = overrides.decimation or stored.decimation or rule
     kept_hz = 0.8 * fs / (2 * decimation)
-    if decimation > decimation_rule(fs, bandwidth_hz) and kept_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
+    if decimation > rule and kept_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
         warnings.append(
             f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
     start, stop, span, standing = _span(signals, cutoff_hz, overrides.span or stored.span)
     warnings += [f"joint {name} does not move" for name in standing]
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
-    N = len(signals.q)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)

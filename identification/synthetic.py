@@ -28,6 +28,7 @@ from .simulation import has_controller, recorded_loop, simulate, surrogate_loop
 
 Vector = NDArray[np.float64]
 
+LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
 
 
@@ -82,7 +83,12 @@ def exact_motion(dynamics: Dynamics, *, duration_s: float, sample_rate_hz: float
 
 def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Vector:
     """A random exciting reference (N, n) that begins and ends at rest."""
-    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
+    samples = duration_s * sample_rate_hz
+    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
+        raise IdentificationError(
+            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
+        )
+    t_s = np.arange(round(samples) + 1) / sample_rate_hz
     return fourier_reference(robot, period_s=duration_s, seed=seed).at(t_s)[0]
 
 
