@@ -10,11 +10,12 @@ import numpy as np
 from . import AcquisitionError
 from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 from .cia402 import State
-from .drives import LARGEST_LOAD, Bus
+from .drives import LARGEST_LOAD, Bus, Drive
 from .master import Master, Wire, identity_of
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
 
+SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 JITTER_SYNCS = 200
 LARGEST_OFF = 0.01  # share of SYNCs that may come more than half a period off their time
 
@@ -66,6 +67,9 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
             findings.append(Finding(subject=subject, found=str(error), ok=False))
             continue
         findings.append(Finding(subject=f"{subject} PDOs", found=_mapped(master, drive.node), ok=True))
+        scale = _scale(master, drive)
+        if scale:
+            findings.append(Finding(subject=f"{subject} scale", found=scale, ok=True))
     if everyone:
         try:
             differences = master.differences()
@@ -76,6 +80,25 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
             findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
     findings.append(_jitter(link, master))
     return findings
+
+
+def _scale(master: Master, drive: Drive) -> str:
+    """What the drive holds on its position units, beside what the description says: makers combine them in their own ways."""
+    entries = drive.dictionary.entries if drive.dictionary is not None else {}
+    said = []
+    for index, name in SCALES.items():
+        try:
+            if (index, 2) in entries:
+                said.append(
+                    f"{name} {index:04X} {master.read(drive.node, index, 1)}/{master.read(drive.node, index, 2)}"
+                )
+            elif (index, 0) in entries:
+                said.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
+        except AcquisitionError:
+            said.append(f"{name} {index:04X} not told")
+    counts = drive.position_codec.counts_per_unit
+    told = f"robot.toml: {counts * 2 * np.pi:g} counts per turn or {counts:g} per m; see that they agree"
+    return ", ".join([*said, told]) if said else ""
 
 
 def _agreement(bus: Bus) -> str:

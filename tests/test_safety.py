@@ -19,6 +19,7 @@ import acquisition.recorder_process as recorder_process
 from acquisition import AcquisitionError
 from acquisition.blocks import SENT
 from acquisition.bus import Frame, Link, open_bus
+from acquisition.bus_description import dictionary_label
 from acquisition.check import look
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run, serve
@@ -148,6 +149,19 @@ def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
     assert identity_of(dictionary) == [(1, "vendor", 0xFB), (2, "product", 7)]
     maxon = load_dictionary(needs_data("eds", "maxon_EPOS4.eds").read_bytes(), "maxon", 1)
     assert identity_of(maxon) == [(1, "vendor", 0xFB), (2, "product", 0x60500000)]
+
+
+def test_check_shows_what_the_drive_holds_on_its_scale():
+    eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
+    text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
+    robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
+    run = dry_run(robot, bus_of(robot))
+    found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
+    assert found["node 1 (motor_1) scale"].startswith(
+        "encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1"
+    )
+    assert "robot.toml: 65536 counts per turn" in found["node 1 (motor_1) scale"]
+    run.close()
 
 
 class Asked:
