@@ -5,7 +5,6 @@ import os
 import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -178,11 +177,14 @@ def test_help_is_quick_and_imports_nothing_heavy() -> None:
         "try:\n    main(['--help'])\nexcept SystemExit:\n    pass\n"
         "print(sorted({m.split('.')[0] for m in sys.modules} & {'numpy', 'scipy', 'mcap', 'rosbags', 'rich', 'msgspec'}))"
     )
-    start_s = time.perf_counter()
+    before = os.times()
     result = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=REPLAY.parent
     )
-    assert time.perf_counter() - start_s < 0.3 * 4  # 0.05 s on an idle machine
+    # Time of the processor, so that other programs do not count; 0.05 s in all.
+    after = os.times()
+    spent_s = after.children_user - before.children_user + after.children_system - before.children_system
+    assert spent_s < 0.5
     assert "usage: robot-acquire" in result.stdout
     assert result.stdout.endswith("[]\n")
 
