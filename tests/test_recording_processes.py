@@ -1,15 +1,21 @@
-"""Sessions over separate processes on loopback: simulate | record, kills, signals, full disks."""
+"""Sessions over separate processes on loopback: simulate | record, kills, signals, full disks.
+
+They run on machines that are busy with other things: SYNC is slow, so that a process may be held up for a while, and what
+a test needs is waited for where it shows, on the bus or in the growing file.
+"""
 
 import itertools
 import json
 import os
 import resource
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -18,27 +24,52 @@ from conftest import ROOT
 from made_up_buses import bus_text, robot_of
 
 from acquisition import AcquisitionError
-from acquisition.blocks import SENT
-from acquisition.bus import open_link
+from acquisition.blocks import FRAME, SENT, Block
+from acquisition.bus import Receiver, open_bus, open_link
+from acquisition.bus_description import BusFile
 from acquisition.recording import Recording, read_recording
 
-PORTS = itertools.count(44000 + os.getpid() % 1000 * 4)
+SYNC_S = 0.02  # three SYNCs without an answer end a session, 0.1 s without SYNC stops the simulated drives
+HEARTBEAT = "heartbeat_s = 1.0"
+LARGEST_FILE = 12_000  # bytes: full in the middle of the reference
+LAST = 3  # frames of a kind that a recorder may leave behind when told to stop: see the test that is expected to fail
+SEEN_SYNCS = 50  # of the reference, before a test does something to a session
+PORTS = itertools.cycle(range(20000, 32000))  # below those that systems give out by themselves
+for _ in range(os.getpid() * 16 % 12000):
+    next(PORTS)
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A description on a group of its own, and a reference; skips where there is no multicast on loopback."""
-    text = bus_text(2, period_s=0.004, interface="udp_multicast", channel=f"239.74.163.2:{next(PORTS)}")
-    (tmp_path / "robot.toml").write_text(text)
-    bus = robot_of(text).bus
-    assert bus is not None
+def port() -> Iterator[int]:
+    """A port that no other test on this machine uses: each holds the TCP port of the same number as long as it runs."""
+    for number in PORTS:
+        with socket.socket() as held:
+            try:
+                held.bind(("127.0.0.1", number))
+            except OSError:
+                continue
+            yield number
+            return
+
+
+@pytest.fixture
+def folder(tmp_path: Path, port: int) -> Path:
+    """A description on a bus of its own, and a reference; skips where there is no multicast on loopback.
+
+    `check.toml` differs in its SYNC only, of which a check measures 200 periods.
+    """
+    channel = f"239.74.163.2:{port}"
+    for name, period_s in (("robot.toml", SYNC_S), ("check.toml", 0.002)):
+        text = bus_text(2, period_s=period_s, interface="udp_multicast", channel=channel, extra=HEARTBEAT)
+        (tmp_path / name).write_text(text)
+    bus = bus_at(tmp_path)
     try:
         a, b = open_link(bus, passive=False), open_link(bus, passive=True)
     except AcquisitionError as error:
         pytest.skip(f"no multicast on this machine: {error}")
     try:
         a.send(0x123, b"x")
-        until = time.time_ns() + 10**9
+        until = time.time_ns() + 5 * 10**9
         frame = b.receive(until)
         if frame is None:
             pytest.skip("no multicast on loopback here: a route to 239.0.0.0/8 on lo may be needed")
@@ -53,6 +84,12 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def bus_at(folder: Path) -> BusFile:
+    bus = robot_of((folder / "robot.toml").read_text()).bus
+    assert bus is not None
+    return bus
+
+
 def acquire(folder: Path, *arguments: str, **options: object) -> "subprocess.Popen[str]":
     command = [sys.executable, "-m", "acquisition", *arguments]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT, **options)  # type: ignore[call-overload,no-any-return]
@@ -60,34 +97,99 @@ def acquire(folder: Path, *arguments: str, **options: object) -> "subprocess.Pop
 
 @contextmanager
 def drives(folder: Path) -> Iterator["subprocess.Popen[str]"]:
-    process = acquire(folder, "simulate", str(folder / "robot.toml"), "--duration", "60")
+    """Simulated drives that have told that they are there."""
+    ear = open_link(bus_at(folder), passive=True)
+    process = acquire(folder, "simulate", str(folder / "robot.toml"), "--duration", "120")
     try:
         assert process.stderr is not None
         assert "simulated drives, nodes 1, 2" in process.stderr.readline()
+        until_ns, silent = time.time_ns() + 30 * 10**9, {0x701, 0x702}
+        while silent:
+            frame = ear.receive(until_ns)
+            assert frame is not None, "no boot-up of the simulated drives"
+            silent.discard(frame.can_id)
         yield process
     finally:
-        process.terminate()
-        process.communicate(timeout=10)
+        ear.close()
+        end(process, signal.SIGTERM)
 
 
-def wait_for(path: Path, size: int, timeout_s: float = 20.0) -> None:
-    until = time.monotonic() + timeout_s
-    while not (path.exists() and path.stat().st_size > size):
-        assert time.monotonic() < until, f"{path} did not grow"
+def end(process: "subprocess.Popen[str]", number: signal.Signals) -> tuple[str, str]:
+    """Signal a process that still runs; what it told."""
+    if process.poll() is None:
+        process.send_signal(number)
+    return process.communicate(timeout=30)
+
+
+def wait_for(
+    path: Path,
+    done: Callable[[Recording], bool],
+    process: "subprocess.Popen[str] | None" = None,
+    timeout_s: float = 40.0,
+) -> Recording:
+    """Read the recording that grows at `path` until it is as wanted; `process` is not to end before."""
+    until, size = time.monotonic() + timeout_s, 0
+    while True:
+        running = process is None or process.poll() is None
+        if path.exists() and path.stat().st_size != size:
+            size = path.stat().st_size
+            with suppress(AcquisitionError):  # it has only begun
+                recording = read_recording(path)
+                if done(recording):
+                    return recording
+        assert running, process.communicate(timeout=30) if process is not None else ""
+        assert time.monotonic() < until, f"{path}: {size} bytes: never as wanted"
         time.sleep(0.05)
+
+
+def frames_of(recording: Recording) -> Block:
+    """The frames of its only channel; none before the first."""
+    return next(iter(recording.frames.values()), np.zeros(0, FRAME))
+
+
+def data_by_id(recording: Recording, *ids: int) -> dict[int, list[list[int]]]:
+    """What was in the frames of each identifier, in order."""
+    frames = frames_of(recording)
+    return {can_id: frames["data"][frames["can_id"] == can_id].tolist() for can_id in ids}
+
+
+def count(frames: Block, can_id: int) -> int:
+    return int(np.count_nonzero(frames["can_id"] == can_id))
+
+
+def syncs_tracked(recording: Recording) -> int:
+    """SYNCs since the session began to follow the reference."""
+    since = [event.stamp_ns for event in recording.events if (event.kind, event.text) == ("phase", "track")]
+    frames = frames_of(recording)
+    return count(frames[frames["time_ns"] >= since[0]], 0x80) if since else 0
 
 
 @contextmanager
 def tracking(folder: Path, out: Path) -> Iterator["subprocess.Popen[str]"]:
-    """A session that follows the reference and has begun to record."""
+    """A session that follows the reference, with `SEEN_SYNCS` of that on the disk."""
     session = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"))
     try:
-        wait_for(out, 4000)
+        wait_for(out, lambda recording: syncs_tracked(recording) >= SEEN_SYNCS, session)
         yield session
     finally:
-        if session.poll() is None:
-            session.terminate()
-            session.communicate(timeout=20)
+        end(session, signal.SIGTERM)
+
+
+@contextmanager
+def listening(folder: Path, description: str, out: Path) -> Iterator["subprocess.Popen[str]"]:
+    """A passive recorder that misses nothing from here on: it opens the bus before its file."""
+    listener = acquire(folder, "record", str(folder / description), "-o", str(out), "--passive")
+    try:
+        wait_for(out, lambda recording: True, listener)
+        yield listener
+    finally:
+        end(listener, signal.SIGTERM)
+
+
+def checked(folder: Path) -> str:
+    """What a check tells of the drives; how evenly this machine could send SYNC is left to the machine."""
+    told, _ = acquire(folder, "check", str(folder / "check.toml")).communicate(timeout=60)
+    return told
 
 
 def children(pid: int) -> list[int]:
@@ -117,8 +219,7 @@ def texts(recording: Recording, kind: str) -> list[str]:
 def test_simulate_check_record(folder):
     out = folder / "log.mcap"
     with drives(folder):
-        checked = acquire(folder, "check", str(folder / "robot.toml"))
-        told, _ = checked.communicate(timeout=30)
+        told = checked(folder)
         assert "node 1 (motor_1): switch on disabled" in told
         assert "description: agrees" in told
         done = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--duration", "2")
@@ -126,21 +227,25 @@ def test_simulate_check_record(folder):
     assert done.returncode == 0, errors
     assert told.endswith("CAN frames; finished\n")
     recording = read_recording(out)
-    assert len(recording.samples) > 300
-    frames = next(iter(recording.frames.values()))
+    frames = frames_of(recording)
     sent = (frames["flags"] & SENT) != 0
     assert set(frames["can_id"][sent].tolist()) <= {0, 0x80, 0x601, 0x602}
-    assert (frames["can_id"][sent] == 0x80).sum() == pytest.approx(500, abs=10)
-    # Every answer to SYNC that was sent is there: as many as SYNCs, but for those still under way at the end.
+    # SYNC never comes faster than asked for; a machine that stalls leaves some out.
+    syncs = count(frames, 0x80)
+    assert 0.5 * 2 / SYNC_S <= syncs <= 2 / SYNC_S + 1
+    # Every answer to SYNC is there, and becomes a sample.
     for node in (1, 2):
-        assert (frames["can_id"] == 0x180 + node).sum() == pytest.approx((frames["can_id"] == 0x80).sum(), abs=2)
+        assert syncs - LAST <= count(frames, 0x180 + node) <= syncs
+    assert syncs - LAST <= len(recording.samples) <= syncs
+    counters = recording.health[-1].counters
+    assert (counters["missing"], counters["duplicate"]) == (0, 0)  # between the first and the last
     assert recording.health[-2].counters["kernel_drops"] == 0
 
 
 def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
-        time.sleep(2.5)
+        time.sleep(1.0)  # it writes twice in that
         recorder = recorder_of(session.pid)
         killed_ns = time.time_ns()
         os.kill(recorder, signal.SIGKILL)
@@ -148,45 +253,36 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
         assert session.returncode == 1
         assert errors.count("\n") == 1
         assert "the recorder has ended" in errors
-        checked, _ = acquire(folder, "check", str(folder / "robot.toml")).communicate(timeout=30)
-        assert checked.count("switch on disabled") == 2
+        assert checked(folder).count("switch on disabled") == 2
     recording = read_recording(out)
     assert recording.cut
-    frames = next(iter(recording.frames.values()))
+    frames = frames_of(recording)
     assert (killed_ns - frames["time_ns"][-1]) * 1e-9 < 1.0
-    told = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=30)[0])
+    told = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=60)[0])
     assert told["cut"] is True
     whole, decoded = folder / "whole.mcap", folder / "decoded.mcap"
-    assert acquire(folder, "recover", str(out), "-o", str(whole)).wait(30) == 0
-    assert acquire(folder, "decode", str(whole), "-o", str(decoded)).wait(30) == 0
+    assert acquire(folder, "recover", str(out), "-o", str(whole)).wait(60) == 0
+    assert acquire(folder, "decode", str(whole), "-o", str(decoded)).wait(60) == 0
     samples = read_recording(decoded).samples
-    assert len(samples) > 400
+    assert SEEN_SYNCS < count(frames, 0x80) - 3 <= len(samples)  # answers to the last ones may be behind the cut
     assert "reference" in samples.dtype.names
 
 
 def test_a_killed_session_leaves_a_whole_file_and_drives_that_stop_by_themselves(folder):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
-        time.sleep(1.5)
-        recorder = recorder_of(session.pid)
         session.kill()
-        session.communicate(timeout=10)
-        until = time.monotonic() + 20
-        while Path(f"/proc/{recorder}").exists() and time.monotonic() < until:
-            time.sleep(0.05)
-        checked, _ = acquire(folder, "check", str(folder / "robot.toml")).communicate(timeout=30)
-        assert checked.count("fault") >= 2  # SYNC was lost while they were enabled
-    recording = read_recording(out)
-    assert not recording.cut
+        session.communicate(timeout=30)
+        recording = wait_for(out, lambda recording: not recording.cut)
+        assert checked(folder).count("): fault\n") == 2  # SYNC was lost while they were enabled
     assert texts(recording, "fault") == ["the session's process is gone"]
-    assert len(recording.samples) > 100
+    assert SEEN_SYNCS < count(frames_of(recording), 0x80) - 3 <= len(recording.samples)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_session_in_order(folder, number):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
-        time.sleep(1.5)
         session.send_signal(number)
         told, errors = session.communicate(timeout=30)
         assert session.returncode == 0, errors
@@ -195,7 +291,7 @@ def test_signals_end_a_session_in_order(folder, number):
     assert not recording.cut
     assert texts(recording, "end") == [f"stopped by {number.name}"]
     assert texts(recording, "disabled") == ["every drive confirmed"]
-    assert texts(recording, "phase")[-2:] == ["stop", "disable"]
+    assert texts(recording, "phase")[-3:] == ["track", "stop", "disable"]
 
 
 def test_a_file_that_cannot_grow_stops_the_session(folder):
@@ -203,64 +299,91 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
     with drives(folder):
         session = acquire(
             folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"),
-            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (30_000, 30_000)),
+            preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE)),
         )  # fmt: skip
-        _, errors = session.communicate(timeout=40)
+        _, errors = session.communicate(timeout=60)
         assert session.returncode == 1
         assert errors.count("\n") == 1
         assert "cannot be written: File too large" in errors
-        checked, _ = acquire(folder, "check", str(folder / "robot.toml")).communicate(timeout=30)
-        assert checked.count("switch on disabled") == 2
+        assert checked(folder).count("switch on disabled") == 2
     recording = read_recording(out)
     assert recording.cut
-    assert len(next(iter(recording.frames.values()))) > 100
+    assert syncs_tracked(recording) > 0
 
 
 def test_passive_records_another_masters_session_and_sends_nothing(folder):
-    """The master is our own active session; its targets are the reference."""
+    """The master is our own active session; its targets are the reference.
+
+    What only a master sends by NMT and SDO is as much as in a dry run of the session, where nobody else is on the bus.
+    """
     text = (folder / "robot.toml").read_text().replace("node = 1", 'mapping = "traffic"\nnode = 1')
     (folder / "passive.toml").write_text(text.replace("node = 2", 'mapping = "traffic"\nnode = 2'))
-    out, active = folder / "passive.mcap", folder / "active.mcap"
-    with drives(folder):
-        listener = acquire(folder, "record", str(folder / "passive.toml"), "-o", str(out), "--passive")
-        wait_for(out, 500)
-        time.sleep(0.3)
-        session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(active), "--track", str(folder / "ref.csv")
-        )
-        assert session.wait(60) == 0
-        listener.send_signal(signal.SIGINT)
-        _, errors = listener.communicate(timeout=30)
+    out, active, alone = (folder / f"{name}.mcap" for name in ("passive", "active", "alone"))
+    ours_ids = (0x80, 0x181, 0x182, 0x201, 0x202)
+    command = ("record", str(folder / "robot.toml"), "--track", str(folder / "ref.csv"), "-o")
+    assert acquire(folder, *command, str(alone), "--dry-run").wait(60) == 0
+    with drives(folder), listening(folder, "passive.toml", out) as listener:
+        session = acquire(folder, *command, str(active))
+        _, errors = session.communicate(timeout=60)
+        assert session.returncode == 0, errors
+        ours = read_recording(active)
+        said = data_by_id(ours, *ours_ids)
+        said |= data_by_id(read_recording(alone), 0, 0x601, 0x602)
+        wait_for(out, lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said), listener)
+        _, errors = end(listener, signal.SIGINT)
     assert listener.returncode == 0, errors
-    passive, ours = read_recording(out), read_recording(active)
-    assert not (next(iter(passive.frames.values()))["flags"] & SENT).any()
+    passive = read_recording(out)
+    assert not passive.cut
+    for can_id, seen in data_by_id(passive, *said).items():
+        assert seen[: len(said[can_id])] == said[can_id]
+        assert len(seen) <= len(said[can_id]) + (LAST if can_id in ours_ids else 0)
+    assert not (frames_of(passive)["flags"] & SENT).any()
     a, b = ours.samples, passive.samples
-    # Both recorders saw the same frames; the passive one may have begun earlier.
-    assert b["position"][-len(a) :] == pytest.approx(a["position"])
-    assert b["reference"][-len(a) :] == pytest.approx(a["reference"])
-    assert np.ptp(b["reference"]) == pytest.approx(0.6, abs=1e-4)
+    assert len(a) <= len(b) <= len(a) + LAST
+    assert b["position"][: len(a)] == pytest.approx(a["position"])
+    assert b["reference"][: len(a)] == pytest.approx(a["reference"])
+    assert b["reference"].max(axis=0) == pytest.approx(0.6, abs=1e-5)
+
+
+@pytest.mark.xfail(strict=True, reason="Receiver.run ends with frames in the kernel's queue when it is told to stop")
+def test_a_receiver_that_is_told_to_stop_takes_what_has_arrived(folder):
+    handle, sender = open_bus(bus_at(folder), passive=True), open_link(bus_at(folder), passive=False)
+    try:
+        receiver = Receiver(handle)
+        for _ in range(200):
+            sender.send(0x123, b"x")
+        thread = threading.Thread(target=receiver.run)
+        thread.start()
+        receiver.stopped = True
+        thread.join(10)
+        assert len(receiver.take()) == 200
+    finally:
+        handle.shutdown()
+        sender.close()
 
 
 def test_a_recording_is_replayed_with_its_timing(folder):
     out, again = folder / "log.mcap", folder / "again.mcap"
     assert acquire(
-        folder, "record", str(folder / "robot.toml"), "-o", str(out), "--dry-run", "--duration", "1.5"
-    ).wait(30) == 0  # fmt: skip
-    listener = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(again), "--passive")
-    wait_for(again, 500)
-    time.sleep(0.3)
-    channel = robot_of((folder / "robot.toml").read_text()).bus.channel
-    replay = acquire(folder, "replay", str(out), "--interface", "udp_multicast", "--channel", channel, "--speed", "1.5")
-    told, errors = replay.communicate(timeout=30)
-    assert replay.returncode == 0, errors
-    time.sleep(0.3)
-    listener.send_signal(signal.SIGTERM)
-    listener.communicate(timeout=30)
-    sent, received = (next(iter(read_recording(path).frames.values())) for path in (out, again))
+        folder, "record", str(folder / "robot.toml"), "-o", str(out), "--dry-run", "--duration", "3"
+    ).wait(60) == 0  # fmt: skip
+    sent = frames_of(read_recording(out))
+    with listening(folder, "robot.toml", again) as listener:
+        channel = bus_at(folder).channel
+        options = ("--interface", "udp_multicast", "--channel", channel, "--speed", "1.5")
+        replay = acquire(folder, "replay", str(out), *options)
+        told, errors = replay.communicate(timeout=60)
+        assert replay.returncode == 0, errors
+        wait_for(again, lambda recording: len(frames_of(recording)) >= len(sent), listener)
+        end(listener, signal.SIGTERM)
+    received = frames_of(read_recording(again))
     assert f"{len(sent)} frames sent" in told
     for field in ("can_id", "length", "data"):
         assert received[field].tolist() == sent[field].tolist()
-    assert np.ptp(sent["time_ns"]) / np.ptp(received["time_ns"]) == pytest.approx(1.5, rel=0.05)
+    # Over many spans of half the length: a few frames that a busy machine sends late do not decide.
+    half = len(sent) // 2
+    spans = [frames["time_ns"][half:] - frames["time_ns"][:-half] for frames in (sent, received)]
+    assert np.median(spans[0] / spans[1]) == pytest.approx(1.5, rel=0.05)
 
 
 def test_known_errors_are_one_line(folder):
@@ -273,7 +396,7 @@ def test_known_errors_are_one_line(folder):
         (["record", str(ROOT / "replay_data/emps/robot.toml"), "-o", str(folder / "a.mcap")], "bus is not there"),
         (["record", robot, "-o", str(folder / "no" / "a.mcap"), "--duration", "1"], "cannot be written: No such file"),
         (["record", robot, "-o", str(folder / "b.mcap"), "--duration", "1"], "node 1: object 1017:0: no answer"),
-        (["check", robot], "no go: node 1 (motor_1), node 2 (motor_2)"),
+        (["check", str(folder / "check.toml")], "no go: node 1 (motor_1), node 2 (motor_2)"),
         (["import", str(folder / "x.log"), "--robot", robot, "-o", str(folder / "o.mcap")], "x.log: cannot be read"),
         (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "--map is not there"),
         (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "expected an MCAP file"),

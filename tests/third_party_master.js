@@ -1,10 +1,12 @@
 // A CANopen master on the npm package "canopen" (a stack of others), speaking python-can's udp_multicast on loopback.
 // usage: node third_party_master.js GROUP PORT SYNCS PERIOD_MS NODE...
 // It maps each drive's PDOs by SDO, starts the nodes, sends SYNC, enables the drives and moves them along a known sine;
-// on its last line it prints, as JSON, the targets it sent and the position PDOs it received.
+// on its last line it prints, as JSON, the targets it sent and the position PDOs it received. SYNC waits for the answers to
+// the one before, but not for so long that a drive would miss it; after a stall time goes on from there, without a burst.
 const dgram = require('dgram'), { encode, decode } = require('@msgpack/msgpack');
 const { Device, Eds } = require('canopen');
 const [group, port, syncs, period] = [process.argv[2], +process.argv[3], +process.argv[4], +process.argv[5]];
+const sdoTimeout = 5000, longestWait = 60; // ms; the package's own SDO timeout is 30 ms
 const nodes = process.argv.slice(6).map(Number);
 const device = new Device({ id: 127, eds: new Eds() });
 const socket = dgram.createSocket({ type: 'udp4', reuseAddr: true });
@@ -29,7 +31,11 @@ socket.on('message', (buffer) => {
 function write(node, index, subIndex, value, size) {
   const data = Buffer.alloc(size);
   data.writeUIntLE(value, 0, size);
-  return device.sdo.download({ serverId: node, index, subIndex, data });
+  return device.sdo.download({ serverId: node, index, subIndex, data, timeout: sdoTimeout });
+}
+const sleep = (ms) => new Promise((resolve) => setTimeout(resolve, ms));
+async function answered(count, until) {
+  while (nodes.some((n) => received[n].length < count) && Date.now() < until) await sleep(1);
 }
 async function configure(node) {
   for (const [communication, mapping, cobId, objects] of [
@@ -46,6 +52,7 @@ async function configure(node) {
   await write(node, 0x6060, 0, 8, 1);
 }
 function controlword(word) {
+  if ((word & 0x4f) === 0x08) return 0x80; // a drive that missed SYNC for long
   if ((word & 0x4f) === 0x40) return 0x06;
   if ((word & 0x6f) === 0x21) return 0x07;
   return 0x0f;
@@ -55,10 +62,12 @@ async function main() {
   device.start();
   for (const node of nodes) await configure(node);
   for (const node of nodes) device.nmt.startNode(node);
-  await new Promise((resolve) => setTimeout(resolve, 50));
-  for (let k = 0, start = Date.now(); k < syncs; k++) {
+  await sleep(50);
+  for (let k = 0; k < syncs; k++) {
+    const at = Date.now();
     send(0x80, Buffer.alloc(0));
-    while (Date.now() < start + (k + 1) * period) await new Promise((resolve) => setTimeout(resolve, 1));
+    while (Date.now() < at + period) await sleep(1);
+    await answered(k + 1, at + longestWait);
     for (const node of nodes) {
       const data = Buffer.alloc(6), target = k < 20 ? 0 : Math.round(50000 * (1 - Math.cos((k - 20) * 0.02)));
       data.writeUInt16LE(controlword(status[node] || 0x40), 0);
@@ -67,7 +76,7 @@ async function main() {
       send(0x200 + node, data);
     }
   }
-  await new Promise((resolve) => setTimeout(resolve, 100));
+  await answered(syncs, Date.now() + 10000);
   process.stdout.write(JSON.stringify({ targets, received }) + '\n', () => process.exit(0));
 }
 socket.bind(port, group, () => {
