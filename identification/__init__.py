@@ -7,9 +7,9 @@ The map, in the order in which the data passes::
                                      dynamics, base_parameters
 
 ``idim`` is the method on one screen, ``fit`` what it gives, ``judgement`` what speaks for and against it. For instrumental
-variables ``instruments`` lays out the experiment and ``simulation`` is the robot in closed loop. ``report`` prints,
-``fit_file`` stores, ``viewer`` draws; ``synthetic``, ``plant``, ``demo`` and ``study`` work on
-robots whose parameters are known.
+variables ``instruments`` lays out the experiment and ``simulation`` is the robot in closed loop. ``report`` makes tables and
+lines, ``printing`` prints them, ``fit_file`` stores, ``viewer`` draws; ``synthetic``, ``plant``, ``demo`` and ``study`` work
+on robots whose parameters are known.
 """
 
 from acquisition import one_line

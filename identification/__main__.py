@@ -387,13 +387,9 @@ def _progress() -> Iterator["Status"]:
 
 
 def _print(*items: Any) -> None:
-    from rich.console import Console
+    from .printing import print_whole
 
-    console = Console()
-    if not console.is_terminal:  # a pipe or file gets whole lines, however long
-        console = Console(width=160)
-    for item in items:
-        console.print(item)
+    print_whole(*items)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,94 @@
+"""What the terminal shows: every digit at any width, names as they are, and what the words under a table say."""
+
+import json
+
+import pytest
+from conftest import REPLAY
+from rich.table import Table
+from rich.text import Text
+
+from identification.__main__ import main
+from identification.printing import print_whole
+from identification.report import study_notes
+from identification.study import FALSE_ERROR, Study
+from identification.synthetic import Noise
+
+SESSION = REPLAY / "scara" / "session.mcap"
+
+
+@pytest.fixture
+def narrow(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich then takes the captured output for a terminal
+    monkeypatch.setenv("TERM", "dumb")
+
+
+def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
+    out = tmp_path / "fit.json"
+    assert main(["fit", str(SESSION), "--method", "iv", "--json", str(out)]) == 0
+    told = capsys.readouterr().out
+    assert "…" not in told
+    for p in json.loads(out.read_text())["parameters"]:
+        (row,) = [line for line in told.splitlines() if line.split()[:1] == [p["name"]]]
+        value, sigma = (float(x) for x in row.split()[1:3])
+        assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
+        assert sigma == pytest.approx(p["sigma"], rel=0.01)
+    assert max(len(line) for line in told.splitlines()) < 90
+
+
+def test_long_texts_are_folded_and_numbers_are_not(narrow, capsys):
+    table = Table("name", "expression", title=Text("a table"))
+    table.add_column(Text("a/long/folder/and/a/file.json"), justify="right")
+    table.add_row("M1", "one and " * 12, "-123456.789012345678")
+    print_whole(table)
+    told = capsys.readouterr().out
+    assert "-123456.789012345678" in told
+    assert told.count("one") == 12
+    assert "a/long/folder/and/a/" in told
+    assert "…" not in told
+
+
+@pytest.mark.parametrize("name", ["run[bold].mcap", "run[/b].mcap", "run:smile:.mcap"])
+def test_names_are_printed_as_they_are(name, capsys, tmp_path):
+    path = tmp_path / name
+    path.parent.mkdir(exist_ok=True)
+    assert main(["simulate", str(REPLAY / "scara" / "robot.toml"), "-o", str(path), "--duration-s", "3"]) == 0
+    assert f"{path}: simulated" in capsys.readouterr().out
+    assert main(["validate", str(REPLAY / "scara" / "fit.json"), str(path)]) == 0
+    out = capsys.readouterr().out
+    assert f"{path.name}: 1000 Hz" in out
+    assert "judged on: " in out, "nothing is fitted"
+    assert "fitted: " not in out
+    table = Table(title=f"{name}: fit")
+    table.add_column(name)
+    table.add_row(name)
+    print_whole(table)
+    assert capsys.readouterr().out.count(name) == 3
+
+
+def test_a_pipe_gets_whole_lines(capsys):
+    print_whole("word " * 100)
+    assert capsys.readouterr().out.count("\n") == 1
+
+
+def test_a_study_says_what_was_varied_and_what_is_false():
+    study = Study(
+        runs=7,
+        noise=Noise(encoder_step=2e-5, position=1e-6, effort_percent=2.0),
+        cutoffs=(5.0, 0.0),
+        starts=(0.05, 20.0),
+        gain_errors=(0.7,),
+        duration_s=4.0,
+    )
+    settings, meaning = study_notes(study)
+    for part in (
+        "7 runs of 4 s at 1000 Hz",
+        "encoder step 2e-05",
+        "position 1e-06",
+        "effort 2 %",
+        "5, none x bandwidth",
+    ):
+        assert part in settings
+    assert "start 0.05, 20 x true inertia" in settings
+    assert "gains 0.7 x true" in settings
+    assert f"more than {FALSE_ERROR:g} times" in meaning
