@@ -151,12 +151,12 @@ def difference_table(a: Values, b: Values) -> RenderableType:
     """Two sets of parameters for the terminal; sigma is the larger of its two deviations."""
     rows = differences(a, b)
     table = Table(title=Text(f"{a.label} and {b.label}"), title_justify="left")
-    for column in ("parameter", "unit"):
+    for column in ("name", "unit"):
         table.add_column(column)
     for values in (a, b):
         table.add_column(Text(values.label), justify="right")
         table.add_column("sigma", justify="right")
-    for column in ("difference", "%", "in sigma"):
+    for column in ("off by", "%", "in sigma"):
         table.add_column(column, justify="right")
     for row in rows:
         known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]

@@ -16,7 +16,7 @@ from .fit import Fit, InstrumentEvidence
 from .fit_file import base_json
 from .plan import Plan
 from .signals import Signals
-from .study import Run, summaries
+from .study import FALSE_ERROR, Run, Study, summaries
 
 
 def base_table(base: BaseParameters, robot: str) -> Table:
@@ -56,7 +56,13 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
         f"cond(W) {e.condition_number:.4f}, with columns of norm one {e.condition_number_scaled:.4f}; {e.rows} rows"
     )
     status = f"status: {fit.status}" + (f": {fit.iv.reason}" if fit.iv and fit.iv.reason else "")
-    lines = [*plan_lines(signals, fit.plan), condition, kept, *(iv_lines(fit.iv) if fit.iv else []), status]
+    lines = [
+        *plan_lines(signals, fit.plan, used="fitted"),
+        condition,
+        kept,
+        *(iv_lines(fit.iv) if fit.iv else []),
+        status,
+    ]
     return Group(
         table,
         *(iv_tables(fit.iv) if fit.iv else []),
@@ -119,8 +125,8 @@ def iv_lines(iv: InstrumentEvidence) -> list[str]:
 def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> Table:
     """A study's summaries: one row per cut-off and method."""
     table = Table(title=f"{robot}: {len(runs)} runs", title_justify="left")
-    columns = ("cut-off", "method", "runs", "bias %", "spread %", "median error %", "worst error %", "sigma/spread")
-    for column in (*columns, "HAC/spread", "within 3 sigma %", "converged %", "passes", "false %"):
+    columns = ("cut-off", "method", "runs", "bias %", "spread %", "median error %", "worst error %", "sigma / spread")
+    for column in (*columns, "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %"):
         table.add_column(column, justify="left" if column in ("cut-off", "method") else "right")
     for s in summaries(runs, true):
         numbers = (s.bias_percent, s.spread_percent, s.median_error_percent, s.worst_error_percent)
@@ -136,20 +142,37 @@ def study_table(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> T
     return table
 
 
+def study_notes(study: Study) -> list[str]:
+    """Under a study's table: what was simulated and varied, and what `false %` counts."""
+    noise = study.noise
+
+    def listed(values: Sequence[float]) -> str:
+        return ", ".join(f"{x:g}" if x else "none" for x in values)
+
+    return [
+        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; noise: encoder step "
+        f"{noise.encoder_step:g}, position {noise.position:g} (rad or m), effort {noise.effort_percent:g} % of its rms; "
+        f"drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
+        f"{listed(study.gain_errors)} x true",
+        "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
+        f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is",
+    ]
+
+
 def truth_table(fits: Sequence[Fit], true: NDArray[np.float64]) -> RenderableType:
     """Estimates beside the values (b,) that a recording was simulated with; off by how many deviations, HAC or formula."""
     table = Table(title="against the values simulated with", title_justify="left")
     table.add_column("parameter")
     table.add_column("true", justify="right")
     for fit in fits:
-        for column in (fit.method, "sigma", "off by"):
+        for column in (fit.method, "sigma", "off by,\nsigma"):
             table.add_column(column, justify="right")
     for i, name in enumerate(fits[0].base.names):
         d = _decimals(min(_deviation(fit)[i] for fit in fits))
         cells = []
         for fit in fits:
             sigma = _deviation(fit)[i]
-            off = f"{(fit.beta[i] - true[i]) / sigma:+.1f} sigma" if sigma > 0 else "-"
+            off = f"{(fit.beta[i] - true[i]) / sigma:+.1f}" if sigma > 0 else "-"
             cells += [f"{fit.beta[i]:.{d}f}", f"{sigma:.{d}f}", off]
         table.add_row(name, f"{true[i]:.{d}f}", *cells)
     lines = []
@@ -193,8 +216,8 @@ def errors_table(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Tab
     return table
 
 
-def plan_lines(signals: Signals, plan: Plan) -> list[str]:
-    """The settings in words."""
+def plan_lines(signals: Signals, plan: Plan, *, used: str = "judged on") -> list[str]:
+    """The settings in words; `used` says what is done with the span."""
     fs = signals.sample_rate_hz
     if plan.cutoff_hz is None:
         cutoff = "no low-pass"
@@ -203,7 +226,7 @@ def plan_lines(signals: Signals, plan: Plan) -> list[str]:
         cutoff = f"low-pass {plan.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
     return [
         f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {plan.decimation}",
-        f"fitted: {plan.span}, {plan.start / fs:.3f} s to {plan.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
+        f"{used}: {plan.span}, {plan.start / fs:.3f} s to {plan.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
     ]
 
 
