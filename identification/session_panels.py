@@ -42,14 +42,15 @@ def span_lanes(signals: Signals, plan: Plan | None, *, fitted: bool) -> Lanes | 
 
 
 def event_log(signals: Signals) -> Log | None:
-    """What happened, None where nothing did. Times outside of the samples are said in words and stand at their ends."""
+    """What happened, None where nothing did. The seconds stand in the text: a viewer's column of times is too narrow for them.
+
+    What is outside of the samples stands at their ends.
+    """
     end_s, lines = float(signals.t_s[-1]), []
     for event in signals.events[:MOST_LINES]:
         at = within(event.t_s, end_s)
-        told = (
-            "" if at == event.t_s else f" ({abs(event.t_s - at):.3g} s {'before' if at == 0 else 'after'} the samples)"
-        )
-        lines.append((at, event.kind not in EXPECTED, f"{event.kind}: {event.text}{told}"))
+        told = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
+        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{told}"))
     return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
 
 

@@ -131,8 +131,8 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     lanes = span_lanes(signals, None, fitted=True).lanes
     assert [(t, text) for t, text, _ in lanes["phase"]] == [(0.0, "settle"), (0.5, "track"), (end_s, "stop")]
     lines = event_log(signals).lines
-    assert lines[0] == (0.0, False, "phase: configure (3 s before the samples)")
-    assert lines[3] == (1.0, True, "fault: drive 2: following error")
+    assert lines[0] == (0.0, False, "-3.000 s  phase: configure (before the samples)")
+    assert lines[3] == (1.0, True, "1.000 s  fault: drive 2: following error")
     plot = health_plot(signals)
     assert plot.title == "counted: late 3"
     assert "- recorder: frames 9900, late 3\n" in file.static["/report"]["TextDocument:text"][0]
