@@ -2,11 +2,12 @@
 
 import math
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from .diagnostics import are_moving, autocorrelation
 from .dynamics import Dynamics
 from .filtering import Motion, motion_between
 from .fit import Fit
@@ -23,6 +24,8 @@ MODEL_PER_CUTOFF = (
 )
 DROWNED = 3.0  # a raw derivative whose peak is this many times the filtered one's is off until asked for
 LAGS = 60  # of the autocorrelation, in decimated samples
+SHOWN_DEVIATIONS = 4.0  # of the residual: to where its distribution is drawn
+TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of normal x
 _BLOCK = 200_000  # samples at a time, so that a long recording is not held in every form at once
 
 
@@ -36,6 +39,7 @@ class Observed:
             a fit it has no tau.
         simulated: the robot simulated with the estimate; empty where there is none.
         rows_t_s, residual: (rows,), (rows, n) the decimated rows that the estimator saw, all of them.
+        moving: (rows, n) where a row's joint moves.
     """
 
     measured: dict[str, list[Line]]
@@ -43,20 +47,28 @@ class Observed:
     simulated: dict[str, list[Line]]
     rows_t_s: Vector
     residual: Vector
+    moving: NDArray[np.bool_]
 
 
 def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
     """What the plots of a recording show; `plan` says how it is, or would be, filtered."""
     n, N, fs = signals.robot.n, len(signals.q), signals.sample_rate_hz
     measured = _thinned(signals, None, 0, N, step=thinning(N))
-    nothing = np.zeros(0), np.zeros((0, n))
+    only = Observed(
+        measured=measured,
+        filtered={},
+        simulated={},
+        rows_t_s=np.zeros(0),
+        residual=np.zeros((0, n)),
+        moving=np.zeros((0, n), bool),
+    )
     if plan is None:
-        return Observed(measured=measured, filtered={}, simulated={}, rows_t_s=nothing[0], residual=nothing[1])
+        return only
     stride = model_stride(signals, plan)
     step = thinning(-(-(plan.stop - plan.start) // stride))
     filtered = _thinned(signals, plan, plan.start, plan.stop, step=step, stride=stride, fit=fit)
     if fit is None:
-        return Observed(measured=measured, filtered=filtered, simulated={}, rows_t_s=nothing[0], residual=nothing[1])
+        return replace(only, filtered=filtered)
     simulated: dict[str, list[Line]] = {}
     if fit.iv is not None and fit.iv.simulated is not None:
         m = fit.iv.simulated
@@ -65,7 +77,7 @@ def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - fit.iv.q)):
             kept = [extremes(x[:, j], step) for j in range(n)]
             simulated[quantity] = [(t_s[k], x[k, j]) for j, k in enumerate(kept)]
-    tau, predicted, _ = torque_of_recording(signals, plan, Dynamics(signals.robot), fit.base, fit.beta)
+    tau, predicted, speed = torque_of_recording(signals, plan, Dynamics(signals.robot), fit.base, fit.beta)
     return Observed(
         measured=measured,
         filtered=filtered,
@@ -73,6 +85,7 @@ def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
         # Decimation keeps the last sample and every n_d-th before it.
         rows_t_s=signals.t_s[plan.stop - 1 - plan.decimation * np.arange(len(tau))[::-1]],
         residual=tau - predicted,
+        moving=are_moving(speed),
     )
 
 
@@ -141,34 +154,35 @@ def tracking_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, 
     if fit is not None and fit.plan.cutoff_hz is not None:
         # The key puts it after, so in front of, what is measured.
         curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=seen.filtered["q"][j]))
+    # The robot's own tracking and the simulation's, in few words: six of these panels share a screen's width.
+    title = f"q {joint.name} [{joint.position_unit}]"
     if signals.q_ref is not None:
         k = extremes(signals.q_ref[:, j], thinning(len(signals.q_ref)))
         curves.append(Curve(key="reference", color=REFERENCE, line=(signals.t_s[k], signals.q_ref[k, j]), width=1.5))
-    told = ""
+        rms = float(np.sqrt(np.mean((signals.q_ref[:, j] - signals.q[:, j]) ** 2)))
+        title = f"q {joint.name}, {'' if seen.simulated else 'tracked to '}{rms:.2g} {joint.position_unit} rms"
     if seen.simulated:
         curves.append(Curve(key="simulated", color=SIMULATED, line=seen.simulated["q"][j]))
         off = fit.iv.direct[j].position_error_percent if fit is not None and fit.iv is not None else None
-        told = "" if off is None else f", {off:.2g} % off"
-    elif signals.q_ref is not None:
-        told = f", rms error {np.sqrt(np.mean((signals.q_ref[:, j] - signals.q[:, j]) ** 2)):.2g}"
-    title = f"q {joint.name} [{joint.position_unit}]{told}"
+        title += "" if off is None else f", sim {off:.2g} %"
     return Plot(path=("q", joint.name), title=title, curves=tuple(curves), legend=legend)
 
 
 def torque_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, legend: bool = True) -> Plot:
     """Is the torque of joint j explained: measured, inverse model, simulated robot, residual."""
-    name, told = signals.robot.joints[j].name, ""
+    name, off = signals.robot.joints[j].name, {}
     curves = [Curve(key="measured", color=MEASURED, line=seen.measured["tau"][j], width=2.0)]
     if fit is not None:
-        error = fit.errors[j].relative_error_percent
-        told = "" if error is None else f", IDM {error:.1f} % off"
+        off["IDM"] = fit.errors[j].relative_error_percent
         curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=seen.filtered["tau"][j]))
         curves.append(Curve(key="residual", color=RESIDUAL, line=(seen.rows_t_s, seen.residual[:, j])))
     if seen.simulated:
-        off = fit.iv.direct[j].torque_error_percent if fit is not None and fit.iv is not None else None
-        told += "" if off is None else f", DDM {off:.1f} % off"
+        off["DDM"] = fit.iv.direct[j].torque_error_percent if fit is not None and fit.iv is not None else None
         curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=seen.simulated["tau"][j]))
-    title = f"{name} [{signals.robot.effort_units[j]}]{told}"
+    # The peak in words: of the axis a small panel shows one number or none.
+    told = [f"{name} [{signals.robot.effort_units[j]}]", f"peak {np.abs(signals.effort[:, j]).max():.3g}"]
+    told += [f"{model} {error:.1f} %" for model, error in off.items() if error is not None]
+    title = ", ".join(told) + (" off" if len(told) > 2 else "")
     return Plot(path=("torque", name), title=title, curves=tuple(curves), legend=legend)
 
 
@@ -204,28 +218,36 @@ def motion_plots(signals: Signals, fit: Fit | None, seen: Observed, j: int) -> l
 
 
 def residual_bars(signals: Signals, fit: Fit, seen: Observed, j: int) -> list[Bars]:
-    """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left."""
+    """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left.
+
+    The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
+    """
     rho, name = seen.residual[:, j], signals.robot.joints[j].name
-    T, s = len(rho), float(np.sqrt(np.mean(rho**2)))
-    if s == 0:
+    T = len(rho)
+    if not rho.any():
         return []
     period_s, bound = fit.plan.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
     lags = np.arange(1.0, min(LAGS, T - 1) + 1)
-    r = np.array([rho[int(k) :] @ rho[: -int(k)] for k in lags]) / (rho @ rho)
-    edge = min(6.0 * s, float(np.abs(rho).max()))
-    counts, edges = np.histogram(rho, bins=31, range=(-edge, edge))
+    r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
+    told = f", lag-1 {r[0]:.2f}" if len(r) else ""
+    shown = moving if len(moving := rho[seen.moving[:, j]]) else rho
+    # Of the middle of the rows, so that a few far ones do not make it.
+    s = float(TO_DEVIATION * np.median(np.abs(shown))) or float(np.sqrt(np.mean(rho**2)))
+    edge = SHOWN_DEVIATIONS * s
+    outside = int((np.abs(shown) > edge).sum())
+    counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
     width, x = float(edges[1] - edges[0]), np.linspace(-edge, edge, 301)[:-1]
-    normal = T * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
+    normal = len(shown) * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
     return [
         Bars(
             path=("residual", name, "autocorrelation"),
-            title=f"{name} autocorrelation [s]",
+            title=f"{name} autocorrelation over lag [s]{told}, grey ±2/√N",
             front=((lags - 0.3) * period_s, 0.6 * period_s, r),
             back=(np.zeros(2), (len(lags) + 0.5) * period_s, np.array([bound, -bound])),
         ),
         Bars(
             path=("residual", name, "distribution"),
-            title=f"{name} residual [{signals.robot.effort_units[j]}]",
+            title=f"{name} residual [{signals.robot.effort_units[j]}], sigma {s:.2g}, {outside} outside",
             front=(np.asarray(edges[:-1], dtype=float), width, counts.astype(float)),
             back=(x, float(x[1] - x[0]), normal),
         ),

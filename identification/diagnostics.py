@@ -30,15 +30,25 @@ class TorqueError:
 
 def torque_errors(tau: Vector, predicted: Vector, speed: Vector, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
     """Torque errors of each joint and, last and under the name `all`, of all joints; all arrays (rows, n)."""
-    moving = np.abs(speed) > MOVING * np.abs(speed).max(axis=0)
+    moving = are_moving(speed)
     rho = tau - predicted
     each = [_torque_error(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
     return (*each, _torque_error("all", tau, rho, moving))
 
 
+def are_moving(speed: Vector) -> NDArray[np.bool_]:
+    """Where joints move (rows, n): faster than 2 % of their peak speed."""
+    return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
+
+
 def lag_one(rho: Vector) -> float | None:
     """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are zero."""
-    r, following = rho[:-1].ravel(), rho[1:].ravel()
+    return autocorrelation(rho, 1)
+
+
+def autocorrelation(rho: Vector, lag: int) -> float | None:
+    """That of residuals (rows,) or (rows, n) at a lag of some rows; None where they are zero."""
+    r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
 

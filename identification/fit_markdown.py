@@ -60,8 +60,16 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
             else []
         ),
         "- Residual, in red: of the decimated rows, measured and modelled torque through the same filter, as fitted; its "
-        "autocorrelation over the lag, in grey the bounds ±2/√N of white noise; its distribution as numbers of rows, in grey "
-        "the normal one.",
+        "autocorrelation over the lag, in grey the bounds ±2/√N of white noise; the distribution of the rows that move, within "
+        "four sigma (1.48 times the median of its size), in grey the normal one.",
+        *(
+            [
+                "- Over a position: rms of the reference less the measured position; sim, in percent of its variation, how far "
+                "the simulated robot is off the measured position."
+            ]
+            if signals.q_ref is not None and fit.iv and fit.iv.simulated
+            else []
+        ),
         *_drawn(signals, fit.plan, "Filtered curves and IDM"),
         f"\n`{signals.recording}` sha256 `{signals.sha256}`",
     ]

@@ -147,11 +147,12 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, trut
     )
     trust = [show(trust_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
     bars = [b for j in range(n) for b in residual_bars(signals, fit, seen, j)]
-    residual = [show(b) for b in (*bars[::2], *bars[1::2])]
+    columns = min(len(bars) // 2, 3 if n <= 6 else 4)  # a title with its numbers wants a third of a screen
+    residual = [rrb.Grid(*map(show, bars[k::2]), grid_columns=columns) for k in (0, 1) if bars]
     return [
         _answer(show, signals, fit, *curves, side),
         rrb.Horizontal(*trust, column_shares=[3, 1][: len(trust)], name="parameters"),
-        *([rrb.Grid(*residual, grid_columns=len(bars) // 2, name="residual")] if residual else []),
+        *([rrb.Vertical(*residual, name="residual")] if residual else []),
         *_signal_pages(show, signals, fit.plan, fitted=True),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
     ]
@@ -178,7 +179,9 @@ def _answer(
     n = signals.robot.n
     columns = 1 if n == 1 else 2 if n == 2 else 3 if n <= 6 else 4
     follow = rrb.Horizontal(
-        rrb.Grid(*map(show, tracking), grid_columns=columns), show(robot_scene(signals, fit)), column_shares=[2, 1]
+        rrb.Grid(*map(show, tracking), grid_columns=columns),
+        show(robot_scene(signals, fit)),
+        column_shares=[2 if n <= 4 else 3, 1],
     )
     explained = rrb.Grid(*map(show, torque), grid_columns=1 if n == 1 else 2 if n == 2 else columns)
     name = "overview" if fit else "recording"

@@ -178,7 +178,7 @@ IDENTIFICATION = {
     "report": {"base_parameters", "diagnostics", "filtering", "fit", "fit_file", "plan", "signals", "study"},
     "panels": set(),
     "comparison": {"__init__", "fit", "fit_file"},
-    "curves": {"dynamics", "filtering", "fit", "panels", "plan", "regression", "signals"},
+    "curves": {"diagnostics", "dynamics", "filtering", "fit", "panels", "plan", "regression", "signals"},
     "charts": {"comparison", "fit", "panels", "plan", "signals", "study"},
     "session_panels": {"panels", "plan", "signals"},
     "robot_drawing": {"dynamics", "fit", "panels", "signals"},

@@ -200,6 +200,12 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     np.testing.assert_allclose(x, simulated.q[:, 0] - fit.iv.q[:, 0])
     np.testing.assert_allclose(signals.q[k, 0] + x, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
     titles = {origin: title for origin, (_, title) in file.views.items()}
+    d, unit = fit.iv.direct[0], signals.robot.joints[0].position_unit
+    own = (
+        "" if signals.q_ref is None else f", {np.sqrt(np.mean((signals.q_ref - signals.q)[:, 0] ** 2)):.2g} {unit} rms"
+    )
+    expected = f"q {name}{own or f' [{unit}]'}, sim {d.position_error_percent:.2g} %"
+    assert titles[f"/q/{name}".replace(" ", "\\ ")] == expected
     assert f"{fit.iv.direct[0].torque_error_percent:.1f} %" in titles[f"/torque/{name}".replace(" ", "\\ ")]
     assert fit.status in titles["/passes"]
     labels = file.static["/passes/labels"]["Points2D:labels"]
@@ -234,11 +240,13 @@ def test_an_empty_panel_would_be_noticed(written):
 def test_titles_say_joint_unit_and_error(written):
     signals = made_up(types=("prismatic", "revolute"))
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
-    error = fitted(signals).errors[0].relative_error_percent
-    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], IDM {error:.1f} % off"
+    error, peak = fitted(signals).errors[0].relative_error_percent, np.abs(signals.effort[:, 0]).max()
+    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], peak {peak:.3g}, IDM {error:.1f} % off"
     assert titles["/torque/joint\\ 2.x"].startswith("joint 2.x [N m]")
     assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
     assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
+    tracked = written(made_up(types=("prismatic",), reference=True), name="t.rrd").views
+    assert tracked["/q/joint\\ 1.x"][1] == "q joint 1.x, tracked to 0.01 m rms"
     in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
     assert in_amperes["/torque/joint\\ 1.x"][1].startswith("joint 1.x [A]")
 
@@ -391,12 +399,34 @@ def test_the_residual_is_shown_against_white_noise(written):
     middle = values("autocorrelation", "front", "abscissa") + values("autocorrelation", "front", "widths") / 2
     period_s = fitted(signals).plan.decimation / FS
     np.testing.assert_allclose(middle, period_s * np.arange(1, len(r) + 1), rtol=1e-6)
-    assert r[0] == pytest.approx(rho[1:] @ rho[:-1] / (rho @ rho))
-    assert r[4] == pytest.approx(rho[5:] @ rho[:-5] / (rho @ rho))
+    for k in (1, 5):
+        assert r[k - 1] == pytest.approx(rho[k:] @ rho[:-k] / np.linalg.norm(rho[k:]) / np.linalg.norm(rho[:-k]))
+    assert r[0] == pytest.approx(fitted(signals).errors[0].autocorrelation), "the one of the table"
     np.testing.assert_allclose(values("autocorrelation", "back"), np.array([2, -2]) / np.sqrt(len(rho)))
-    assert values("distribution", "front").sum() == len(rho)
+    assert f"lag-1 {r[0]:.2f}" in file.views["/residual/joint\\ 1.x/autocorrelation"][1]
+    moving = fitted(signals).errors[0].moving_rows
+    assert moving < len(rho)
+    assert values("distribution", "front").sum() == moving
+    assert file.views["/residual/joint\\ 1.x/distribution"][1].endswith(", 0 outside")
     # The normal one stands for as many rows.
-    assert values("distribution", "back").sum() * 31 / 300 == pytest.approx(len(rho), rel=0.05)
+    assert values("distribution", "back").sum() * 31 / 300 == pytest.approx(moving, rel=0.05)
+
+
+def test_a_few_far_residuals_do_not_squeeze_the_distribution(written, monkeypatch):
+    signals = made_up()
+    rng = np.random.default_rng(3)
+    rho, speed = 0.3 * rng.standard_normal((1000, 2)), np.ones((1000, 2))
+    rho[:12, 0] = 1000.0
+    rho[12:20, 0], speed[12:20, 0] = 1000.0, 0.0  # standing: not counted at all
+    monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (rho, np.zeros_like(rho), speed))
+    file = written(signals, replace(fitted(signals), plan=replace(fitted(signals).plan, decimation=1)))
+    title = file.views["/residual/joint\\ 1.x/distribution"][1]
+    sigma = float(title.split("sigma ")[1].split(",")[0])
+    assert sigma == pytest.approx(0.3, rel=0.1)
+    assert title.endswith(", 12 outside")
+    counts = np.array(file.static["/residual/joint\\ 1.x/distribution/front"]["BarChart:values"][0]["buffer"])
+    assert counts.sum() == 980
+    assert (counts > 0).sum() > 15, "not one bar"
 
 
 def test_a_fit_that_leaves_nothing_has_no_residual_page(written, monkeypatch):
