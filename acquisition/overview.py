@@ -4,8 +4,8 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from rich import box
-from rich.console import Group
+from rich.console import Console, ConsoleOptions, Group, RenderResult
+from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -39,7 +39,10 @@ class FrameCount:
 
 @dataclass(frozen=True, kw_only=True)
 class Overview:
-    """What `robot-acquire info` tells; plain data."""
+    """What `robot-acquire info` tells; plain data. Stamps are the recording's; tables tell them from `first_ns` on.
+
+    `first_ns` is the stamp of the first sample, of the first frame where there are no samples, None without either.
+    """
 
     robot: str
     source: str
@@ -49,6 +52,7 @@ class Overview:
     samples: int
     sample_rate_hz: float
     duration_s: float
+    first_ns: int | None
     has_reference: bool
     joints: tuple[JointRange, ...]
     effort_provenance: str
@@ -64,7 +68,9 @@ def overview(recording: Recording) -> Overview:
     """Sum up a recording. `health` is the last one recorded; `attachments` maps names to sizes in bytes."""
     samples, robot = recording.samples, recording.robot
     joints: list[JointRange] = []
+    firsts = [int(block["time_ns"].min()) for block in recording.frames.values() if len(block)]
     if samples is not None:
+        firsts = [int(samples["stamp_ns"][0])]
         q, effort = samples["position"], samples["effort"]
         for i, joint in enumerate(robot.joints):
             joints.append(
@@ -85,6 +91,7 @@ def overview(recording: Recording) -> Overview:
         samples=0 if samples is None else len(samples),
         sample_rate_hz=recording.sample_rate_hz,
         duration_s=0.0 if samples is None else int(samples["stamp_ns"][-1] - samples["stamp_ns"][0]) * 1e-9,
+        first_ns=min(firsts, default=None),
         has_reference=samples is not None and "reference" in (samples.dtype.names or ()),
         joints=tuple(joints),
         effort_provenance=recording.metadata.get("effort_provenance", ""),
@@ -110,24 +117,45 @@ def as_tables(found: Overview) -> Group:
     facts = _table()
     for name, value in _facts(found):
         facts.add_row(Text(name, style="bold"), _plain(value))
-    parts: list[Table] = [facts]
+    parts = [facts]
     if found.joints:
         joints = _table("joint", "position", "", "unit", "effort", "", "unit")
         for j in found.joints:
             low_high = [f"{value:.5g}" for value in (*j.position, *j.effort)]
             joints.add_row(_plain(j.name), *low_high[:2], j.position_unit, *low_high[2:], j.effort_unit)
         parts.append(joints)
+    since = "at, s" if found.first_ns is None else f"s from the first {'sample' if found.samples else 'frame'}"
     if found.gaps:
-        holes = _table("gap after row", "at", "samples missing")
+        holes = _table("gap after row", since, "samples missing")
         for gap in found.gaps[:_SHOWN]:
-            holes.add_row(str(gap.row + 1), f"{gap.stamp_ns * 1e-9:.6f} s", str(gap.missing))
+            holes.add_row(str(gap.row + 1), _seconds(gap.stamp_ns, found), str(gap.missing))
         parts.append(holes)
     if found.events:
-        events = _table("event", "at", "")
+        events = _table("event", since, "")
         for event in found.events[:_SHOWN]:
-            events.add_row(_plain(event.kind), f"{event.stamp_ns * 1e-9:.6f} s", _plain(event.text))
+            events.add_row(_plain(event.kind), _seconds(event.stamp_ns, found), _plain(event.text))
         parts.append(events)
-    return Group(*parts)
+    return Group(*(part for table in parts for part in (_Trimmed(table), Text())))
+
+
+def _seconds(stamp_ns: int, found: Overview) -> str:
+    return f"{(stamp_ns - (found.first_ns or 0)) * 1e-9:.6f}"
+
+
+@dataclass(frozen=True)
+class _Trimmed:
+    """A table whose lines end where their text does: one long line would pad all others to its length."""
+
+    table: Table
+
+    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
+        for line in console.render_lines(self.table, options, pad=False):
+            while line and not line[-1].text.strip():
+                line.pop()
+            yield from line[:-1]
+            if line:
+                yield Segment(line[-1].text.rstrip(), line[-1].style)
+            yield Segment.line()
 
 
 def _facts(found: Overview) -> Iterator[tuple[str, str]]:
@@ -152,7 +180,10 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
 
 
 def _table(*columns: str) -> Table:
-    return Table(*columns, box=box.SIMPLE_HEAD if columns else None, show_header=bool(columns))
+    table = Table(box=None, show_header=bool(columns))
+    for column in columns or ("", ""):
+        table.add_column(column, overflow="fold")  # a hash or a name is broken before it is cut short
+    return table
 
 
 def _plain(text: str) -> Text:

@@ -104,6 +104,35 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(
     assert not {c for c in text if ord(c) < 32} - {"\n"}
 
 
+def test_info_tells_times_from_the_first_sample_and_pads_no_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    start_ns, text = 1_795_260_831_000_000_000, "disabled: " + "every drive confirmed " * 20
+    samples, frames = some_samples(100), some_frames(20)
+    samples["stamp_ns"] += start_ns - samples["stamp_ns"][0]
+    frames["time_ns"] += start_ns - frames["time_ns"][0]
+    for name, block in (("sample", samples), ("frame", None)):
+        with RecordingWriter(
+            tmp_path / name, robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance=""
+        ) as writer:
+            writer.event(start_ns - 22_000_000, "phase", "configure")
+            if block is None:
+                writer.frames("can0", frames)
+            else:
+                writer.samples(block)
+            writer.event(start_ns + 12_218_000_000, "end", text)
+        assert main(["info", str(tmp_path / name)]) == 0
+        told = capsys.readouterr().out
+        assert f"s from the first {name}" in told
+        lines = [line.split() for line in told.splitlines()]
+        assert ["phase", "-0.022000", "configure"] in lines
+        assert ["end", "12.218000", *text.split()] in lines
+        assert not [line for line in told.splitlines() if line != line.rstrip()]
+        assert sum(len(line) > 120 for line in told.splitlines()) == 1
+        assert main(["info", str(tmp_path / name), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["first_ns"] == start_ns
+
+
 def test_a_recording_without_samples_has_an_overview(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with RecordingWriter(
         tmp_path / "a.mcap", robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance=""
