@@ -68,3 +68,19 @@ def test_every_key_of_a_description_is_explained():
     for table in tables:
         for field in fields(table):
             assert field.name in named, f"{table.__name__}.{field.name} is not in the README"
+
+
+def test_every_option_of_identify_is_named():
+    parser = identify_parser()
+    commands = next(action for action in parser._actions if action.choices)
+    for name, command in commands.choices.items():
+        for action in command._actions:
+            longest = max(action.option_strings, key=len, default="--help")
+            assert longest == "--help" or re.search(rf"{longest}\b|`{action.option_strings[0]} ", README), (
+                f"{name} {longest}"
+            )
+
+
+def test_every_picture_is_shown():
+    pictures = {path.name for path in (REPLAY / "pictures").iterdir()}
+    assert set(re.findall(r"!\[[^]]*\]\(replay_data/pictures/([^)]*)\)", README)) == pictures

@@ -1,10 +1,11 @@
 """The robots that come along: each recording fits as it stands and gives the fit and the truth beside it."""
 
 import json
+import re
 
 import numpy as np
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, ROOT
 
 from identification.__main__ import main
 from identification.base_parameters import base_parameters
@@ -33,12 +34,37 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     np.testing.assert_allclose([p["value"] for p in true], truth(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15)
 
 
+def compare_with_readme(out: str) -> None:
+    """The lines that the README shows of a demo are those of this one, to three digits of a value and the deviations' size."""
+    shown = (ROOT / "README.md").read_text().split("line that opens the picture:")[1].split("`session/` then holds")[0]
+    against = out.split("against the values simulated with")[1]
+    told = {cells[0]: cells for line in against.splitlines() if len(cells := re.findall(r"[^\s│┃]+", line)) == 8}
+    rows = [line.split() for line in shown.splitlines() if len(line.split()) == 8]
+    assert [row[0] for row in rows] == ["parameter", "ZZ1R", "Fv1", "Fc1"]
+    assert rows[0] == told["parameter"]
+    for row in rows[1:]:
+        here = told[row[0]]
+        for k, (a, b) in enumerate(zip(row[1:], here[1:], strict=True), 1):
+            tolerance = {"abs": 0.11} if k in (4, 7) else {"rel": 0.05} if k in (3, 6) else {"rel": 5e-3}
+            assert float(b) == pytest.approx(float(a), **tolerance), f"{row[0]}, column {k}"
+    for method in ("wls", "iv"):
+        line, now = (
+            next(line for line in text.splitlines() if line.strip().startswith(f"{method}: "))
+            for text in (shown, against)
+        )
+        a, b = ([float(x) for x in re.findall(r"[0-9.]+", text.split(": ")[1])] for text in (line, now))
+        assert re.sub(r"[0-9.]+", "x", line).strip() == re.sub(r"[0-9.]+", "x", now).strip()
+        assert a[0] == pytest.approx(b[0], abs=1)
+        assert a[3] == pytest.approx(b[3], rel=0.05)
+
+
 def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
     assert main(["demo", "--out", str(tmp_path / "out")]) == 0
     out = capsys.readouterr().out
     assert "TX40: WLS, 60 parameters" in out
     assert "TX40: IV, 60 parameters" in out
+    compare_with_readme(out)
     within = int(out.split("iv: ")[1].split(" of 60 within 3 sigma")[0])
     assert within >= 58
     names = {p.name for p in (tmp_path / "out").iterdir()}
