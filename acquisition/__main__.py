@@ -172,9 +172,15 @@ def _simulate(arguments: argparse.Namespace) -> None:
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
     stop, end_s = Stop(), time.monotonic() + (arguments.duration if arguments.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
-    print(f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}", file=sys.stderr, flush=True)
+    told = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
     with stop_on_signals(stop):
-        serve(robot, bus, lambda: bool(stop.reason) or time.monotonic() > end_s, plant)
+        serve(
+            robot,
+            bus,
+            lambda: bool(stop.reason) or time.monotonic() > end_s,
+            plant,
+            ready=lambda: print(told, file=sys.stderr, flush=True),
+        )
 
 
 def _import(arguments: argparse.Namespace) -> None:

@@ -25,6 +25,7 @@ _SO_MEMINFO, _DROPS = 55, 8  # of Linux: nine counters, the last one counts fram
 _SO_RCVBUFFORCE = 33
 _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
 _TIMESPEC_BYTES = 16
+DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
 
 
 class Frame(NamedTuple):
@@ -48,6 +49,8 @@ class Link:
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        # A multicast group gives back what was sent: frames on their way back to us.
+        self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if _is_group(bus) else None
 
     def now_ns(self) -> int:
         """Time of this link, of events and deadlines: the clock's at its opening, and never set back or forth since."""
@@ -59,6 +62,8 @@ class Link:
             _refuse_to_send()
         import can
 
+        if self._own is not None:
+            self._own.append((can_id, data))
         try:
             self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
         except can.CanError as error:
@@ -84,8 +89,11 @@ class Link:
                 raise AcquisitionError(f"bus: cannot be read: {error}") from error
             if message is None:
                 return None
-            if not getattr(message, "is_fd", False):
+            if getattr(message, "is_fd", False):
+                continue
+            if not self._own or (sent := (message.arbitration_id, bytes(message.data))) not in self._own:
                 break
+            self._own.remove(sent)
         frame = _frame_of(message)
         if self._tap is not None:
             self._tap(frame)
@@ -151,11 +159,15 @@ def _refuse_to_send(*_: object, **__: object) -> None:
     raise AcquisitionError("bus: passive: nothing is ever sent: expected an active session for that")
 
 
+def _is_group(bus: Any) -> bool:
+    return getattr(bus, "_multicast", None) is not None
+
+
 def _is_no_frame(bus: Any, error: Exception) -> bool:
     """Whether an error of reading is about a datagram that is no frame, which anyone may send to a group."""
     import can
 
-    return isinstance(error, can.CanOperationError) and getattr(bus, "_multicast", None) is not None
+    return isinstance(error, can.CanOperationError) and _is_group(bus)
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
@@ -260,7 +272,7 @@ class Receiver:
             self._raw = self.sock
 
     def run(self) -> None:
-        """Until `stopped`; an error of the bus ends it and stands in `error`."""
+        """Until `stopped` and what had arrived is taken; an error of the bus ends it and stands in `error`."""
         try:
             if self._raw is None:
                 self._run_messages()
@@ -278,19 +290,28 @@ class Receiver:
                 self._items.append(receive(72, size)[:3])
             except (BlockingIOError, InterruptedError):
                 continue
+        until_s = time.monotonic() + DRAIN_S
+        with suppress(BlockingIOError):  # the queue is empty
+            while time.monotonic() < until_s:
+                self._items.append(receive(72, size, socket.MSG_DONTWAIT)[:3])
 
     def _run_messages(self) -> None:
         import can
 
-        while not self.stopped:
+        until_s = None
+        while until_s is None or time.monotonic() < until_s:
+            if self.stopped and until_s is None:
+                until_s = time.monotonic() + DRAIN_S
             try:
-                message = self._bus.recv(0.1)
+                message = self._bus.recv(0.1 if until_s is None else 0.0)
             except can.CanOperationError as error:
                 if not _is_no_frame(self._bus, error):
                     raise
                 continue
             if message is not None:
                 self._items.append(message)
+            elif until_s is not None:
+                return
 
     def take(self) -> Block:
         """Frames received since the last call, in order."""

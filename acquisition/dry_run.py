@@ -72,12 +72,14 @@ def serve(
     plant: Plant | None = None,
     loops: Loops | None = None,
     faults: Sequence[SimulatedFault] = (),
+    ready: Callable[[], None] = lambda: None,
 ) -> SimulatedDrives:
-    """Simulated drives on the bus of the description, in real time, until `stopped()`."""
+    """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is told when they are there."""
     drives = simulated_drives(robot, bus, plant, loops, faults)
     link = open_link(bus.file, passive=False)
     try:
         sent = drives.boot()
+        ready()
         while not stopped():
             for can_id, data in sent:
                 link.send(can_id, data)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .blocks import FRAME, SENT
-from .bus import Frame, Receiver, block_of, kernel_drops, open_bus
+from .bus import DRAIN_S, Frame, Receiver, block_of, kernel_drops, open_bus
 from .drives import resolve
 from .recorder import Recorded, Recorder, Status
 from .robot import Robot, robot_from_files
@@ -228,7 +228,7 @@ def _record(
             if stop_ns is not None:
                 receiver.stopped = True
                 assert thread is not None
-                thread.join(1.0)
+                thread.join(2 * DRAIN_S)
             block = receiver.take()
             # The kernel marks what any program of this machine sent; here it counts who we are.
             by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)

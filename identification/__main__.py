@@ -310,7 +310,7 @@ def _study(options: argparse.Namespace) -> None:
     from acquisition.robot import load_robot
 
     from .fit_file import write_json
-    from .report import study_table
+    from .report import study_notes, study_table
     from .study import Study, run_study, study_json, study_truth
 
     refuse_clash([options.robot], options.json, options.rrd)
@@ -332,13 +332,14 @@ def _study(options: argparse.Namespace) -> None:
     runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     if not any(run.error_ls > 0 for run in runs):
         raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
-    _print(study_table(robot.name, runs, true))
+    notes = study_notes(study)
+    _print(study_table(robot.name, runs, true), *notes)
     if options.json:
         write_json(options.json, study_json(study, runs, base.names, true))
     if options.rrd:
         from .viewer import write_study_rrd
 
-        write_study_rrd(options.rrd, robot.name, runs, true)
+        write_study_rrd(options.rrd, robot.name, runs, true, notes)
 
 
 def _demo(options: argparse.Namespace) -> None:

@@ -162,8 +162,8 @@ def _number(x: float | None, form: str) -> str:
     return "-" if x is None else format(x, form)
 
 
-def study_markdown(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -> str:
-    """A study's summaries as a table."""
+def study_markdown(robot: str, runs: Sequence[Run], true: NDArray[np.float64], notes: Sequence[str]) -> str:
+    """A study's summaries as a table, and what it varied."""
     lines = [
         f"# {robot}: {len(runs)} runs",
         "",
@@ -175,4 +175,4 @@ def study_markdown(robot: str, runs: Sequence[Run], true: NDArray[np.float64]) -
         share = "" if s.converged_percent is None else f"{s.converged_percent:.1f}"
         errors = (f"{x:.3f}" if math.isfinite(x) else "-" for x in (s.median_error_percent, s.worst_error_percent))
         lines.append(f"| {told} | {s.method} | {' | '.join(errors)} | {share} |")
-    return "\n".join(lines)
+    return "\n".join([*lines, *(f"\n{note}" for note in notes)])

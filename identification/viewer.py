@@ -91,11 +91,14 @@ def write_comparison_rrd(path: Path, own: Values, other: Values) -> None:
     _write(path, name, repr((own, other)), name, pages)
 
 
-def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector) -> None:
-    """Write a study as a Rerun file: entities `study`, every run's error, and `report`. Errors as in `write_fit_rrd`."""
+def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector, notes: Sequence[str] = ()) -> None:
+    """Write a study as a Rerun file: entities `study`, every run's error, and `report` with `notes`.
+
+    Errors as in `write_fit_rrd`.
+    """
 
     def pages(show: "_Show") -> list[Any]:
-        note = Note(path=("report",), title="report", text=study_markdown(robot, runs, true))
+        note = Note(path=("report",), title="report", text=study_markdown(robot, runs, true, notes))
         return [rrb.Horizontal(show(study_drawing(runs)), show(note), column_shares=[3, 2], name="study")]
 
     _write(

@@ -330,7 +330,9 @@ def test_study_reports_both_methods(capsys, tmp_path):
         == 0
     )
     assert (tmp_path / "s.rrd").stat().st_size > 1000
-    assert "SCARA: 4 runs" in capsys.readouterr().out
+    told = capsys.readouterr().out
+    assert "SCARA: 4 runs" in told
+    assert "noise: encoder step 2e-05, position 0 (rad or m), effort 2 % of its rms" in told
     study = json.loads(out.read_text())
     assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]
     assert {s["method"] for s in study["summaries"]} == {"wls", "iv"}

@@ -299,6 +299,25 @@ def test_a_datagram_that_is_no_frame_ends_nothing_and_a_bus_that_is_gone_is_left
         Link(alone, passive=False).take(0.1)
 
 
+def test_a_group_gives_back_what_was_sent_and_only_that_is_left_out():
+    class Loop(Group):
+        def __init__(self):
+            self.items = []
+
+        def send(self, message, timeout):
+            self.items.append(can.Message(arbitration_id=message.arbitration_id, data=message.data, timestamp=1.0))
+
+        def recv(self, timeout):
+            return self.items.pop(0) if self.items else None
+
+    bus = Loop()
+    link = Link(bus, passive=False)
+    link.send(0x80, b"")
+    assert link.take(0.0) is None
+    bus.items.append(can.Message(arbitration_id=0x80, timestamp=1.0))  # another producer's
+    assert link.take(0.0).can_id == 0x80
+
+
 def test_a_bus_opened_to_listen_cannot_send_whoever_holds_it():
     bus = open_bus(robot_of(bus_text(1, channel="listening")).bus, passive=True)
     with pytest.raises(AcquisitionError, match="passive: nothing is ever sent"):
