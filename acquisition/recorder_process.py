@@ -26,6 +26,7 @@ from .sdo import REQUEST
 BLOCK_S = 0.1
 START_S = 20.0  # for the process to come up
 FINISH_S = 600.0  # to decode a long session
+HUNG_FINISH_S = 10.0  # for one that has told nothing for long
 SILENT_S = 5.0  # a recorder that tells nothing for so long does not write: its disk hangs
 STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # the session's business
 
@@ -85,7 +86,7 @@ class ProcessLog:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         other.close()
         self._expect("ready", START_S)
-        self._heard_s = time.monotonic()
+        self._heard_s, self._hangs = time.monotonic(), False
 
     @property
     def pid(self) -> int | None:
@@ -117,7 +118,8 @@ class ProcessLog:
         if status is not None:
             self._heard_s = time.monotonic()
         silent_s = time.monotonic() - self._heard_s
-        if silent_s > SILENT_S:
+        self._hangs = silent_s > SILENT_S
+        if self._hangs:
             raise AcquisitionError(f"the recorder tells nothing for {silent_s:.1f} s: expected news every 0.5 s")
         return status
 
@@ -126,7 +128,7 @@ class ProcessLog:
         if self._frames:
             self._hand_over()
         self._send(("stop", stamp_ns))
-        found = self._expect("done", FINISH_S)
+        found = self._expect("done", HUNG_FINISH_S if self._hangs else FINISH_S)
         self._process.join(5)
         assert isinstance(found, Recorded)
         return found

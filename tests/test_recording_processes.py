@@ -274,7 +274,9 @@ def test_a_killed_session_leaves_a_whole_file_and_drives_that_stop_by_themselves
         session.kill()
         session.communicate(timeout=30)
         recording = wait_for(out, lambda recording: not recording.cut)
-        assert checked(folder).count("): fault: expected it to be cleared") == 2  # SYNC was lost while they were enabled
+        assert (
+            checked(folder).count("): fault: expected it to be cleared") == 2
+        )  # SYNC was lost while they were enabled
     assert texts(recording, "fault") == ["the session's process is gone"]
     assert SEEN_SYNCS < count(frames_of(recording), 0x80) - 3 <= len(recording.samples)
 

@@ -365,6 +365,9 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
             except AcquisitionError as error:
                 told = str(error)
         assert told.startswith("the recorder tells nothing for")
+        monkeypatch.setattr(recorder_process, "HUNG_FINISH_S", 0.5)
+        with pytest.raises(AcquisitionError, match=r"the recorder did not answer in 0.5 s"):
+            log.finish(time.time_ns())
     finally:
         os.kill(log.pid, signal.SIGCONT)
         log.close()
