@@ -11,7 +11,7 @@ from . import AcquisitionError
 from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 from .cia402 import State
 from .drives import LARGEST_LOAD, Bus, Drive
-from .master import Master, Wire, identity_of
+from .master import Master, Wire
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
 
@@ -103,7 +103,7 @@ def _scale(master: Master, drive: Drive) -> str:
 
 def _agreement(bus: Bus) -> str:
     """What was compared, so that nobody takes for checked what was not."""
-    identity = [d.name for d in bus.drives if d.dictionary is not None and identity_of(d.dictionary)]
+    identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     rated = [d.name for d in bus.drives if d.rated]
     parts = [
         f"{what} of {', '.join(names)}" for what, names in (("identity", identity), ("rated values", rated)) if names

@@ -17,7 +17,7 @@ from .cia402 import (
     state_of,
 )
 from .drives import Bus, Drive
-from .object_dictionary import ObjectDictionary
+from .object_dictionary import IDENTITY
 from .pdo import configuration
 from .sdo import ANSWER, REQUEST, answer_of, check_answer, read_request, write_request
 
@@ -25,7 +25,6 @@ SDO_TIMEOUT_NS = 300_000_000
 START, PRE_OPERATIONAL, RESET_NODE = 1, 128, 129
 OPERATIONAL = 5
 INTERPOLATION_PERIOD = 0x60C2
-IDENTITY = 0x1018
 
 
 class Wire(Protocol):
@@ -240,7 +239,7 @@ class Master:
         found = []
         for drive in self.bus.drives:
             dictionary = drive.dictionary
-            for sub, name, expected in identity_of(dictionary) if dictionary is not None else ():
+            for sub, name, expected in dictionary.identity if dictionary is not None else ():
                 said = self.read(drive.node, IDENTITY, sub)
                 if said != expected:
                     told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
@@ -253,17 +252,6 @@ class Master:
                             f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
                         )
         return found
-
-
-def identity_of(dictionary: ObjectDictionary) -> list[tuple[int, str, int]]:
-    """Vendor and product as far as a dictionary states them, in 1018h or in its [DeviceInfo]: sub-index, name, number."""
-    stated = ((1, "vendor", dictionary.vendor), (2, "product", dictionary.product))
-    found = []
-    for sub, name, number in stated:
-        entry = dictionary.entries.get((IDENTITY, sub))
-        if entry is not None and (entry.value or number):
-            found.append((sub, name, entry.value or number))
-    return found
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:

@@ -12,6 +12,7 @@ from functools import lru_cache
 from . import AcquisitionError
 from .cia402 import INTEGERS
 
+IDENTITY = 0x1018
 LARGEST_DICTIONARY = 4 * 2**20  # bytes
 
 
@@ -33,6 +34,16 @@ class ObjectDictionary:
     vendor: int
     product: int
     product_name: str
+
+    @property
+    def identity(self) -> list[tuple[int, str, int]]:
+        """Vendor and product as far as they are stated, in 1018h or in [DeviceInfo]: sub-index, name, number."""
+        found = []
+        for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product)):
+            entry = self.entries.get((IDENTITY, sub))
+            if entry is not None and (entry.value or number):
+                found.append((sub, name, entry.value or number))
+        return found
 
 
 @lru_cache(maxsize=32)

@@ -15,6 +15,7 @@ from .cia402 import (
     command_of,
 )
 from .drives import Drive
+from .object_dictionary import IDENTITY
 from .pdo import NOT_VALID, PARAMETERS, Pdo, configuration, pdos_of
 from .sdo import (
     ANSWER,
@@ -185,6 +186,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 types[key], values[key] = entry.type, entry.value or 0
                 if not entry.writable:
                     read_only.add(key)
+        values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         for (index, sub), value in list(values.items()):  # PDOs start switched off: a master says what it wants
             if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID

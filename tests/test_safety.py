@@ -23,7 +23,7 @@ from acquisition.bus_description import dictionary_label
 from acquisition.check import look
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run, serve
-from acquisition.master import Master, axis_of, identity_of, interpolation_period
+from acquisition.master import Master, axis_of, interpolation_period
 from acquisition.object_dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
 from acquisition.record import Wanted, record, stop_on_signals
 from acquisition.recorder_process import ProcessLog
@@ -146,9 +146,9 @@ def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
         product=9,
         product_name="",
     )
-    assert identity_of(dictionary) == [(1, "vendor", 0xFB), (2, "product", 7)]
+    assert dictionary.identity == [(1, "vendor", 0xFB), (2, "product", 7)]
     maxon = load_dictionary(needs_data("eds", "maxon_EPOS4.eds").read_bytes(), "maxon", 1)
-    assert identity_of(maxon) == [(1, "vendor", 0xFB), (2, "product", 0x60500000)]
+    assert maxon.identity == [(1, "vendor", 0xFB), (2, "product", 0x60500000)]
 
 
 def test_check_shows_what_the_drive_holds_on_its_scale():
@@ -327,10 +327,13 @@ def test_a_bus_opened_to_listen_cannot_send_whoever_holds_it():
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT])
 def test_signals_ask_for_a_stop(number):
-    stop = Stop()
-    with stop_on_signals(stop):
-        os.kill(os.getpid(), number)
-        time.sleep(0.01)
+    before, stop = signal.signal(number, signal.SIG_DFL), Stop()  # not ignored, as it is where `nohup` runs the tests
+    try:
+        with stop_on_signals(stop):
+            os.kill(os.getpid(), number)
+            time.sleep(0.01)
+    finally:
+        signal.signal(number, before)
     assert stop.reason == f"stopped by {number.name}"
 
 

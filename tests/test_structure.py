@@ -23,7 +23,7 @@ ACQUISITION = {
     "bus": {"__init__", "blocks", "bus_description"},
     "reference": {"__init__", "robot", "table_files"},
     "plants": {"__init__", "blocks", "robot"},
-    "simulated_node": {"cia402", "drives", "pdo", "sdo"},
+    "simulated_node": {"cia402", "drives", "object_dictionary", "pdo", "sdo"},
     "simulated_drives": {"cia402", "drives", "plants", "robot", "simulated_node"},
     "dry_run": {"__init__", "bus", "drives", "plants", "robot", "simulated_drives"},
     "master": {"__init__", "blocks", "bus", "cia402", "drives", "object_dictionary", "pdo", "sdo"},
