@@ -20,6 +20,7 @@ from .bus_description import BusFile
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
 SHARED = ("socketcan", "udp_multicast", "virtual")  # interfaces that several programs (or bus objects) may open at once
+ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, as not received
 _SILENT: dict[str, dict[str, Any]] = {"slcan": {"listen_only": True}}  # what makes an adapter not even acknowledge
 _SO_MEMINFO, _DROPS = 55, 8  # of Linux: nine counters, the last one counts frames dropped before the socket
 _SO_RCVBUFFORCE = 33
@@ -49,8 +50,9 @@ class Link:
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
         self._epoch_ns = time.time_ns() - time.monotonic_ns()
-        # A multicast group gives back what was sent: frames on their way back to us.
-        self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if _is_group(bus) else None
+        # A multicast group and some adapters give back what was sent: frames on their way back to us.
+        echoes = _is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
+        self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if echoes else None
 
     def now_ns(self) -> int:
         """Time of this link, of events and deadlines: the clock's at its opening, and never set back or forth since."""
@@ -85,13 +87,16 @@ class Link:
                 message = self._bus.recv(max(0.0, until_s - time.monotonic()))
             except (can.CanError, OSError) as error:
                 if _is_no_frame(self._bus, error):
+                    if time.monotonic() >= until_s:
+                        return None
                     continue
                 raise AcquisitionError(f"bus: cannot be read: {error}") from error
             if message is None:
                 return None
             if getattr(message, "is_fd", False):
                 continue
-            if not self._own or (sent := (message.arbitration_id, bytes(message.data))) not in self._own:
+            sent = (message.arbitration_id, bytes(message.data))
+            if not self._own or sent not in self._own or (message.is_rx and not _is_group(self._bus)):
                 break
             self._own.remove(sent)
         frame = _frame_of(message)
@@ -167,7 +172,8 @@ def _is_no_frame(bus: Any, error: Exception) -> bool:
     """Whether an error of reading is about a datagram that is no frame, which anyone may send to a group."""
     import can
 
-    return isinstance(error, can.CanOperationError) and _is_group(bus)
+    failed = isinstance(error.__cause__, OSError)  # of the socket itself
+    return isinstance(error, can.CanOperationError) and _is_group(bus) and not failed
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:

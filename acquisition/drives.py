@@ -141,10 +141,10 @@ def _refuse_pdos(bus: Bus, place: str) -> None:
     A controlword on the identifier of another service would be a command of that service, to every node.
     """
     sync = bus.file.sync_can_id
+    free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
     if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
-        free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
         raise AcquisitionError(f"{place}: bus.sync_can_id = 0x{sync:X}: expected 0x{USUAL_SYNC:X}, or {free}")
-    used: dict[int, str] = {}
+    used = {sync: "SYNC"}
     for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
             numbers: set[int] = set()
@@ -155,8 +155,8 @@ def _refuse_pdos(bus: Bus, place: str) -> None:
                 numbers.add(pdo.number)
                 if pdo.bits > 64:
                     raise AcquisitionError(f"{key}: {pdo.length} bytes: expected 8 at most")
-                if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID:
-                    expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}"
+                if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
+                    expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}"
                     raise AcquisitionError(f"{key}: identifier 0x{pdo.can_id:03X}: expected {expected}")
                 if pdo.can_id in used:
                     told = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"

@@ -149,8 +149,10 @@ class Master:
         self.link.send(self.bus.file.sync_can_id, b"")
 
     def _next_sync(self) -> None:
+        """Count who did not answer the SYNC before; a drive that is only starting has its heartbeats' time for that."""
         for watch in self.nodes:
-            watch.silent_syncs = 0 if watch.answers else watch.silent_syncs + 1
+            late = not watch.answers and (watch.started or watch.counts is not None)
+            watch.silent_syncs = watch.silent_syncs + 1 if late else 0
             watch.answers = 0
 
     def nmt(self, command: int, node: int = 0) -> None:

@@ -153,8 +153,8 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
     def asked(number: int, _: FrameType | None) -> None:
         stop.reason = stop.reason or f"stopped by {signal.Signals(number).name}"
 
-    # One that is ignored already stays so, as `nohup` has it.
-    numbers = [n for n in STOPPING if signal.getsignal(n) is not signal.SIG_IGN]
+    # A hangup that is ignored already stays so, as `nohup` has it. A shell's background jobs ignore SIGINT: not these.
+    numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, asked) for number in numbers}
     try:
         yield

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Mapping
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -79,6 +80,7 @@ class ProcessLog:
         arguments = (other, str(path.absolute()), dict(robot.files), source, place, feed, passive)
         self._process = context.Process(target=_main, args=arguments, name="recorder", daemon=True)
         # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
+        resource_tracker.ensure_running()  # it would unblock them on its own first start
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         try:
             self._process.start()

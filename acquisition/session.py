@@ -121,7 +121,7 @@ class _Session:
         self._period_s = master.bus.file.sync_period_s
         self._beat = _Beat(next_ns=0, until_ns=None)
         self._last_orders: Orders | None = None
-        self.addressed = False  # whether anything was sent to the drives
+        self.addressed = False  # whether anything was commanded or written to the drives
 
     def prepare(self) -> None:
         """Everything that can be refused before a node is started."""
@@ -130,13 +130,14 @@ class _Session:
             refuse_out_of_range(self._plan.reference, self._robot, self._bus, self._plan.place)
             self._check_carriers()
         self._log.event(self._link.now_ns(), "phase", "configure")
+        if self._plan.reference is not None:
+            self._refuse_enabled()  # by reading alone: who else holds a drive keeps it as it is
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()
         if differences:
             raise AcquisitionError("; ".join(differences))
         if self._plan.reference is not None:
-            self._refuse_enabled()
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
         self._master.start()
         now_ns = self._link.now_ns()

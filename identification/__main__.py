@@ -1,6 +1,7 @@
 """The command `robot-identify`: parse, one library call, print."""
 
 import argparse
+import errno
 import os
 import sys
 from collections.abc import Callable, Iterator
@@ -48,12 +49,12 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("robot-identify: interrupted; nothing was written", file=sys.stderr)
         return 130
-    except BrokenPipeError:  # the reader of a pipe has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except OSError as error:
-        print(f"robot-identify: standard output: cannot be written: {error.strerror}", file=sys.stderr)
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        if not isinstance(error, BrokenPipeError):  # else the reader of a pipe has seen enough
+            where = "standard output: cannot be written: " if error.errno == errno.ENOSPC and not error.filename else ""
+            print(f"robot-identify: {where}{error.strerror or error}", file=sys.stderr)
+            return 1
     return 0
 
 

@@ -211,6 +211,8 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
     gains = J / e.J_prior if gain_update else np.ones(len(J))
     if reason is not None:
         return SimulatedMotion(motion=None, reason=reason, gains=gains, tracking_percent=None)
+    if e.loop is not None and e.loop.computed_torque and not e.J_known:
+        gains = np.ones(len(J))  # nothing tells what its saturation was set for
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, e.rate_hz)
     travel = np.ptp(e.q_ref, axis=0)
     bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())

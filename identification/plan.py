@@ -87,7 +87,8 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
             "accelerations, and the estimates with them"
         )
     N = len(signals.q)
-    if cutoff_hz is not None and CUT_PERIODS * fs / cutoff_hz > N:
+    cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
+    if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
         raise IdentificationError(
             f"cut-off {cutoff_hz:g} Hz: expected more than {CUT_PERIODS * fs / N:.2g} Hz: {CUT_PERIODS:g} periods are longer "
             f"than the {N / fs:.3g} s of {signals.recording}"

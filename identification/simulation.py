@@ -65,7 +65,12 @@ class Loop:
         )
 
     def inertias(self, bandwidth_hz: float) -> Vector:
-        """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal."""
+        """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal.
+
+        Ones for computed torque, whose gains tell nothing of inertias.
+        """
+        if self.computed_torque:
+            return np.ones(len(self.Kp))
         return np.asarray(((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2)
 
 
@@ -217,11 +222,13 @@ class _Control:
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
         self._integral = np.zeros(len(loop.Kp))
         if self._integrates:
-            # What a loop that has been running for a while holds: the first effort balances the robot.
-            effort = self._motor_effort(model.inverse(q, v, ddq_ref[0], dq_ref[0]))
-            wanted = np.clip(effort, -loop.saturation, loop.saturation)
-            missing = wanted - (self._ahead[0] - self._P.dot(q) - self._D.dot(v))
-            self._integral = np.divide(missing, loop.Ki, out=self._integral, where=loop.Ki > 0)
+            # What a loop that has been running for a while holds: the robot at rest. Speeds and accelerations of a single
+            # instant would bring their noise into it.
+            held = self._motor_effort(model.gravity(q[None])[0])
+            if loop.gravity:
+                held = held - self._motor_effort(model.gravity(q_ref[:1])[0])
+            held = np.clip(held, -loop.saturation, loop.saturation)
+            self._integral = np.divide(held, loop.Ki, out=self._integral, where=loop.Ki > 0)
 
         simple = loop.velocity_estimate == "exact" and not loop.computed_torque
         if simple and not self._limited and not self._integrates:  # a linear law: straight to joint torques

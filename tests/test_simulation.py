@@ -266,6 +266,25 @@ def test_a_simulation_that_runs_away_in_its_last_steps_is_told():
     assert (np.abs(done.q) < 0.1).all()
 
 
+def test_noise_at_the_first_instant_does_not_go_into_the_integral():
+    """A reference in counts that begins in motion: its second difference at one instant is step/T², 10 rad/s² here."""
+    _, _, model = model_of("scara")
+    J = inertias(model, still(2, 0.01))
+    loop = dataclasses.replace(surrogate_loop(5.0, J, RATE), gravity=False)
+    loop = dataclasses.replace(loop, Ki=loop.Kp * 2, position_share=np.ones(2))
+    t = np.arange(2000) / RATE
+    exact = np.stack([0.5 * np.sin(3 * t), 0.5 * np.sin(4 * t)], axis=1)
+    counted = np.rint(exact / 1e-5) * 1e-5
+    errors = []
+    for q_ref in (exact, counted):
+        dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
+        ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
+        start = (exact[0], np.array([1.5, 2.0]))
+        done = simulate(model, loop, q_ref, dq_ref, ddq_ref, start=start, bound=np.full(2, 9.0))
+        errors.append(np.linalg.norm(done.q - exact))
+    assert errors[1] == pytest.approx(errors[0], rel=0.02)
+
+
 def test_substeps_show_the_motion_between_the_controllers_instants():
     _, _, model = model_of("emps")
     zero = still(1, 0.2)
