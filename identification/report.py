@@ -155,7 +155,7 @@ def study_notes(study: Study) -> list[str]:
         f"drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
         f"{listed(study.gain_errors)} x true",
         "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
-        f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is",
+        f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is on the same recording",
     ]
 
 

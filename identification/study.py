@@ -90,8 +90,7 @@ class Summary:
     `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one;
     `within_percent` is the share of true values within three deviations, formula or HAC, whichever is larger.
     `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
-    times that of least squares at the rule's cut-off: on the same recording, or the median of all runs where that is larger,
-    since by luck least squares may be right to many digits.
+    times that of least squares at the rule's cut-off on the same recording. By luck that may be right to many digits.
     """
 
     method: str
@@ -226,8 +225,6 @@ def _misinformed(robot: Robot, factor: float) -> Robot:
 def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
     """One summary per cut-off and method."""
     found = []
-    tuned = [r.error_tuned_ls for r in runs if np.isfinite(r.error_tuned_ls)]
-    typical = float(np.median(tuned)) if tuned else 0.0
     for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.cutoff == cutoff]
         settled = [r for r in here if r.status == "converged"]
@@ -251,7 +248,7 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
                     worst_error_percent=float(100 * errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
                     mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
-                    false_percent=100 * sum(_false(r, typical) for r in here) / len(here) if method == "iv" else None,
+                    false_percent=100 * sum(map(_false, here)) / len(here) if method == "iv" else None,
                 )
             )
     return found
@@ -262,10 +259,9 @@ def _stacked(runs: Sequence[Run], name: str, true: Vector) -> Vector:
     return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
 
 
-def _false(run: Run, typical: float) -> bool:
-    """Whether a run is called converged and should not be; `typical` is the error of tuned least squares in the study."""
-    allowed = FALSE_ERROR * max(run.error_tuned_ls, typical)
-    return run.status == "converged" and not (run.positive and run.error_iv <= allowed)
+def _false(run: Run) -> bool:
+    """Whether a run is called converged and should not be."""
+    return run.status == "converged" and not (run.positive and run.error_iv <= FALSE_ERROR * run.error_tuned_ls)
 
 
 def study_json(study: Study, runs: Sequence[Run], names: Sequence[str], true: Vector) -> dict[str, Any]:
