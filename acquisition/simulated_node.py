@@ -16,7 +16,7 @@ from .cia402 import (
 )
 from .drives import Drive
 from .object_dictionary import IDENTITY
-from .pdo import NOT_VALID, PARAMETERS, Pdo, configuration, pdos_of
+from .pdo import NOT_VALID, PARAMETERS, Pdo, pdos_of
 from .sdo import (
     ANSWER,
     NO_SUCH_OBJECT,
@@ -205,13 +205,3 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     node.tick()
     node.boot()
     return node
-
-
-def configure_as_described(node: SimulatedNode) -> None:
-    """Map the PDOs as the description says, for drives whose master is not us and finds them ready."""
-    for way, pdos in (("tpdo", node.drive.tpdos), ("rpdo", node.drive.rpdos)):
-        for pdo in pdos:
-            for index, sub, value, _ in configuration(way, pdo):
-                node.values[index, sub] = value
-    node.initial = dict(node.values)
-    node.boot()

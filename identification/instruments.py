@@ -190,8 +190,10 @@ def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update
         s = simulated_motion(e, simulated, gain_update=gain_update)
         if s.motion is not None:
             break
-    q, dq, ddq = (_on_grid(e, x, 1) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
-    motion = s.motion or Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
+    motion = s.motion
+    if motion is None:
+        q, dq, ddq = (_on_grid(e, x, 1) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
+        motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.dynamics, e.base, e.decimation)  # (n, b, rows)
     return Instruments(
         beta=beta if s.motion is None else simulated,
