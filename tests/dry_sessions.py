@@ -42,6 +42,21 @@ class Through:
         return self.link.receive(until_ns)  # type: ignore[attr-defined,no-any-return]
 
 
+@dataclass(kw_only=True)
+class SyncOfAnother(Through):
+    """Somebody else sends SYNC every 2 ms, for three seconds."""
+
+    next_ns: int = 1_050_000_000
+
+    def receive(self, until_ns):
+        frame = super().receive(min(until_ns, self.next_ns))
+        if frame is None and self.now_ns() >= self.next_ns and self.next_ns < 4_000_000_000:
+            self.next_ns += 2_000_000
+            self.link.send(0x80, b"")
+            return Frame(self.now_ns(), 0x80, b"")
+        return frame
+
+
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
     ending: Ending | None

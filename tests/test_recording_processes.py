@@ -192,6 +192,14 @@ def checked(folder: Path) -> str:
     return told
 
 
+def failure_of(session: "subprocess.Popen[str]") -> str:
+    """The one line that a session ends with, whose exit status is 1."""
+    _, errors = session.communicate(timeout=60)
+    assert session.returncode == 1
+    assert errors.count("\n") == 1
+    return errors
+
+
 def children(pid: int) -> list[int]:
     found = []
     for stat in Path("/proc").glob("[0-9]*/stat"):
@@ -249,10 +257,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
         recorder = recorder_of(session.pid)
         killed_ns = time.time_ns()
         os.kill(recorder, signal.SIGKILL)
-        _, errors = session.communicate(timeout=30)
-        assert session.returncode == 1
-        assert errors.count("\n") == 1
-        assert "the recorder has ended" in errors
+        assert "the recorder has ended" in failure_of(session)
         assert checked(folder).count("switch on disabled") == 2
     recording = read_recording(out)
     assert recording.cut
@@ -303,10 +308,7 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
             folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"),
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE)),
         )  # fmt: skip
-        _, errors = session.communicate(timeout=60)
-        assert session.returncode == 1
-        assert errors.count("\n") == 1
-        assert "cannot be written: File too large" in errors
+        assert "cannot be written: File too large" in failure_of(session)
         assert checked(folder).count("switch on disabled") == 2
     recording = read_recording(out)
     assert recording.cut

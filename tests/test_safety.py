@@ -11,7 +11,7 @@ import can
 import numpy as np
 import pytest
 from conftest import needs_data
-from dry_sessions import Through, dry_session, swing
+from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.dry_run as dry_run_module
@@ -226,18 +226,6 @@ def test_sync_of_another_producer_stops_ours(tmp_path):
 
 
 def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
-    @dataclass(kw_only=True)
-    class SyncOfAnother(Through):
-        next_ns: int = 1_050_000_000
-
-        def receive(self, until_ns):
-            frame = super().receive(min(until_ns, self.next_ns))
-            if frame is None and self.now_ns() >= self.next_ns and self.next_ns < 4_000_000_000:
-                self.next_ns += 2_000_000
-                self.link.send(0x80, b"")
-                return Frame(self.now_ns(), 0x80, b"")
-            return frame
-
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
     fault = SimulatedFault(kind="missing", node=1, sync=300, count=4)
     outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])

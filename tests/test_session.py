@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pytest
-from dry_sessions import Through, dry_session, swing
+from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition import AcquisitionError
 from acquisition.blocks import SENT
-from acquisition.bus import Frame, Link, open_bus
+from acquisition.bus import Link, open_bus
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
@@ -369,21 +369,6 @@ def test_a_table_of_a_reference(tmp_path):
     path.write_text("time_s,joint_1\n0,0\n1,1\n")
     with pytest.raises(AcquisitionError, match="'joint_2' is not there"):
         table_reference(path, robot, 0.1)
-
-
-@dataclass(kw_only=True)
-class SyncOfAnother(Through):
-    """Somebody else sends SYNC every 2 ms, for three seconds."""
-
-    next_ns: int = 1_050_000_000
-
-    def receive(self, until_ns):
-        frame = super().receive(min(until_ns, self.next_ns))
-        if frame is None and self.now_ns() >= self.next_ns and self.next_ns < 4_000_000_000:
-            self.next_ns += 2_000_000
-            self.link.send(0x80, b"")
-            return Frame(self.now_ns(), 0x80, b"")
-        return frame
 
 
 def test_sync_of_another_producer_is_followed(tmp_path):
