@@ -4,8 +4,6 @@ Parse, one library call, print. Libraries are imported by the commands that use 
 """
 
 import argparse
-import io
-import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -13,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from . import AcquisitionError, one_line
+from .command_line import STATUSES, run_command
 
 if TYPE_CHECKING:
     from .conversions import Converted
@@ -21,31 +20,20 @@ if TYPE_CHECKING:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line. Exit status: 0, 1 after an error told in one line, 2 for wrong usage, 130 on Ctrl-C."""
-    for stream in (sys.stdout, sys.stderr):
-        if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? where it has no sign
-    arguments = _parser().parse_args(argv)
-    try:
-        arguments.run(arguments)
-        sys.stdout.flush()
-    except AcquisitionError as error:
-        print(f"robot-acquire: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("robot-acquire: interrupted", file=sys.stderr)
-        return 130
-    except BrokenPipeError:
-        # The reader of the output went away; Python would complain once more when it flushes at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except OSError as error:
-        print(f"robot-acquire: standard output: cannot be written: {error.strerror}", file=sys.stderr)
-        return 1
-    return 0
+    """Run the command and return its exit status, as `command_line.STATUSES` says."""
+
+    def command() -> int | None:
+        arguments = _parser().parse_args(argv)
+        status: int | None = arguments.run(arguments)
+        return status
+
+    return run_command("robot-acquire", (AcquisitionError,), command)
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="robot-acquire", description="Recordings of robots and their drives.")
+    parser = argparse.ArgumentParser(
+        prog="robot-acquire", description="Recordings of robots and their drives.", epilog=STATUSES
+    )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
     command = commands.add_parser("check", help="who answers on the bus, and whether it is as described")

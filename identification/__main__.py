@@ -1,8 +1,6 @@
 """The command `robot-identify`: parse, one library call, print."""
 
 import argparse
-import errno
-import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -10,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from acquisition import AcquisitionError
+from acquisition.command_line import STATUSES, run_command
 
 from . import IdentificationError
 from .options import (
@@ -38,29 +37,21 @@ if TYPE_CHECKING:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; 0 on success, 1 after one line on stderr that says what is wrong."""
-    options = _parser().parse_args(arguments)
-    try:
-        options.run(options)
-        sys.stdout.flush()
-    except (AcquisitionError, IdentificationError) as error:
-        print(f"robot-identify: {error}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        print("robot-identify: interrupted; nothing was written", file=sys.stderr)
-        return 130
-    except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(error, BrokenPipeError):  # else the reader of a pipe has seen enough
-            where = "standard output: cannot be written: " if error.errno == errno.ENOSPC and not error.filename else ""
-            print(f"robot-identify: {where}{error.strerror or error}", file=sys.stderr)
-            return 1
-    return 0
+    """Run the command and return its exit status, as `acquisition.command_line.STATUSES` says."""
+
+    def command() -> int | None:
+        options = _parser().parse_args(arguments)
+        status: int | None = options.run(options)
+        return status
+
+    return run_command("robot-identify", (AcquisitionError, IdentificationError), command)
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="robot-identify", description="Identify the dynamic parameters of a robot from a recording."
+        prog="robot-identify",
+        description="Identify the dynamic parameters of a robot from a recording.",
+        epilog=STATUSES,
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
 
@@ -176,17 +167,19 @@ def _fit(options: argparse.Namespace) -> None:
         signals = _load(options)
         status.update("fitting")
         fit = _identify(options, signals, status.update)
-    _print(fit_tables(signals, fit))
-    if options.json:
-        write_json(options.json, fit_json(signals, fit))
-    if options.rrd:
-        with _progress() as status:
-            status.update("writing the Rerun file")
-            from .idim import identify_ls
-            from .viewer import write_fit_rrd
+    try:
+        if options.json:
+            write_json(options.json, fit_json(signals, fit))
+        if options.rrd:
+            with _progress() as status:
+                status.update("writing the Rerun file")
+                from .idim import identify_ls
+                from .viewer import write_fit_rrd
 
-            beside = identify_ls(signals, _overrides(options), essential=options.essential) if fit.iv else None
-            write_fit_rrd(options.rrd, signals, fit, beside=beside)
+                beside = identify_ls(signals, _overrides(options), essential=options.essential) if fit.iv else None
+                write_fit_rrd(options.rrd, signals, fit, beside=beside)
+    finally:  # a file that cannot be written must not cost its fit
+        _print(fit_tables(signals, fit))
 
 
 def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
@@ -236,11 +229,11 @@ def _compare(options: argparse.Namespace) -> None:
     fits = [read_fit(path) for path in (options.a, options.b)]
     a, b = (values_of_stored(fit, label) for fit, label in zip(fits, labels, strict=True))
     told = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
-    _print(difference_table(a, b), *(f"warning: {text}" for text in told))
     if options.rrd:
         from .viewer import write_comparison_rrd
 
         write_comparison_rrd(options.rrd, a, b)
+    _print(difference_table(a, b), *(f"warning: {text}" for text in told))
 
 
 def _validate(options: argparse.Namespace) -> None:
@@ -256,10 +249,10 @@ def _validate(options: argparse.Namespace) -> None:
         plan, errors = validate(signals, _overrides(options), lambda base: stored.beta(base, str(options.fit)))
     units = signals.robot.effort_units
     warnings = [*plan.warnings, *doubts(stored, str(options.fit))]
-    _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
     if options.json:
         content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
         write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
+    _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
 
 
 def _base(options: argparse.Namespace) -> None:
@@ -275,9 +268,9 @@ def _base(options: argparse.Namespace) -> None:
         status.update("base parameters")
         robot = load_robot(options.robot)
         base = base_parameters(Dynamics(robot))
-    _print(base_table(base, robot.name))
     if options.json:
         write_json(options.json, {"robot": robot.name, "parameters": base_json(base)})
+    _print(base_table(base, robot.name))
 
 
 def _simulate(options: argparse.Namespace) -> None:
@@ -334,13 +327,15 @@ def _study(options: argparse.Namespace) -> None:
     if not any(run.error_ls > 0 for run in runs):
         raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
     notes = study_notes(study)
-    _print(study_table(robot.name, runs, true), *notes)
-    if options.json:
-        write_json(options.json, study_json(study, runs, base.names, true))
-    if options.rrd:
-        from .viewer import write_study_rrd
+    try:
+        if options.json:
+            write_json(options.json, study_json(study, runs, base.names, true))
+        if options.rrd:
+            from .viewer import write_study_rrd
 
-        write_study_rrd(options.rrd, robot.name, runs, true, notes)
+            write_study_rrd(options.rrd, robot.name, runs, true, notes)
+    finally:  # a file that cannot be written must not cost an hour of runs
+        _print(study_table(robot.name, runs, true), *notes)
 
 
 def _demo(options: argparse.Namespace) -> None:

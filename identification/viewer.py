@@ -5,6 +5,7 @@ panel that shows it, and the layout is built of such panels only: none can be wi
 """
 
 import hashlib
+import re
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Sequence
@@ -114,7 +115,8 @@ _Show = Callable[[Panel], Any]
 
 
 def _write(path: Path, application: str, told: str, name: str, pages: Callable[[_Show], list[Any]]) -> None:
-    recording = rr.RecordingStream(f"{application} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
+    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # Rerun renames an application of another name, and warns
+    recording = rr.RecordingStream(f"{named} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
     try:
         recording.send_recording_name(name)

@@ -12,6 +12,7 @@ from conftest import ROOT
 ACQUISITION = {
     "__init__": set(),
     "whole_file": {"__init__"},
+    "command_line": {"__init__"},
     "description": {"__init__"},
     "bus_description": {"__init__", "cia402", "description"},
     "robot": {"__init__", "bus_description", "description"},
@@ -58,6 +59,7 @@ ACQUISITION = {
         "__init__",
         "bus_description",
         "check",
+        "command_line",
         "conversions",
         "drives",
         "dry_run",
@@ -229,6 +231,7 @@ IDENTIFICATION = {
         "synthetic",
         "viewer",
         "acquisition.__init__",
+        "acquisition.command_line",
         "acquisition.robot",
     },
 }

@@ -1,0 +1,148 @@
+"""How commands end: files before words, a status that says what happened, streams that cannot fail a command."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import REPLAY, ROOT
+from made_up_recordings import write
+
+from acquisition import AcquisitionError
+from acquisition.__main__ import main as acquire
+from acquisition.command_line import STATUSES, run_command
+from acquisition.robot import load_robot
+from identification.__main__ import main as identify
+
+SCARA = REPLAY / "scara" / "robot.toml"
+SESSION = REPLAY / "scara" / "session.mcap"
+FIT = REPLAY / "scara" / "fit.json"
+
+
+def in_shell(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    """What a shell makes of a line in which ID and ACQ stand for the programs; the status is that of the program."""
+    for name, package in (("ID", "identification"), ("ACQ", "acquisition")):
+        command = command.replace(name, f"{sys.executable} -m {package}")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(
+        ["bash", "-c", f"{command}; exit ${{PIPESTATUS[0]}}"],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("program", "command", "files"),
+    [
+        (identify, f"fit {SESSION} --json j --rrd r", ["j", "r"]),
+        (identify, f"validate {FIT} {SESSION} --json j", ["j"]),
+        (identify, f"compare {FIT} {FIT} --rrd r", ["r"]),
+        (identify, f"base {SCARA} --json j", ["j"]),
+        (identify, f"study {SCARA} --runs 1 --duration-s 3 --json j --rrd r", ["j", "r"]),
+        (identify, f"view {SESSION} -o r", ["r"]),
+        (identify, f"simulate {SCARA} -o m --duration-s 2", ["m"]),
+        (acquire, f"export {SESSION} -o c", ["c"]),
+        (acquire, f"decode {SESSION} -o m", ["m"]),
+        (acquire, f"info {SESSION}", []),
+    ],
+)
+def test_a_reader_that_is_gone_before_the_first_line_costs_nothing(
+    program, command, files, tmp_path, monkeypatch, capfd
+):
+    monkeypatch.chdir(tmp_path)
+    read, written = os.pipe()
+    os.close(read)
+    with open(written, "w", buffering=1) as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        assert program(command.split()) == 0
+    assert capfd.readouterr().err == ""
+    assert sorted(path.name for path in tmp_path.iterdir()) == files
+    assert all((tmp_path / name).stat().st_size > 100 for name in files)
+
+
+def test_head_loses_nothing(tmp_path):
+    done = in_shell(f"ID fit {SESSION} --json j --rrd r | head -1", tmp_path)
+    assert (done.returncode, done.stderr, done.stdout.count("\n")) == (0, "", 1)
+    assert (tmp_path / "j").stat().st_size > 1000
+    assert (tmp_path / "r").stat().st_size > 100_000
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_under_standard_output_is_told_after_the_files_are_written(tmp_path):
+    done = in_shell(f"ID base {SCARA} --json j > /dev/full", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr == "robot-identify: standard output: cannot be written: No space left on device\n"
+    assert (tmp_path / "j").stat().st_size > 100
+
+
+def test_closed_streams_are_as_good_as_none(tmp_path):
+    """The number of a closed stream is not given to the next file: what is printed would stand in it."""
+    write(tmp_path / "a.mcap", load_robot(SCARA))
+    done = in_shell("ACQ export a.mcap -o a.csv >&-", tmp_path)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (tmp_path / "a.csv").read_text().startswith("time_s")
+    done = in_shell("ACQ info none.mcap 2>&-", tmp_path)
+    assert (done.returncode, done.stdout) == (1, ""), "an error is not a result"
+    done = in_shell("ACQ info a.mcap >&- 2>&- <&-", tmp_path)
+    assert done.returncode == 0
+    if Path("/dev/full").exists():
+        assert in_shell("ACQ info a.mcap 2>/dev/full", tmp_path).stdout.count("SCARA") >= 1
+        assert in_shell("ACQ info none.mcap 2>/dev/full", tmp_path).returncode == 1
+
+
+def test_a_fault_is_told_though_nobody_reads_the_findings(tmp_path):
+    """`check | head -1` on a bus on which no drive answers: no go is status 1 however little of it is read."""
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    assert "[bus]" in text
+    (tmp_path / "robot.toml").write_text(text.replace('channel = "scara"', 'channel = "nobody"'))
+    done = in_shell("ACQ check robot.toml | true", tmp_path)
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tmp_path, capsys):
+    assert identify(["fit", str(SESSION), "--json", str(tmp_path / "j"), "--rrd", str(tmp_path / "none" / "r")]) == 1
+    told = capsys.readouterr()
+    assert f"{tmp_path}/none/r" in told.err
+    assert told.err.count("\n") == 1
+    assert "ZZ1R" in told.out
+    assert (tmp_path / "j").exists()
+
+
+@pytest.mark.parametrize(
+    ("end", "status", "told"),
+    [
+        (None, 0, ""),
+        (0, 0, ""),
+        (3, 3, ""),
+        (AcquisitionError("a: b"), 1, "p: a: b\n"),
+        (KeyboardInterrupt(), 130, "p: interrupted\n"),
+        (PermissionError(13, "Permission denied", "x\ny"), 1, "p: x y: Permission denied\n"),
+    ],
+)
+def test_statuses(end, status, told, capsys):
+    def command():
+        print("result")
+        if isinstance(end, BaseException):
+            raise end
+        return end
+
+    assert run_command("p", (AcquisitionError,), command) == status
+    assert capsys.readouterr() == ("result\n", told)
+
+
+def test_an_error_that_nobody_foresaw_is_not_hidden():
+    with pytest.raises(ZeroDivisionError):
+        run_command("p", (AcquisitionError,), lambda: 1 // 0)
+
+
+@pytest.mark.parametrize("package", ["acquisition", "identification"])
+def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        (acquire if package == "acquisition" else identify)(["--help"])
+    assert stopped.value.code == 0
+    assert STATUSES in " ".join(capsys.readouterr().out.split())
+    readme = (ROOT / "README.md").read_text()
+    for status in ("0", "1", "2", "3", "130"):
+        assert f"| {status} |" in readme
+        assert f" {status} " in STATUSES
