@@ -116,8 +116,8 @@ def test_every_statusword_tells_the_state_of_the_table():
         assert state_or_none(word) is expected.get(word), hex(word)
     for word in (0x1237, 0x0637, 0xF027):
         assert state_of(word) is State.OPERATION_ENABLED
-    with pytest.raises(AcquisitionError, match="^statusword 0x1211: expected the bits of a CiA 402 state$"):
-        state_of(0x1231 & ~0x20)
+    with pytest.raises(AcquisitionError, match="statusword 0x1211: expected the bits of a CiA 402 state"):
+        state_of(0x1211)
 
 
 def test_every_controlword_gives_the_command_of_the_table():
