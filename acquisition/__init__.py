@@ -11,7 +11,7 @@ The flow::
 - the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``
 - the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
   ``recorder_process`` beside the session; ``decoding`` makes samples of frames; ``overview`` sums up
-- without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``dry_run``, ``replay``
+- without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
 - from elsewhere and to elsewhere: ``tables``, ``table_files``, ``conversions``; ``reference`` has trajectories
 - ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows
 """

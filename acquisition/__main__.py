@@ -144,6 +144,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
     from .drives import resolve
     from .dry_run import serve
+    from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
     from .plants import TablePlant
     from .record import stop_on_signals
     from .recording import read_recording
@@ -152,21 +153,24 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
     robot = load_robot(arguments.robot)
     bus = resolve(robot, str(arguments.robot))
-    plant = None
-    if arguments.replay is not None:
+    if arguments.replay is None:
+        mechanism = mechanism_of(robot, bus)
+    else:
         recording = read_recording(arguments.replay)
         if recording.samples is None:
             raise AcquisitionError(f"{arguments.replay}: holds no joint samples: expected some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
+        mechanism = Mechanism(plant=plant, loops=typical_loops(robot, rated_motor_effort(bus)))
     stop, end_s = Stop(), time.monotonic() + (arguments.duration if arguments.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
     told = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
+    told += f"; {mechanism.warning}" if mechanism.warning else ""
     with stop_on_signals(stop):
         serve(
             robot,
             bus,
             lambda: bool(stop.reason) or time.monotonic() > end_s,
-            plant,
+            mechanism,
             ready=lambda: print(told, file=sys.stderr, flush=True),
         )
 

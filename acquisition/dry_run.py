@@ -6,14 +6,13 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
-import numpy as np
 
 from . import AcquisitionError
 from .bus import Link, LockStepLink, Tap, open_bus, open_link
 from .drives import Bus
-from .plants import Plant, typical_plant
+from .mechanism import Mechanism, mechanism_of
 from .robot import Robot
-from .simulated_drives import Loops, SimulatedDrives, SimulatedFault
+from .simulated_drives import SimulatedDrives, SimulatedFault
 
 _NUMBERS = itertools.count()
 
@@ -35,15 +34,14 @@ class DryRun:
 def dry_run(
     robot: Robot,
     bus: Bus,
-    plant: Plant | None = None,
-    loops: Loops | None = None,
+    mechanism: Mechanism | None = None,
     faults: Sequence[SimulatedFault] = (),
     *,
     tap: Tap | None = None,
     passive: bool = False,
 ) -> DryRun:
     """Simulated drives on an in-process `virtual` bus, in lock-step with the link: simulated time, the same every run."""
-    drives = simulated_drives(robot, bus, plant, loops, faults)
+    drives = _drives(robot, bus, mechanism, faults)
     file = msgspec.structs.replace(bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
     other_end = Link(open_bus(file, passive=False), passive=False)
     own = open_bus(file, passive=passive)
@@ -69,13 +67,12 @@ def serve(
     robot: Robot,
     bus: Bus,
     stopped: Callable[[], bool],
-    plant: Plant | None = None,
-    loops: Loops | None = None,
+    mechanism: Mechanism | None = None,
     faults: Sequence[SimulatedFault] = (),
     ready: Callable[[], None] = lambda: None,
 ) -> SimulatedDrives:
     """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is told when they are there."""
-    drives = simulated_drives(robot, bus, plant, loops, faults)
+    drives = _drives(robot, bus, mechanism, faults)
     link = open_link(bus.file, passive=False)
     try:
         sent = drives.boot()
@@ -95,20 +92,8 @@ def serve(
     return drives
 
 
-def simulated_drives(
-    robot: Robot, bus: Bus, plant: Plant | None, loops: Loops | None, faults: Sequence[SimulatedFault] = ()
+def _drives(
+    robot: Robot, bus: Bus, mechanism: Mechanism | None, faults: Sequence[SimulatedFault] = ()
 ) -> SimulatedDrives:
-    """Drives in front of `plant`, or of a typical one, with loops that suit it where none are given."""
-    rated = np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])
-    if plant is None:
-        plant = typical_plant(robot, rated)
-    return SimulatedDrives(robot, bus, plant, loops or typical_loops(robot, rated), faults)
-
-
-def typical_loops(robot: Robot, rated_motor_effort: np.ndarray) -> Loops:
-    """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast."""
-    rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
-    inertia = 0.5 * rated / np.array([joint.si("acceleration") or 10.0 for joint in robot.joints])
-    w = 2 * np.pi * robot.controller.bandwidth_hz
-    ones = np.ones(robot.n)
-    return Loops(position=w * ones, velocity=4 * w * inertia, integral=w * ones)
+    mechanism = mechanism or mechanism_of(robot, bus)
+    return SimulatedDrives(robot, bus, mechanism.plant, mechanism.loops, faults)

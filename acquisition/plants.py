@@ -12,6 +12,8 @@ from .robot import Robot
 Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+TYPICAL_LOAD = 0.3  # share of the rated effort that gravity takes on a level joint of an industrial arm
+
 
 class Plant(Protocol):
     """A mechanism of n joints, all quantities at the joint, SI (effort in the robot's units)."""
@@ -29,11 +31,16 @@ class Plant(Protocol):
         ...
 
 
-class DoubleIntegrator:
-    """Joints on their own: inertia a = effort - viscous v - coulomb sign(v)."""
+class JointwisePlant:
+    """Joints on their own: inertia a = effort - load cos(q) - viscous v - coulomb sign(v); each quantity (n,).
 
-    def __init__(self, inertia: Vector, viscous: Vector, coulomb: Vector, position: Vector) -> None:
-        self._inertia, self._viscous, self._coulomb = inertia, viscous, coulomb
+    `load` is the effort that holds a level joint; a joint that slides (`slides`) carries it wherever it is.
+    """
+
+    def __init__(
+        self, inertia: Vector, viscous: Vector, coulomb: Vector, load: Vector, *, slides: Mask, position: Vector
+    ) -> None:
+        self._inertia, self._viscous, self._coulomb, self._load, self._slides = inertia, viscous, coulomb, load, slides
         self._q, self._dq = np.array(position, dtype=float), np.zeros(len(position))
 
     def state(self) -> tuple[Vector, Vector]:
@@ -46,20 +53,39 @@ class DoubleIntegrator:
 
     def step(self, effort: Vector, held: Mask, duration_s: float) -> None:
         """Semi-implicit Euler; Coulomb friction stops a joint, but does not turn it round."""
-        free = self._dq + duration_s / self._inertia * (effort - self._viscous * self._dq)
+        load = self._load * np.where(self._slides, 1.0, np.cos(self._q))
+        free = self._dq + duration_s / self._inertia * (effort - load - self._viscous * self._dq)
         rubbed = duration_s / self._inertia * self._coulomb
         self._dq = np.where(held, 0.0, np.sign(free) * np.maximum(np.abs(free) - rubbed, 0.0))
         self._q = self._q + duration_s * self._dq
 
 
-def typical_plant(robot: Robot, rated_motor_effort: Vector) -> DoubleIntegrator:
-    """A mechanism that the drives of `robot` can move well: half the rated effort gives the stated acceleration."""
+def typical_plant(robot: Robot, rated_motor_effort: Vector, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
+    """A mechanism that the drives of `robot` can move well: half the rated effort gives the stated acceleration.
+
+    Each joint carries `load_share` of its rated effort where it is level. It begins in the middle of its range.
+    """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
-    acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
-    inertia = 0.5 * rated / acceleration
-    middle = np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
-    return DoubleIntegrator(inertia, 0.05 * rated / speed, 0.05 * rated, middle)
+    return JointwisePlant(
+        typical_inertia(robot, rated_motor_effort),
+        0.05 * rated / speed,
+        0.05 * rated,
+        load_share * rated,
+        slides=np.array([j.type == "prismatic" for j in robot.joints]),
+        position=middle_of_range(robot),
+    )
+
+
+def typical_inertia(robot: Robot, rated_motor_effort: Vector) -> Vector:
+    """Inertias (n,) at the joints of which half the rated effort gives the stated acceleration."""
+    acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
+    return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
+
+
+def middle_of_range(robot: Robot) -> Vector:
+    """Joint positions (n,) half way between the stated limits, 0 where none are stated."""
+    return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
 
 class TablePlant:

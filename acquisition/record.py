@@ -13,6 +13,7 @@ from .bus import SHARED, Link, open_link
 from .drives import resolve
 from .dry_run import DryRun, dry_run
 from .master import Master
+from .mechanism import mechanism_of
 from .recorder import Recorded, Recorder, Status
 from .recorder_process import STOPPING, InlineLog, ProcessLog
 from .reference import check_limits, table_reference
@@ -62,10 +63,12 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
     link: Link
     log: InlineLog | ProcessLog
     if wanted.dry_run:
+        mechanism = mechanism_of(robot, bus)
         log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
-        simulated = dry_run(robot, bus, tap=log.tap)
+        simulated = dry_run(robot, bus, mechanism, tap=log.tap)
         link = simulated.link
-        log.event(link.now_ns(), "warning", "dry run: a stand-in of independent joints moves, not the described robot")
+        if mechanism.warning is not None:
+            log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
     else:
         shared = robot.bus.interface in SHARED
         # The link first: a bus that cannot be opened leaves no file behind.

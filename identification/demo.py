@@ -14,19 +14,20 @@ from numpy.typing import NDArray
 from acquisition.drives import resolve
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
+from acquisition.mechanism import Mechanism
 from acquisition.recorder import Recorder
 from acquisition.recorder_process import InlineLog
 from acquisition.reference import fourier_reference
 from acquisition.robot import Robot
 from acquisition.session import Plan, Stop, run_active
-from acquisition.simulated_drives import SUBSTEPS, Loops
+from acquisition.simulated_drives import SUBSTEPS
 
 from . import IdentificationError
 from .base_parameters import base_parameters
 from .dynamics import Dynamics, direct_model
 from .instruments import inertias
-from .plant import RigidBodyPlant
-from .simulation import has_controller, recorded_loop
+from .plant import RigidBodyPlant, drive_loops, has_cascades
+from .simulation import has_controller
 from .synthetic import truth
 
 Vector = NDArray[np.float64]
@@ -48,6 +49,10 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     """
     if robot.bus is None:
         raise IdentificationError(f"{place}: no [bus]: expected the drives to simulate")
+    if has_controller(robot.controller) and not has_cascades(robot):
+        raise IdentificationError(
+            f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
+        )
     idm = Dynamics(robot)
     base = base_parameters(idm)
     model = direct_model(idm, base.representative(truth(idm, base)))
@@ -63,9 +68,10 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
         disturbance=0.01 * wanted.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
         seed=wanted.seed,
     )
+    mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
     log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
-    simulated = dry_run(robot, bus, plant, _loops(robot, inertias(model, q_ref[::50])), tap=log.tap)
+    simulated = dry_run(robot, bus, mechanism, tap=log.tap)
     try:
         say(f"simulated drives: {wanted.duration_s:g} s on the bus")
         ending = run_active(robot, Master(simulated.link, bus), log, Plan(reference=q_ref, place="reference"), Stop())
@@ -75,24 +81,6 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
         simulated.close()
     if ending.fault:
         raise IdentificationError(f"{out}: the simulated session failed: {ending.reason}")
-
-
-def _loops(robot: Robot, J: Vector) -> Loops:
-    """The drives' loops: those of the description, or of its bandwidth for the inertias J (n,) where none are described."""
-    if not has_controller(robot.controller):
-        w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
-        return Loops(position=w, velocity=4 * w * J, integral=w)
-    loop, reduction = recorded_loop(robot), np.diag(robot.R)
-    if np.count_nonzero(robot.R) > robot.n or loop.computed_torque:
-        raise IdentificationError(
-            f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
-        )
-    return Loops(
-        position=loop.Kp / loop.Kd,
-        velocity=reduction**2 * loop.G * loop.Kd,
-        integral=loop.Ki / loop.Kd,
-        feedforward=loop.feedforward,
-    )
 
 
 def description(name: str) -> Path:

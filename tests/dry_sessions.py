@@ -11,6 +11,7 @@ from acquisition.bus import Frame
 from acquisition.drives import Bus
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
+from acquisition.mechanism import Mechanism, rated_motor_effort, typical_loops
 from acquisition.plants import Plant
 from acquisition.recorder import Recorded, Recorder
 from acquisition.recorder_process import InlineLog
@@ -88,7 +89,9 @@ def dry_session(
     robot = robot or robot_of(bus_text(2))
     bus = bus or bus_of(robot)
     log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
-    run = dry_run(robot, drives or bus, plant, faults=faults, tap=log.tap)
+    rated = rated_motor_effort(bus)
+    mechanism = None if plant is None else Mechanism(plant=plant, loops=typical_loops(robot, rated))
+    run = dry_run(robot, drives or bus, mechanism, faults=faults, tap=log.tap)
     ending, raised = None, None
     try:
         ending = run_active(robot, Master(through(link=run.link), bus), log, plan, stop or Stop())

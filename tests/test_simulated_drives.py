@@ -11,7 +11,7 @@ from acquisition.bus_description import dictionary_label
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
-from acquisition.plants import DoubleIntegrator, TablePlant, typical_plant
+from acquisition.plants import JointwisePlant, TablePlant, typical_plant
 from acquisition.session import Plan
 
 VENDORS = {
@@ -122,7 +122,8 @@ def test_a_reset_node_has_forgotten_its_mapping(run):
 
 def test_friction_stops_a_joint_and_does_not_turn_it_round():
     one = np.ones(1)
-    plant = DoubleIntegrator(one, 0.0 * one, 2.0 * one, 0.0 * one)
+    zero = np.zeros(1)
+    plant = JointwisePlant(one, zero, 2.0 * one, zero, slides=np.zeros(1, bool), position=zero)
     free = np.zeros(1, bool)
     for _ in range(100):
         plant.step(1.9 * one, free, 0.01)
