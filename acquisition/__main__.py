@@ -54,6 +54,9 @@ def _parser() -> argparse.ArgumentParser:
     command = commands.add_parser("simulate", help="simulated drives on the bus of a description, for anyone's master")
     command.add_argument("robot", type=Path, metavar="ROBOT.toml")
     command.add_argument("--replay", type=Path, metavar="LOG.mcap", help="drives that replay a recording's samples")
+    command.add_argument(
+        "--unsupervised", action="store_true", help="drives that notice neither a lost SYNC nor a lost master"
+    )
     command.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
     command.set_defaults(run=_simulate)
 
@@ -172,6 +175,7 @@ def _simulate(arguments: argparse.Namespace) -> None:
             lambda: bool(stop.reason) or time.monotonic() > end_s,
             mechanism,
             ready=lambda: print(told, file=sys.stderr, flush=True),
+            supervised=not arguments.unsupervised,
         )
 
 

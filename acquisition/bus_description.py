@@ -80,7 +80,8 @@ class BusFile(Table, frozen=True):
         sync_producer: `recorder` (we send it) or `other`.
         sync_can_id: identifier of SYNC.
         loopback: whether network interfaces (udp_multicast) stay on this machine.
-        heartbeat_s: how often drives tell that they live; a drive silent for three times as long is lost.
+        heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
+        master_node: node id under which this master sends its heartbeat while it moves drives.
     """
 
     interface: Word
@@ -92,6 +93,7 @@ class BusFile(Table, frozen=True):
     sync_can_id: CanId = 0x80
     loopback: bool = True
     heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
+    master_node: Node = 127
 
 
 def parse_object(name: str) -> tuple[int, int]:
@@ -116,6 +118,8 @@ def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
     if not 1e-4 <= bus.sync_period_s <= 1.0:
         refuse("sync_period_s", bus.sync_period_s, "0.0001 to 1")
     nodes = [d.node for d in bus.drive]
+    if bus.master_node in nodes:
+        refuse("master_node", bus.master_node, "a node id that no drive has")
     for i, drive in enumerate(bus.drive):
         key = f"drive[{i}]"
         if drive.node in nodes[:i]:

@@ -14,6 +14,7 @@ from .drives import LARGEST_LOAD, Bus, Drive
 from .master import Master, Wire
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
+from .supervision import second_stop, supervision_of
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 JITTER_SYNCS = 200
@@ -35,7 +36,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     link = Link(handle, passive=False)
     try:
         sock = socket_of(handle)
-        findings = [_load(bus)]
+        findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file), ok=True)]
         if sock is not None:
             granted = queue_bytes(sock)
             findings.append(
@@ -67,6 +68,9 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
             findings.append(Finding(subject=subject, found=str(error), ok=False))
             continue
         findings.append(Finding(subject=f"{subject} PDOs", found=_mapped(master, drive.node), ok=True))
+        findings += [
+            Finding(subject=f"{subject} supervision", found=text, ok=True) for text in supervision_of(master, drive)
+        ]
         scale = _scale(master, drive)
         if scale:
             findings.append(Finding(subject=f"{subject} scale", found=scale, ok=True))

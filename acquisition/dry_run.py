@@ -39,9 +39,10 @@ def dry_run(
     *,
     tap: Tap | None = None,
     passive: bool = False,
+    supervised: bool = True,
 ) -> DryRun:
     """Simulated drives on an in-process `virtual` bus, in lock-step with the link: simulated time, the same every run."""
-    drives = _drives(robot, bus, mechanism, faults)
+    drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
     file = msgspec.structs.replace(bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
     other_end = Link(open_bus(file, passive=False), passive=False)
     own = open_bus(file, passive=passive)
@@ -70,9 +71,11 @@ def serve(
     mechanism: Mechanism | None = None,
     faults: Sequence[SimulatedFault] = (),
     ready: Callable[[], None] = lambda: None,
+    *,
+    supervised: bool = True,
 ) -> SimulatedDrives:
     """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is told when they are there."""
-    drives = _drives(robot, bus, mechanism, faults)
+    drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
     link = open_link(bus.file, passive=False)
     try:
         sent = drives.boot()
@@ -93,7 +96,7 @@ def serve(
 
 
 def _drives(
-    robot: Robot, bus: Bus, mechanism: Mechanism | None, faults: Sequence[SimulatedFault] = ()
+    robot: Robot, bus: Bus, mechanism: Mechanism | None, faults: Sequence[SimulatedFault], *, supervised: bool
 ) -> SimulatedDrives:
     mechanism = mechanism or mechanism_of(robot, bus)
-    return SimulatedDrives(robot, bus, mechanism.plant, mechanism.loops, faults)
+    return SimulatedDrives(robot, bus, mechanism.plant, mechanism.loops, faults, supervised=supervised)

@@ -1,5 +1,6 @@
 """A CANopen master over a link: NMT, SDO, PDO configuration, and what every node last said. It decides nothing."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -83,6 +84,7 @@ class Master:
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
         self.sync_times: list[int] = []
+        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, whoever produces it
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
         """Receive until then; with `for_answers` only until every drive has answered SYNC."""
@@ -154,6 +156,7 @@ class Master:
             late = not watch.answers and (watch.started or watch.counts is not None)
             watch.silent_syncs = watch.silent_syncs + 1 if late else 0
             watch.answers = 0
+        self.at_sync()
 
     def nmt(self, command: int, node: int = 0) -> None:
         """Network management to one node, 0 to all."""

@@ -20,6 +20,7 @@ from . import AcquisitionError
 from .blocks import FRAME, SENT
 from .bus import DRAIN_S, Frame, Receiver, block_of, kernel_drops, open_bus
 from .drives import resolve
+from .master_heartbeat import HEARTBEAT_ID
 from .recorder import Recorded, Recorder, Status
 from .robot import Robot, robot_from_files
 from .sdo import REQUEST
@@ -200,7 +201,7 @@ def _main(
 def _master_ids(robot: Robot, place: str) -> NDArray[np.int64]:
     """Identifiers that only the master sends: in an active session they are ours, whoever saw them on the bus."""
     bus = resolve(robot, place)
-    ids = [0] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
+    ids = [0, HEARTBEAT_ID + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
     for drive in bus.drives:
         ids += [REQUEST + drive.node, *(pdo.can_id for pdo in drive.rpdos)]
     return np.array(ids)

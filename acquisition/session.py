@@ -17,6 +17,7 @@ from .cia402 import DISABLED, MODE_OF_OPERATION, Command, Mode, State, toward
 from .drives import refuse_out_of_range
 from .guards import Motion, motion_fault, node_fault
 from .master import PRE_OPERATIONAL, Master, axis_of
+from .master_heartbeat import MasterHeartbeat
 from .recorder import Status
 from .reference import approach, check_limits
 from .robot import Robot
@@ -120,6 +121,7 @@ class _Session:
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
         self._beat = _Beat(next_ns=0, until_ns=None)
+        self._heartbeat = MasterHeartbeat(master)
         self._last_orders: Orders | None = None
         self.addressed = False  # whether anything was commanded or written to the drives
 
@@ -139,6 +141,8 @@ class _Session:
             raise AcquisitionError("; ".join(differences))
         if self._plan.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+            for text in self._heartbeat.request():
+                self._log.event(self._link.now_ns(), "warning", text)
         self._master.start()
         now_ns = self._link.now_ns()
         self._beat.next_ns = now_ns + self._bus.period_ns
@@ -359,6 +363,9 @@ class _Session:
                     unconfirmed.append(drive.node)
             except AcquisitionError:
                 unconfirmed.append(drive.node)
+        with suppress(AcquisitionError):
+            for text in self._heartbeat.release([d.node for d in self._bus.drives if d.node not in unconfirmed]):
+                self._log.event(self._link.now_ns(), "warning", text)
         with suppress(AcquisitionError):
             self._master.nmt(PRE_OPERATIONAL)
         return unconfirmed

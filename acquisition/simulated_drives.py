@@ -16,12 +16,11 @@ from .drives import Bus
 from .plants import Plant
 from .robot import Robot
 from .simulated_node import Sent, simulated_node
+from .simulated_supervision import Supervision, leave_unsupervised
 
 Vector = NDArray[np.float64]
 
 SUBSTEPS = 4  # of the loops in a period
-SYNC_LOST_NS = 100_000_000  # without SYNC for so long an enabled drive goes into fault, as a real one is set up to do
-SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 FaultKind = Literal["emergency", "silent", "reset", "late", "missing", "duplicate", "short", "stuck"]
 
 
@@ -79,12 +78,26 @@ class _Agenda:
 
 
 class SimulatedDrives:
-    """All drives of a robot. Frames go in by `receive`; what they send comes back. No I/O, no clock."""
+    """All drives of a robot. Frames go in by `receive`; what they send comes back. No I/O, no clock.
+
+    Where not `supervised` they notice neither a lost SYNC nor a lost master: no 1016h, and 6007h is 0.
+    """
 
     def __init__(
-        self, robot: Robot, bus: Bus, plant: Plant, loops: Loops, faults: Sequence[SimulatedFault] = ()
+        self,
+        robot: Robot,
+        bus: Bus,
+        plant: Plant,
+        loops: Loops,
+        faults: Sequence[SimulatedFault] = (),
+        *,
+        supervised: bool = True,
     ) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
+        if not supervised:
+            for node in self.nodes:
+                leave_unsupervised(node)
+        self._supervisions = [Supervision(node, watches_sync=supervised) for node in self.nodes]
         self.plant = plant
         self._robot, self._bus, self._loops, self._faults = robot, bus, loops, tuple(faults)
         self._period_s = bus.file.sync_period_s
@@ -99,7 +112,6 @@ class SimulatedDrives:
         self._silent: set[int] = set()
         self._agenda = _Agenda()
         self._next_heartbeat = [0] * robot.n
-        self._last_sync_ns: int | None = None
         q, _ = plant.state()
         self._memory = _Memory(
             target=q,
@@ -132,6 +144,9 @@ class SimulatedDrives:
         if can_id == self._bus.file.sync_can_id:
             return self._sync(now_ns)
         sent: Sent = []
+        if 0x700 < can_id < 0x780 and data:
+            for supervision in self._supervisions:
+                supervision.heartbeat(now_ns, can_id - 0x700)
         for i, node in enumerate(self.nodes):
             answers = node.receive(can_id, data)
             if i not in self._silent:
@@ -142,8 +157,7 @@ class SimulatedDrives:
         """When `advance` has something to do next."""
         times = [item[0] for item in self._agenda.items]
         times += [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
-        if self._last_sync_ns is not None and not self.all_disabled:
-            times.append(self._last_sync_ns + SYNC_LOST_NS)
+        times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
@@ -154,19 +168,17 @@ class SimulatedDrives:
             if every_ns and now_ns >= self._next_heartbeat[i]:
                 self._next_heartbeat[i] = now_ns + every_ns
                 sent += [] if i in self._silent else node.heartbeat()
-        if self._last_sync_ns is not None and now_ns >= self._last_sync_ns + SYNC_LOST_NS:
-            for i, node in enumerate(self.nodes):
-                if node.state not in DISABLED:
-                    frames = node.emergency(SYNC_LOST_CODE)
-                    node.tick()
-                    sent += [] if i in self._silent else frames
+        for i, supervision in enumerate(self._supervisions):
+            frames = supervision.advance(now_ns)
+            sent += [] if i in self._silent else frames
         return sent
 
     def _heartbeat_ns(self, i: int) -> int:
         return self.nodes[i].values.get((HEARTBEAT_TIME, 0), 0) * 1_000_000
 
     def _sync(self, now_ns: int) -> Sent:
-        self._last_sync_ns = now_ns
+        for supervision in self._supervisions:
+            supervision.sync(now_ns)
         self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)

@@ -3,12 +3,16 @@
 from dataclasses import dataclass, field
 
 from .cia402 import (
+    ABORT_CONNECTION,
     AUTOMATIC,
     BITS,
+    CONSUMER_HEARTBEAT,
     CONTROLWORD,
+    FOLLOWING_ERROR_WINDOW,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     STANDARD,
+    STOP_OPTIONS,
     TRANSITIONS,
     Command,
     State,
@@ -34,6 +38,7 @@ from .sdo import (
 
 NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state that a heartbeat tells: operational, stopped, pre-operational
 RESET = (129, 130)
+CONSUMERS = 2  # heartbeats that a drive without a dictionary can supervise
 
 Sent = list[tuple[int, bytes]]
 Key = tuple[int, int]
@@ -74,6 +79,10 @@ class SimulatedNode:
     def emergency(self, code: int, register: int = 1) -> Sent:
         """Go into fault and tell so (CiA 301, 7.2.7)."""
         self.state = State.FAULT_REACTION_ACTIVE
+        return self.error(code, register)
+
+    def error(self, code: int, register: int = 1) -> Sent:
+        """An emergency message without a change of state."""
         return [(0x80 + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
@@ -84,7 +93,8 @@ class SimulatedNode:
                 return self.boot()
             if data[0] in NMT_STATE:
                 self.nmt = NMT_STATE[data[0]]
-                if not self.operational and self.state is State.OPERATION_ENABLED:
+                told = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
+                if not self.operational and self.state is State.OPERATION_ENABLED and told:
                     self.state = State.SWITCH_ON_DISABLED  # no more commands can come: the power stage goes off
         elif can_id == 0x600 + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
@@ -194,11 +204,14 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         used = (drive.status, drive.control, drive.position, drive.target, drive.effort.entry)
         types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
+        types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
         for communication, mapping in PARAMETERS.values():
             for k in range(4):
                 types |= {(communication + k, 0): "U8", (communication + k, 1): "U32", (communication + k, 2): "U8"}
                 types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
-        values = dict.fromkeys(types, 0) | {(0x1000, 0): 0x00020192}
+        values = dict.fromkeys(types, 0) | {(0x1000, 0): 0x00020192, (CONSUMER_HEARTBEAT, 0): CONSUMERS}
+        values |= {(ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}  # CiA 402: fault signal; off
+        values |= dict.fromkeys(((option, 0) for option in STOP_OPTIONS), 2)  # quick stop ramp
         values |= {(first + k, 1): NOT_VALID for first, _ in PARAMETERS.values() for k in range(4)}
     values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
     node = SimulatedNode(drive=drive, types=types, values=values, read_only=frozenset(read_only))

@@ -31,7 +31,7 @@ from test_recording_processes import (
     wait_for,
 )
 
-from acquisition import simulated_drives
+from acquisition import simulated_supervision
 from acquisition.dry_run import serve
 from acquisition.recording import read_recording
 
@@ -156,7 +156,7 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
 def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     """The canopen package, unchanged: boot-up, SDO, PDO mapping, NMT, heartbeat, SYNC."""
     # This master sends SYNC when it has something to say, however long that takes it.
-    monkeypatch.setattr(simulated_drives, "SYNC_LOST_NS", 60 * 10**9)
+    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 60 * 10**9)
     robot = robot_of(bus_text(1, channel="python_master"))
     stop = threading.Event()
     network = canopen.Network()

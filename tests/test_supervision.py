@@ -1,0 +1,203 @@
+"""What drives notice of a master that dies: its heartbeat, their consumers of it, and what check tells of them."""
+
+import itertools
+
+import msgspec
+import pytest
+from dry_sessions import dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError, simulated_supervision
+from acquisition.check import look
+from acquisition.cia402 import Command, Mode, State
+from acquisition.dry_run import DryRun, dry_run
+from acquisition.master import Master
+from acquisition.master_heartbeat import MasterHeartbeat, free_entry, timeout_ms
+from acquisition.session import Plan
+from acquisition.simulated_node import SimulatedNode
+from acquisition.supervision import second_stop, supervision_of
+
+MS = 1_000_000
+TRACK = Plan(reference=swing(2))
+# 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and 7.5.2.17), and its removal.
+ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
+
+
+def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending.reason == "finished"
+    frames = next(iter(outcome.recording.frames.values()))
+    beats = frames[frames["can_id"] == 0x77F]
+    assert {bytes(d[:n]) for d, n in zip(beats["data"], beats["length"], strict=True)} == {b"\x05"}
+    syncs = frames["time_ns"][frames["can_id"] == 0x80]
+    # Three in every time-out of 300 ms, from the first SYNC on; none between SYNCs but those of the end.
+    times = beats["time_ns"].tolist()
+    assert times[0] == syncs[0]
+    assert max(b - a for a, b in itertools.pairwise(times)) <= 100 * MS
+    assert set(times[:-2]) <= set(syncs.tolist())
+    for node in (1, 2):
+        asked = frames[
+            (frames["can_id"] == 0x600 + node) & (frames["data"][:, 1] == 0x16) & (frames["data"][:, 0] == 0x23)
+        ]
+        assert [d.tobytes() for d in asked["data"]] == [ASKED, REMOVED]
+        removed_ns = asked["time_ns"][1]
+        assert removed_ns >= outcome.recording.events[-1].stamp_ns - 100 * MS
+        assert removed_ns - times[-1] < 300 * MS  # it ends before the time-out is over
+    assert [node.values[0x1016, 1] for node in outcome.drives.nodes] == [0, 0]
+    assert not (frames["can_id"] == 0x81).any()
+
+
+def test_without_motion_there_is_no_heartbeat(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.5))
+    frames = next(iter(outcome.recording.frames.values()))
+    assert not (frames["can_id"] == 0x77F).any()
+
+
+def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[DryRun, Master, MasterHeartbeat]:
+    """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
+    robot = robot_of(bus_text(2))
+    run = dry_run(robot, bus_of(robot), supervised=supervised)
+    master = Master(run.link, bus_of(robot))
+    heartbeat = MasterHeartbeat(master)
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    heartbeat.request()
+    master.start()
+    for node in run.drives.nodes:
+        node.values[0x6007, 0] = abort_connection
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(node.drive.node, 0x6040, 0, command.controlword, 2)
+    master.sync()
+    master.wait(run.link.now_ns() + MS)
+    return run, master, heartbeat
+
+
+@pytest.mark.parametrize(
+    ("option", "state"),
+    [
+        (0, State.OPERATION_ENABLED),
+        (1, State.FAULT),
+        (2, State.SWITCH_ON_DISABLED),
+        (3, State.QUICK_STOP_ACTIVE),
+    ],
+)
+def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
+    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
+    run, master, _ = enabled(abort_connection=option)
+    master.wait(run.link.now_ns() + 298 * MS)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+    assert master.nodes[0].emergency is None
+    master.wait(run.link.now_ns() + 3 * MS)
+    assert run.drives.states == [state] * 2
+    assert master.nodes[0].emergency == 0x8130
+    run.close()
+
+
+def test_an_unsupervised_drive_notices_nothing():
+    run, master, heartbeat = enabled(abort_connection=0, supervised=False)
+    assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [True, True]
+    master.wait(run.link.now_ns() + 2000 * MS)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+    run.close()
+
+
+def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
+    """Full, with one of another producer, or with what a killed session left."""
+    other, ours = 5 << 16 | 700, 127 << 16 | 300
+    begin = SimulatedNode.boot
+
+    def entries(self):
+        sent = begin(self)
+        self.values |= {(0x1016, 1): other, (0x1016, 2): other + 0x10000 if self.drive.node == 1 else ours}
+        return sent
+
+    monkeypatch.setattr(SimulatedNode, "boot", entries)
+    outcome = dry_session(tmp_path / "a.mcap", TRACK)
+    assert outcome.ending.reason == "finished"
+    full, left = outcome.drives.nodes
+    assert (full.values[0x1016, 1], full.values[0x1016, 2]) == (other, other + 0x10000)
+    assert (left.values[0x1016, 1], left.values[0x1016, 2]) == (other, 0)
+    (warning,) = [text for text in outcome.events("warning") if "1016" in text]
+    assert warning.startswith("node 1: object 1016: no free sub-index")
+
+
+@pytest.mark.parametrize(
+    ("entries", "sub"),
+    [
+        ([], None),
+        ([0], 1),
+        ([5 << 16 | 100, 0], 2),
+        ([5 << 16 | 100, 5 << 16], 2),
+        ([0, 127 << 16 | 90], 2),
+        ([127 << 16, 0], 1),
+        ([5 << 16 | 100], None),
+        ([200 << 16 | 100], 1),
+    ],
+)
+def test_a_free_entry(entries, sub):
+    assert free_entry(entries, 127) == sub
+
+
+def test_the_time_out_is_three_heartbeats_or_periods():
+    assert timeout_ms(bus_of(robot_of(bus_text(2))).file) == 300
+    assert timeout_ms(bus_of(robot_of(bus_text(2, extra="heartbeat_s = 0.01"))).file) == 30
+    assert timeout_ms(bus_of(robot_of(bus_text(2, period_s=0.02, extra="heartbeat_s = 0.01"))).file) == 60
+
+
+def test_a_master_under_the_id_of_a_drive_is_refused():
+    with pytest.raises(AcquisitionError, match=r"bus.master_node = 2: expected a node id that no drive has"):
+        robot_of(bus_text(2, extra="master_node = 2"))
+
+
+def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
+    robot = robot_of(bus_text(1))
+    run = dry_run(robot, bus_of(robot))
+    node = run.drives.nodes[0]
+    node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
+    node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
+    for key in [key for key in node.values if key[0] in missing]:
+        del node.values[key]
+    master = Master(run.link, bus_of(robot))
+    told = "\n".join(supervision_of(master, master.bus.drives[0]))
+    run.close()
+    return told
+
+
+@pytest.mark.parametrize(
+    ("values", "missing", "expected"),
+    [
+        ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
+        ({(0x6007, 0): 3}, (), "6007 = 3: quick stop when the connection is lost"),
+        ({(0x1016, 1): 5 << 16 | 80}, (), "1016: node 5 80 ms; --track writes 0x007F012C (node 127, 300 ms) to sub-index 2"),
+        ({(0x1016, 0): 0}, (), "1016: none in use: no free sub-index: the drive does not notice when the master dies"),
+        ({}, (0x1016,), "1016: not there: the drive does not notice when the master dies"),
+        ({(0x1029, 1): 1}, (), "1029:1 = 1: no change of the NMT state"),
+        ({(0x1400, 5): 0}, (), "1400:5 = 0: a PDO to the drive that stays away has no effect"),
+        ({(0x1400, 5): 50}, (), "1400:5 = 50: an error after 50 ms without the PDO"),
+        ({(0x605A, 0): 0}, (), "quick stop 605A = 0: voltage off at once, the motor coasts"),
+        ({(0x605A, 0): 6}, (), "quick stop 605A = 6: quick-stop ramp, then held in quick stop active"),
+        ({(0x605A, 0): 0xFFFF}, (), "quick stop 605A = -1: of the manufacturer"),
+        ({(0x605B, 0): 1}, (), "shutdown 605B = 1: slow-down ramp, then off"),
+        ({(0x605C, 0): 0}, (), "disable operation 605C = 0: voltage off at once, the motor coasts"),
+        ({(0x605E, 0): 2}, (), "fault reaction 605E = 2: quick-stop ramp, then off"),
+        ({}, (0x605E,), "fault reaction 605E: not there"),
+        ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
+        ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error beyond 900 of the drive's position units, after 20 ms"),
+        ({(0x6085, 0): 70000}, (), "quick stop deceleration 6085 = 70000"),
+    ],
+)  # fmt: skip
+def test_supervision_in_words(values, missing, expected):
+    assert expected in supervision(values, *missing)
+
+
+def test_check_shows_it_and_where_there_is_no_second_stop():
+    robot = robot_of(bus_text(2))
+    run = dry_run(robot, bus_of(robot))
+    shown = [f.found for f in look(run.link, bus_of(robot)) if f.subject == "node 2 (motor_2) supervision"]
+    run.close()
+    assert any("6007 = 1: fault" in text for text in shown)
+    file = bus_of(robot).file
+    assert second_stop(file).startswith("the recorder's process stops the drives")
+
+    slcan = msgspec.structs.replace(file, interface="slcan")
+    assert second_stop(slcan).startswith("none: slcan opens once only")
