@@ -254,7 +254,8 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     try:
         root = ET.fromstring(robot.urdf or "")
         for joint in root.iter("joint"):
-            axis = joint.find("axis")
+            moves_along = joint.get("type") not in ("fixed", "floating")  # exporters write 0 0 0 for these
+            axis = joint.find("axis") if moves_along else None
             if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
                 raise IdentificationError(f"{place}: joint {joint.get('name')!r}: axis is zero; expected a direction")
             if joint.get("type") == "continuous":  # pinocchio would give it two coordinates

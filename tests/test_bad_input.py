@@ -16,7 +16,7 @@ from acquisition import AcquisitionError
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import robot_from_files
 from identification import IdentificationError
-from identification.dynamics import Dynamics
+from identification.dynamics import Dynamics, direct_model
 from identification.idim import Iteration, identify_iv, identify_ls
 from identification.plan import Overrides
 from identification.signals import load_signals
@@ -145,16 +145,31 @@ def test_a_fit_that_diverged_is_told_wherever_it_is_used(capsys, tmp_path):
     assert "its status is" not in run(capsys, "validate", good, SESSION)[1]
 
 
-def test_a_urdf_with_an_axis_of_zero_is_refused():
-    robot = robot_named("scara")
-    urdf = (
-        '<robot name="r"><link name="a"/><link name="b"><inertial><mass value="1"/>'
-        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>'
-        '<joint name="shoulder" type="revolute"><parent link="a"/><child link="b"/><axis xyz="0 0 0"/>'
-        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
-    )
-    with pytest.raises(IdentificationError, match="joint 'shoulder': axis is zero"):
-        Dynamics(dataclasses.replace(robot, urdf=urdf))
+ARM = """<robot name="r"><link name="a"/><link name="flange"/>
+<link name="b"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<link name="c"><inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+<joint name="shoulder" type="TYPE"><parent link="a"/><child link="b"/><axis xyz="AXIS"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="elbow" type="revolute"><parent link="b"/><child link="c"/><origin xyz="0.5 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="mount" type="fixed"><parent link="c"/><child link="flange"/><axis xyz="0 0 0"/></joint></robot>"""
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
+def test_a_movable_joint_needs_an_axis(kind):
+    urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 0")
+    with pytest.raises(IdentificationError, match="joint 'shoulder': axis is zero; expected a direction"):
+        Dynamics(dataclasses.replace(robot_named("scara"), urdf=urdf))
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_a_fixed_joint_needs_none(kind):
+    """Exporters write `0 0 0` there. At q = 0 both arms are straight: inertias as of two unit masses by hand."""
+    urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 1")
+    idm = Dynamics(dataclasses.replace(robot_named("scara"), urdf=urdf))
+    chi = np.array([{"ZZ1": 1.0, "ZZ2": 2.0, "M2": 3.0}.get(name, 0.0) for name in idm.names])
+    inertia = direct_model(idm, chi).inertia(np.zeros((1, 2)))[0]
+    assert inertia == pytest.approx(np.array([[1.0 + 2.0 + 3.0 * 0.5**2, 2.0], [2.0, 2.0]]), abs=1e-5)
 
 
 def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
