@@ -1,0 +1,370 @@
+"""Frames on their way from the kernel, from python-can and from logs into rows, and what a link lets out."""
+
+import socket
+import struct
+from types import SimpleNamespace
+
+import can
+import numpy as np
+import pytest
+
+from acquisition import AcquisitionError
+from acquisition import bus as bus_module
+from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
+from acquisition.bus import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus, read_log
+from acquisition.bus_description import BusFile, DriveFile
+
+
+def test_a_row_byte_for_byte():
+    """The layout that recordings hold: time, identifier, length, flags, data, little-endian, without gaps."""
+    block = block_of([Frame(0x0102030405060708, 0x185, bytes.fromhex("3712FB"), SENT | EXTENDED)])
+    assert block.tobytes().hex(" ") == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
+    assert (SENT, EXTENDED, ERROR, REMOTE) == (1, 2, 4, 8)
+    assert len(block_of([])) == 0
+    assert block_of([]).dtype == FRAME
+
+
+@pytest.mark.parametrize(("length", "time_ns", "good"), [(8, 0, True), (0, 2**62, True), (9, 0, False), (8, -1, False)])
+def test_rows_that_are_no_frames(length, time_ns, good):
+    block = block_of([Frame(5, 1, b""), Frame(6, 2, b"")])
+    block["length"][1], block["time_ns"][1] = length, time_ns
+    if good:
+        check_frames(block, "x")
+    else:
+        with pytest.raises(
+            AcquisitionError, match=f"^x: row 2: length = {length}, time_ns = {time_ns}: expected 8 bytes"
+        ):
+            check_frames(block, "x")
+
+
+# The kernel's frames (struct can_frame of linux/can.h): identifier and flags, length, three bytes, data
+
+MESSAGES = [
+    ("85 01 00 00 08 00 00 00 37 12 FB FF FF FF D4 FE", (1, 2), 0, (1_000_000_002, 0x185, 8, 0, "3712FBFFFFFFD4FE")),
+    ("85 01 00 00 02 FF FF FF 37 12 AA AA AA AA AA AA", (2, 999_999_999), 0, (2_999_999_999, 0x185, 2, 0, "3712")),
+    ("80 00 00 00 00 00 00 00 AA 00 00 00 00 00 00 00", (3, 0), 4, (3_000_000_000, 0x080, 0, SENT, "")),
+    ("78 56 34 92 01 00 00 00 01 00 00 00 00 00 00 00", (4, 0), 0, (4_000_000_000, 0x12345678, 1, EXTENDED, "01")),
+    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0, (5_000_000_000, 0x185, 8, REMOTE, "00" * 8)),
+    ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0, (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
+    ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0, (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
+]  # fmt: skip
+
+
+class KernelSocket:
+    """What `recvmsg` gives, then nothing more; it is told to stop after the first message."""
+
+    def __init__(self, messages, receiver_of) -> None:
+        self.messages, self.receiver_of, self.options = list(messages), receiver_of, []
+
+    def setblocking(self, flag: bool) -> None:
+        assert flag
+
+    def setsockopt(self, *option) -> None:
+        self.options.append(option)
+
+    def recvmsg(self, size, ancillary, flags=0):
+        assert size >= 16
+        assert ancillary >= socket.CMSG_SPACE(16)
+        receiver = self.receiver_of()
+        if not self.messages:
+            receiver.stopped = True
+            raise BlockingIOError
+        if len(self.messages) <= 3:
+            receiver.stopped = True  # the last ones are taken on the way out
+        return self.messages.pop(0)
+
+
+def received(messages):
+    receivers: list[Receiver] = []
+    sock = KernelSocket(messages, lambda: receivers[0])
+    receivers.append(Receiver(None, raw_socket=sock))
+    receivers[0].run()
+    assert receivers[0].error is None
+    return receivers[0]
+
+
+def test_frames_of_the_kernel():
+    """Identifier, flags and time by hand; beyond the length there are zeros, whatever the kernel left there."""
+    raw = [
+        (bytes.fromhex(text), [(socket.SOL_SOCKET, 35, struct.pack("qq", *stamp))], flags, None)
+        for text, stamp, flags, _ in MESSAGES
+    ]
+    too_long = (bytes(72), raw[0][1], 0, None)  # of CAN FD
+    without_time = (raw[0][0], [], 0, None)
+    receiver = received([too_long, *raw[:4], without_time, *raw[4:]])
+    block = receiver.take()
+    found = [
+        (int(r["time_ns"]), int(r["can_id"]), int(r["length"]), int(r["flags"]), r["data"].tobytes().hex().upper())
+        for r in block
+    ]
+    assert found == [(*row[:4], row[4].ljust(16, "0")) for _, _, _, row in MESSAGES]
+    assert len(receiver.take()) == 0
+
+
+def test_a_socket_that_fails_is_told():
+    def raise_(*_: object, **__: object) -> None:
+        raise OSError(19, "No such device")
+
+    sock = KernelSocket([], lambda: None)
+    sock.recvmsg = raise_
+    receiver = Receiver(None, raw_socket=sock)
+    receiver.run()
+    assert receiver.error == "[Errno 19] No such device"
+
+
+# python-can's frames
+
+
+class FakeBus:
+    """As python-can's: hands out messages, keeps what is sent."""
+
+    def __init__(self, *messages) -> None:
+        self.messages, self.sent, self.ended = list(messages), [], False
+
+    def recv(self, timeout):
+        return self.messages.pop(0) if self.messages else None
+
+    def send(self, message, timeout=None) -> None:
+        self.sent.append((message.arbitration_id, bytes(message.data), message.is_extended_id))
+
+    def shutdown(self) -> None:
+        self.ended = True
+
+
+def message(can_id: int = 0x185, data: bytes = b"\1\2", time_s: float = 1.5, **kind: bool) -> can.Message:
+    return can.Message(timestamp=time_s, arbitration_id=can_id, data=data, **({"is_extended_id": False} | kind))
+
+
+FRAMES = [
+    (message(time_s=1700000000.123456), Frame(1700000000123456001, 0x185, b"\1\2", 0)),
+    (message(0x12345678, is_extended_id=True), Frame(1_500_000_000, 0x12345678, b"\1\2", EXTENDED)),
+    (message(4, bytes(8), is_error_frame=True), Frame(1_500_000_000, 4, bytes(8), ERROR)),
+    (message(0x185, b"", is_remote_frame=True), Frame(1_500_000_000, 0x185, b"", REMOTE)),
+    (message(0x80, b"", is_rx=False), Frame(1_500_000_000, 0x80, b"", SENT)),
+]
+
+
+@pytest.mark.parametrize(("given", "expected"), FRAMES)
+def test_frames_of_python_can(given, expected):
+    tapped: list[Frame] = []
+    frame = Link(FakeBus(given), passive=True, tap=tapped.append).take(0)
+    assert frame is not None
+    assert frame[1:] == expected[1:]
+    assert frame.time_ns == pytest.approx(expected.time_ns, abs=200)  # a double holds no more of such a time
+    assert tapped == [frame]
+
+
+def test_a_receiver_keeps_the_order_and_leaves_can_fd_out():
+    fake = FakeBus(*(given for given, _ in FRAMES), message(data=bytes(12), is_fd=True))
+    receiver = Receiver(fake)
+    receiver.stopped = True  # what has arrived is still taken
+    receiver.run()
+    assert receiver.error is None
+    block = receiver.take()
+    assert block["can_id"].tolist() == [frame.can_id for _, frame in FRAMES]
+    assert block["flags"].tolist() == [frame.flags for _, frame in FRAMES]
+    assert len(receiver.take()) == 0
+
+
+def test_a_receiver_ends_with_the_bus_and_says_why():
+    fake = FakeBus()
+    fake.recv = lambda timeout: (_ for _ in ()).throw(can.CanOperationError("adapter gone"))
+    receiver = Receiver(fake)
+    receiver.run()
+    assert receiver.error == "adapter gone"
+
+
+# Links
+
+
+def test_what_a_link_sends():
+    fake, tapped = FakeBus(), []
+    link = Link(fake, passive=False, tap=tapped.append)
+    link.send(0x605, b"\x40\x41\x60\0\0\0\0\0")
+    assert fake.sent == [(0x605, b"\x40\x41\x60\0\0\0\0\0", False)]
+    assert [frame[1:] for frame in tapped] == [(0x605, b"\x40\x41\x60\0\0\0\0\0", SENT)]
+    assert abs(tapped[0].time_ns - link.now_ns()) < 10e9
+    link.close()
+    assert fake.ended
+
+
+def test_a_passive_link_sends_nothing():
+    fake, tapped = FakeBus(), []
+    with pytest.raises(AcquisitionError, match="bus: passive: nothing is ever sent"):
+        Link(fake, passive=True, tap=tapped.append).send(0x80, b"")
+    assert (fake.sent, tapped) == ([], [])
+
+
+def test_a_bus_that_takes_no_frame_is_told_and_nothing_is_noted():
+    fake, tapped = FakeBus(), []
+
+    def refuse(*_: object, **__: object) -> None:
+        raise can.CanOperationError("buffer full")
+
+    fake.send = refuse
+    with pytest.raises(AcquisitionError, match="bus: frame 0x605 cannot be sent: buffer full"):
+        Link(fake, passive=False, tap=tapped.append).send(0x605, b"")
+    assert tapped == []
+
+
+def test_a_bus_that_cannot_be_read_is_told():
+    fake = FakeBus()
+    fake.recv = lambda timeout: (_ for _ in ()).throw(OSError("gone"))
+    with pytest.raises(AcquisitionError, match="bus: cannot be read: gone"):
+        Link(fake, passive=True).take(0)
+
+
+def test_frames_that_a_group_gives_back_are_left_out_once():
+    """A multicast group returns what was sent; the same bytes from somebody else, later, are a frame like any other."""
+    fake = FakeBus(message(0x80, b""), message(0x185), message(0x80, b""))
+    fake._multicast = SimpleNamespace(_socket=None)
+    link = Link(fake, passive=False)
+    link.send(0x80, b"")
+    assert [link.take(0).can_id for _ in range(2)] == [0x185, 0x80]
+    assert link.take(0) is None
+
+
+def test_a_bus_that_gives_nothing_back_loses_nothing():
+    link = Link(FakeBus(message(0x80, b"")), passive=False)
+    link.send(0x80, b"")
+    assert link.take(0).can_id == 0x80
+
+
+def test_simulated_time_stands_still_while_anybody_speaks():
+    """Others act at 5 ns of their own accord, three times; a frame has the time at which it comes."""
+    acts, fake, tapped = [5, 5, 5], FakeBus(message(0x185)), []
+
+    def others(now_ns: int) -> bool:
+        if acts and now_ns >= acts[0]:
+            acts.pop(0)
+            fake.messages.append(message(0x285))
+            return True
+        return False
+
+    link = LockStepLink(fake, others, lambda: acts[0] if acts else None, passive=False, tap=tapped.append, start_ns=0)
+    times = []
+    while frame := link.receive(20):
+        times.append((frame.can_id, frame.time_ns))
+    assert times == [(0x185, 0), (0x285, 5), (0x285, 5), (0x285, 5)]
+    assert [(f.can_id, f.time_ns) for f in tapped] == times
+    assert link.now_ns() == 20
+    assert link.receive(10) is None
+    assert link.now_ns() == 20
+
+
+def test_drops_that_the_kernel_counts():
+    """SO_MEMINFO: nine counters, the last one of drops."""
+    asked = []
+
+    def getsockopt(*option: int) -> bytes:
+        asked.append(option)
+        return struct.pack("9I", *range(10, 19))
+
+    assert kernel_drops(SimpleNamespace(getsockopt=getsockopt)) == 18
+    assert asked == [(1, 55, 36)]  # SOL_SOCKET, SO_MEMINFO
+    assert kernel_drops(None) == 0
+    assert kernel_drops(SimpleNamespace(getsockopt=lambda *_: b"")) == 0
+
+
+def opened(monkeypatch, passive=False, **keys):
+    """The options that python-can is opened with, and the bus."""
+    asked = []
+
+    def bus(**options):
+        asked.append(options)
+        return FakeBus()
+
+    monkeypatch.setattr(can, "Bus", bus)
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    file = BusFile(**({"interface": "socketcan", "channel": "can0", "drive": (drive,), "sync_period_s": 0.002} | keys))
+    found = open_bus(file, passive=passive)
+    return asked[0], found
+
+
+@pytest.mark.parametrize(
+    ("keys", "passive", "expected"),
+    [
+        ({}, False, {"channel": "can0"}),
+        ({"bitrate": 500_000}, True, {"channel": "can0"}),  # `ip link` sets the rate of a network interface
+        ({"interface": "pcan", "bitrate": 500_000}, False, {"channel": "can0", "bitrate": 500_000}),
+        ({"interface": "slcan"}, False, {"channel": "can0", "bitrate": 1_000_000}),
+        ({"interface": "slcan"}, True, {"channel": "can0", "bitrate": 1_000_000, "listen_only": True}),
+        (
+            {"interface": "udp_multicast", "channel": "239.1.2.3:4321"},
+            False,
+            {"channel": "239.1.2.3", "port": 4321, "hop_limit": 0, "fd": False},
+        ),
+        (
+            {"interface": "udp_multicast", "channel": "239.1.2.3", "loopback": False},
+            False,
+            {"channel": "239.1.2.3", "hop_limit": 1, "fd": False},
+        ),
+    ],
+)
+def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
+    options, _ = opened(monkeypatch, passive, **keys)
+    assert options == {"interface": keys.get("interface", "socketcan"), "ignore_config": True} | expected
+
+
+def test_a_bus_opened_passively_cannot_send(monkeypatch):
+    _, bus = opened(monkeypatch, passive=True)
+    with pytest.raises(AcquisitionError, match="passive"):
+        bus.send(message())
+    with pytest.raises(AcquisitionError, match="passive"):
+        bus.send_periodic(message(), 0.1)
+    _, bus = opened(monkeypatch)
+    bus.send(message())
+
+
+def test_a_queue_is_enlarged_past_the_limit_where_we_may():
+    granted, asked = [212_992, 212_992], []
+
+    def setsockopt(level: int, option: int, value: int) -> None:
+        asked.append((level, option, value))
+
+    sock = SimpleNamespace(setsockopt=setsockopt, getsockopt=lambda *_: granted[0])
+    bus_module._enlarge_queue(sock)
+    assert asked == [(1, 8, 4 * 2**20), (1, 33, 4 * 2**20)]  # SO_RCVBUF, SO_RCVBUFFORCE
+    asked.clear()
+    granted[0] = 8 * 2**20
+    bus_module._enlarge_queue(sock)
+    assert asked == [(1, 8, 4 * 2**20)]
+
+
+# Logs
+
+
+def test_a_candump_by_hand(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text(
+        "(0.000001) can0 080#\n"
+        "(1.500000) can0 185#3712FBFFFFFFD4FE\n"
+        "(2.250000) can1 12345678#0102\n"
+        "(3.000000) can0 185#R\n"
+        "(4.000000) can0 20000080#\n"
+        "(5.000000) can0 185##1AABB\n"
+        "(6.000000) can0 000#0105\n"
+    )
+    assert list(read_log(path)) == [
+        ("can0", Frame(1000, 0x080, b"", 0)),
+        ("can0", Frame(1_500_000_000, 0x185, bytes.fromhex("3712FBFFFFFFD4FE"), 0)),
+        ("can1", Frame(2_250_000_000, 0x12345678, b"\1\2", EXTENDED)),
+        ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE)),
+        ("can0", Frame(4_000_000_000, 0, b"", ERROR)),
+        ("can0", None),
+        ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),
+    ]
+
+
+def test_the_latest_time_of_a_log(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("(2147483647.000000) can0 080#\n(2147483649.000000) can0 080#\n")
+    frames = read_log(path)
+    assert next(frames)[1] == Frame(2_147_483_647_000_000_000, 0x80, b"")
+    with pytest.raises(AcquisitionError, match="frame 2: time 2147483649 s: expected 0 to 2147483648"):
+        next(frames)
+
+
+def test_rows_of_frames_beyond_their_length_are_zero():
+    block = block_of([Frame(0, 1, b"\xff" * 8), Frame(1, 2, b"\xee")])
+    assert np.array_equal(block["data"], [[255] * 8, [238] + [0] * 7])
