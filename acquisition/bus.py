@@ -361,7 +361,7 @@ def block_of(frames: list[Frame]) -> Block:
 
 def _frame_of(message: Any) -> Frame:
     flags = (
-        (EXTENDED if message.is_extended_id else 0)
+        (EXTENDED if message.is_extended_id and not message.is_error_frame else 0)
         | (ERROR if message.is_error_frame else 0)
         | (REMOTE if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
@@ -369,10 +369,11 @@ def _frame_of(message: Any) -> Frame:
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
 
 
-def read_log(path: Path) -> Iterator[tuple[str, Frame | None]]:
+def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF log.
 
-    None stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
+    The interface of a candump's error frame is None: python-can's reader does not tell it. In the place of a frame, None
+    stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
     (from 1) where its time is none that a recording holds.
     """
     import can
@@ -387,7 +388,8 @@ def read_log(path: Path) -> Iterator[tuple[str, Frame | None]]:
                 if not 0 <= message.timestamp <= latest_s:  # nor is NaN
                     told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
                     raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
-                yield str(message.channel), None if getattr(message, "is_fd", False) else _frame_of(message)
+                interface = None if message.channel is None else str(message.channel)
+                yield interface, None if getattr(message, "is_fd", False) else _frame_of(message)
     except AcquisitionError:
         raise
     except OSError as error:

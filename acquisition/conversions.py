@@ -1,5 +1,6 @@
 """Recordings made from recordings and from logs of other tools: decoded again, exported, imported."""
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -72,24 +73,29 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
 
 def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     """The frames of a log, and what is left out of them. Two buses in one would make two samples of every SYNC."""
-    found: dict[str, list[Frame]] = {}
+    found: list[tuple[str | None, Frame]] = []
     fd = 0
     for interface, frame in read_log(log):
         if frame is None:
             fd += 1
         else:
-            found.setdefault(interface, []).append(frame)
+            found.append((interface, frame))
     if not found:
         raise AcquisitionError(f"{log}: holds no CAN frames ({fd} of CAN FD): expected some of classic CAN")
-    wanted = next(iter(found)) if len(found) == 1 else robot.bus.channel if robot.bus is not None else ""
-    told = [f"{len(frames)} of interface {name}" for name, frames in found.items() if name != wanted]
-    if wanted not in found:
+    counts = Counter(interface for interface, _ in found)
+    named = [interface for interface in counts if interface is not None]
+    wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
+    if len(named) > 1:
+        wanted = {robot.bus.channel if robot.bus is not None else ""}
+    told = [f"{count} of interface {name or '(not told)'}" for name, count in counts.items() if name not in wanted]
+    if not wanted & set(counts):
         raise AcquisitionError(
             f"{log}: frames: {', '.join(told)}: expected one interface: filter the log, or name one of them as "
             "bus.channel in robot.toml"
         )
     told += [f"{fd} of CAN FD"] if fd else []
-    return block_of(found[wanted]), (f"frames left out: {', '.join(told)}",) if told else ()
+    frames = block_of([frame for interface, frame in found if interface in wanted])
+    return frames, (f"frames left out: {', '.join(told)}",) if told else ()
 
 
 def export_csv(path: Path, out: Path) -> int:

@@ -8,6 +8,7 @@ from made_up_buses import bus_text, flat, robot_of, session
 
 from acquisition import AcquisitionError
 from acquisition.__main__ import main
+from acquisition.blocks import ERROR
 from acquisition.conversions import decode_recording, export_csv, import_log
 from acquisition.recording import read_recording
 from acquisition.table_files import read_columns
@@ -102,6 +103,17 @@ def test_a_time_that_no_recording_holds(tmp_path, time, told):
         import_log(log, tmp_path / "o.mcap", ROBOT, "robot.toml")
     assert str(caught.value) == f"{log}: frame 3: {told}: expected 0 to 2147483648"
     assert list(tmp_path.iterdir()) == [log]
+
+
+def test_an_error_frame_is_not_a_second_interface(tmp_path):
+    """python-can's reader tells no interface of a candump's error frame."""
+    log, out = tmp_path / "a.log", tmp_path / "a.mcap"
+    write_log(log, flat(session()))
+    log.write_text(log.read_text() + "(1.098500) can0 20000080#0000000000000000\n")
+    found = import_log(log, out, ROBOT, "robot.toml")  # its bus.channel is none of the log's
+    assert found.samples == 50
+    frames = read_recording(out).frames["log"]
+    assert (len(frames), int(frames["flags"][-1])) == (151, ERROR)
 
 
 def log_of_two_interfaces(path) -> None:
