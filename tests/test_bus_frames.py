@@ -350,7 +350,7 @@ def test_a_candump_by_hand(tmp_path):
         ("can0", Frame(1_500_000_000, 0x185, bytes.fromhex("3712FBFFFFFFD4FE"), 0)),
         ("can1", Frame(2_250_000_000, 0x12345678, b"\1\2", EXTENDED)),
         ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE)),
-        ("can0", Frame(4_000_000_000, 0, b"", ERROR)),
+        (None, Frame(4_000_000_000, 0, b"", ERROR)),
         ("can0", None),
         ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),
     ]
