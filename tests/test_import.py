@@ -325,6 +325,85 @@ def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
         )
 
 
+SINGLE = """
+name = "single"
+[[joint]]
+name = "axis"
+type = "KIND"
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[motor]]
+name = "motor"
+effort_unit = "EFFORT"
+[controller]
+bandwidth_hz = 20
+"""
+SINGLE_MAP = """
+sample_rate_hz = 500
+[position]
+columns = ["p"]
+unit = "POSITION"
+[effort]
+columns = ["c"]
+unit = "EFFORT"
+"""
+
+
+@pytest.mark.parametrize(
+    ("kind", "unit", "value", "si"),
+    [
+        ("revolute", "rad", 1.25, 1.25),
+        ("revolute", "deg", 180.0, 3.141592653589793),
+        ("revolute", "deg", -57.29577951308232, -1.0),
+        ("prismatic", "m", 0.3, 0.3),
+        ("prismatic", "mm", 250.0, 0.25),
+        ("prismatic", "um", -1500.0, -0.0015),
+    ],
+)
+def test_units_of_position_by_hand(tmp_path: Path, kind: str, unit: str, value: float, si: float) -> None:
+    effort = "N m" if kind == "revolute" else "N"
+    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", effort).encode()}, "x")
+    table = csv(tmp_path / "a.csv", "p,c", np.array([0.0, value]), np.zeros(2))
+    result = run(tmp_path, robot, SINGLE_MAP.replace("POSITION", unit).replace("EFFORT", effort), table)
+    samples = read_recording(result.out).samples
+    assert samples is not None
+    assert samples["position"][:, 0] == pytest.approx([0.0, si], rel=1e-8)
+
+
+@pytest.mark.parametrize(
+    ("recorded", "unit", "value", "si"),
+    [
+        ("A", "A", 2.5, 2.5),
+        ("A", "mA", 2500.0, 2.5),
+        ("V", "V", -10.0, -10.0),
+        ("V", "mV", -10.0, -0.01),
+        ("N m", "N m", 0.42, 0.42),
+        ("N m", "mN m", 420.0, 0.42),
+        ("N", "N", 80.0, 80.0),
+    ],
+)
+def test_units_of_effort_by_hand(tmp_path: Path, recorded: str, unit: str, value: float, si: float) -> None:
+    kind = "prismatic" if recorded == "N" else "revolute"
+    robot = robot_from_files({"robot.toml": SINGLE.replace("KIND", kind).replace("EFFORT", recorded).encode()}, "x")
+    table = csv(tmp_path / "a.csv", "p,c", np.zeros(2), np.array([0.0, value]))
+    table_map = SINGLE_MAP.replace("POSITION", "m" if recorded == "N" else "rad").replace("EFFORT", unit)
+    result = run(tmp_path, robot, table_map, table)
+    samples = read_recording(result.out).samples
+    assert samples is not None
+    assert samples["effort"][:, 0] == pytest.approx([0.0, si], rel=1e-12)
+    assert result.effort_units == (recorded,)
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("s", 1.0), ("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
+def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: float) -> None:
+    """Rows 4 ms apart from 1.5 s on."""
+    times = (1.5 + 0.004 * np.arange(3)) * per_s
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), times)
+    recording = read_recording(run(tmp_path, two, with_time(unit), table).out)
+    assert recording.samples is not None
+    assert recording.samples["stamp_ns"].tolist() == [1_500_000_000, 1_504_000_000, 1_508_000_000]
+    assert recording.sample_rate_hz == 250.0
+
+
 def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
     assert "none.csv: cannot be read: No such file" in refusal(tmp_path, two, MAP, tmp_path / "none.csv")
     assert "cannot be read: Is a directory" in refusal(tmp_path, two, MAP, tmp_path)

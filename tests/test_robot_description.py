@@ -73,6 +73,119 @@ def test_power_is_the_same_on_both_sides() -> None:
     assert np.allclose(robot.motor_effort(robot.joint_effort(tau_motor)), tau_motor, atol=1e-13)
 
 
+COUPLED = """
+name = "coupled"
+motor_matrix = [[10, 4], [-3, 20]]
+gravity_m_s2 = [0, 9.81, 0]
+[[joint]]
+name = "first"
+type = "revolute"
+zero_deg = 90
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[joint]]
+name = "second"
+type = "revolute"
+zero_deg = -45
+dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }
+[[motor]]
+name = "m1"
+drive_gain = 0.5
+drive_gain_unit = "N m/A"
+[[motor]]
+name = "m2"
+drive_gain = 0.25
+drive_gain_unit = "N m/A"
+[controller]
+bandwidth_hz = 20
+"""
+
+
+def test_a_coupled_robot_by_hand() -> None:
+    """Motor 1 turns by 10 q1 + 4 q2, motor 2 by -3 q1 + 20 q2; joint 1 gets 10 tau_m1 - 3 tau_m2, joint 2 the rest."""
+    robot = robot_from_files({"robot.toml": COUPLED.encode()}, "here")
+    q = np.array([[np.pi / 2 + 1.0, -np.pi / 4 + 2.0], [np.pi / 2, -np.pi / 4 - 0.5]])
+    q_motor = np.array([[18.0, 37.0], [-2.0, -10.0]])
+    assert robot.motor_position(q) == pytest.approx(q_motor)
+    assert robot.joint_position(q_motor) == pytest.approx(q)
+    # 2 A and 8 A are 1 N m and 2 N m at the motors.
+    assert robot.joint_effort(np.array([[2.0, 8.0], [-2.0, 0.0]])) == pytest.approx(np.array([[4, 44], [-10, -4]]))
+    assert robot.motor_effort(np.array([[4.0, 44.0], [-10.0, -4.0]])) == pytest.approx(np.array([[2, 8], [-2, 0]]))
+    # Speeds (1, 2) rad/s at the joints are (18, 37) at the motors: 1·4 + 2·44 = 18·1 + 37·2 = 92 W.
+    assert np.array([1.0, 2.0]) @ robot.joint_effort(np.array([[2.0, 8.0]]))[0] == pytest.approx(92)
+    assert robot.gain.tolist() == [0.5, 0.25]
+    assert robot.gravity.tolist() == [0, 9.81, 0]
+    assert robot.effort_units == ("N m", "N m")
+
+
+@pytest.mark.parametrize(
+    ("quantity", "per", "value", "si"),
+    [
+        ("zero", "", 90.0, np.pi / 2),
+        ("position", "", [-180.0, 45.0], (-np.pi, np.pi / 4)),
+        ("speed", "_s", 180.0, np.pi),
+        ("acceleration", "_s2", 720.0, 4 * np.pi),
+        ("following_error", "", 1.8, np.pi / 100),
+    ],
+)
+def test_limits_in_si(quantity: str, per: str, value: object, si: object) -> None:
+    """Degrees become radians at a joint that turns; metres stay metres at one that slides; the other unit is refused."""
+
+    def text(kind: str, unit: str) -> str:
+        return ONE_JOINT.replace(DH, f"{DH}\n{quantity}_{unit}{per} = {value}").replace("revolute", kind)
+
+    (turning,) = robot_from_files({"robot.toml": text("revolute", "deg").encode()}, "x").joints
+    assert (turning.si(quantity), turning.position_unit) == (pytest.approx(si), "rad")
+    (sliding,) = robot_from_files({"robot.toml": text("prismatic", "m").encode()}, "x").joints
+    given = tuple(value) if isinstance(value, list) else value
+    assert (sliding.si(quantity), sliding.position_unit) == (given, "m")
+    (plain,) = robot_from_files({"robot.toml": ONE_JOINT.encode()}, "x").joints
+    assert plain.si(quantity) is None
+    assert f"joint[0].{quantity}_m{per} = " in refusal(text("revolute", "m"))
+    assert f"joint[0].{quantity}_deg{per} = " in refusal(text("prismatic", "deg"))
+
+
+@pytest.mark.parametrize(
+    ("kind", "motor", "gain", "recorded", "unit"),
+    [
+        ("revolute", 'drive_gain = 0.2\ndrive_gain_unit = "N m/V"', 0.2, "V", "N m"),
+        ("prismatic", 'drive_gain = 35.15\ndrive_gain_unit = "N/V"', 35.15, "V", "N"),
+        ("prismatic", 'drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 2.0, "A", "N"),
+        ("revolute", 'effort_unit = "N m"', 1.0, "N m", "N m"),
+        ("prismatic", 'effort_unit = "N"', 1.0, "N", "N"),
+        ("prismatic", 'effort_unit = "N m"', 1.0, "N m", "N"),
+        ("revolute", 'effort_unit = "A"', None, "A", "A"),
+        ("revolute", 'effort_unit = "V"', None, "V", "V"),
+    ],
+)
+def test_gains_and_units_of_motors(kind: str, motor: str, gain: float | None, recorded: str, unit: str) -> None:
+    text = ONE_JOINT.replace(GAIN, motor).replace("revolute", kind)
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    assert (robot.motors[0].gain, robot.motors[0].recorded_unit) == (gain, recorded)
+    assert (robot.effort_units, robot.gain_known) == ((unit,), gain is not None)
+    assert robot.joint_effort(np.array([[1.0]])) == pytest.approx(np.array([[50 * (gain or 1.0)]]))
+    assert robot.motor_effort(np.array([[50.0]])) == pytest.approx(np.array([[1 / (gain or 1.0)]]))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("[[10, 4], [-3, 20]]", "[[10, 4], [5, 2]]"), "motor_matrix = ((10.0, 4.0), (5.0, 2.0)): expected an invertible"),
+        (("[[10, 4], [-3, 20]]", "[[0, 4], [-3, 20]]"), "motor_matrix[0] = [0.0, 4.0]: expected motor 1 to turn joint 1"),
+        (("[[10, 4], [-3, 20]]", "[[10, 4], [-3, 0]]"), "motor_matrix[1] = [-3.0, 0.0]: expected motor 2 to turn joint 2"),
+        (("[[10, 4], [-3, 20]]", "[[10, 4]]"), "motor_matrix = [2]: expected 2 rows of 2 numbers"),
+        (('name = "second"', 'name = "first"'), "joint[1].name = 'first': expected a name not used before"),
+        (('name = "m2"', 'name = "m1"'), "motor[1].name = 'm1': expected a name not used before"),
+        (('drive_gain = 0.25\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"'), "for all motors or for none; missing for m2"),
+        (("bandwidth_hz = 20", "bandwidth_hz = 20\nvelocity_gain = [1, 0]"), "controller.velocity_gain = [1.0, 0.0]: expected"),
+        (("bandwidth_hz = 20", "bandwidth_hz = 20\nintegral_gain = [-1, 1]"), "controller.integral_gain = [-1.0, 1.0]: exp"),
+        (("zero_deg = 90", "position_deg = [90, 90]"), "joint[0].position_deg = (90.0, 90.0): expected [lowest, highest]"),
+    ],
+)  # fmt: skip
+def test_each_mistake_of_a_coupled_robot(change: tuple[str, str], message: str) -> None:
+    assert COUPLED.count(change[0]) == 1
+    assert message in refusal(COUPLED.replace(*change))
+
+
 def test_gain_ratio_and_zero_make_si() -> None:
     text = ONE_JOINT.replace('type = "revolute"', 'type = "revolute"\nzero_deg = -90\nposition_deg = [-180, 90]')
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
