@@ -10,7 +10,8 @@ The flow::
 - protocol without I/O: ``cia402`` (states, raw integers to SI), ``sdo``, ``pdo``
 - the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``
 - the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
-  ``recorder_process`` beside the session; ``decoding`` makes samples of frames; ``overview`` sums up
+  ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs;
+  ``overview`` sums up
 - without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
 - from elsewhere and to elsewhere: ``tables``, ``table_files``, ``conversions``; ``reference`` has trajectories
 - ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows

@@ -1,11 +1,9 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
 A drive samples at SYNC, whenever its PDO arrives. SYNC frames are counted; a sample's time is its SYNC's index times the
-period, laid through the receive times of all SYNCs. A PDO that comes after the next SYNC is told by the pair of an
-empty interval and one with two PDOs, and goes back to where it belongs.
+period, laid through the receive times of all SYNCs. `association` tells which PDO answers which SYNC.
 """
 
-from bisect import bisect_left, bisect_right
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -13,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from . import AcquisitionError
+from .association import answers, sync_steps
 from .blocks import ERROR, EXTENDED, FRAME, REMOTE, Block, sample_dtype
 from .cia402 import ObjectEntry
 from .drives import Bus
@@ -23,7 +22,6 @@ from .sdo import REQUEST, request_of
 Ints = NDArray[np.int64]
 
 _DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
-LONGEST_LATE = 3  # SYNCs by which a run of PDOs may be late; later ones count as missing and duplicate
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
 
@@ -90,25 +88,34 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     carriers = _carriers(bus)
     rows, shorts = {}, {}
     for pdo in carriers:
-        found = np.flatnonzero(ids == pdo.can_id)
-        whole = frames["length"][found] >= pdo.length
+        sent = np.flatnonzero(ids == pdo.can_id)
+        whole = frames["length"][sent] >= pdo.length
         shorts[pdo.can_id] = int(np.count_nonzero(~whole))
-        rows[pdo.can_id] = found[whole]
+        rows[pdo.can_id] = sent[whole]
         if not whole.any():
             raise AcquisitionError(
                 f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
                 "expected the drive's answers to SYNC; is it mapped and started?"
             )
     times = frames["time_ns"][sync_rows]
-    steps = _sync_steps(frames[sync_rows], times, [before[r] - 1 for r in rows.values()])
+    steps = sync_steps(frames[sync_rows], times, list(rows.values()), before, frames)
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])  # grid index of each SYNC frame
     grid = int(index_of[-1]) + int(steps[-1])
 
     slots, counts = {}, []
     for pdo, name in carriers.items():
-        slot, count = _assign(rows[pdo.can_id], before, index_of, grid, frames)
-        slots[pdo.can_id] = slot
-        counts.append(PdoCount(name=name, received=len(rows[pdo.can_id]), short=shorts[pdo.can_id], **count))
+        found = answers(rows[pdo.can_id], before, index_of, grid, frames)
+        slots[pdo.can_id] = found.slot
+        counts.append(
+            PdoCount(
+                name=name,
+                received=len(rows[pdo.can_id]),
+                late=found.late,
+                duplicate=found.duplicate,
+                missing=found.missing,
+                short=shorts[pdo.can_id],
+            )
+        )
     ok = np.all([slot >= 0 for slot in slots.values()], axis=0)
     answered = np.flatnonzero(ok)
     if len(answered) < 2:
@@ -164,60 +171,6 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
             if pdo is not None:
                 found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
     return found
-
-
-def _sync_steps(syncs: Block, times: Ints, intervals: list[Ints]) -> Ints:
-    """Periods from each SYNC to the next: 1, or more where SYNCs were not recorded. One more entry for the last.
-
-    A counter in SYNC (1019h) tells; else a long interval in which every drive sent as many PDOs as periods fit in.
-    """
-    steps = np.ones(len(times), np.int64)
-    if (syncs["length"] >= 1).all():
-        counter = syncs["data"][:, 0].astype(np.int64)
-        top = int(counter.max())  # it runs from 1 to its overflow value
-        steps[:-1] = (np.diff(counter) - 1) % top + 1 if top > 1 else 1
-        return steps
-    if intervals:
-        counts = np.min([np.bincount(k[k >= 0], minlength=len(times)) for k in intervals], axis=0)
-        gaps = np.diff(times)
-        typical = float(np.median(gaps)) or 1.0
-        fit = np.rint(gaps / typical)
-        steps[:-1] = np.where((counts[:-1] >= 2) & (fit == counts[:-1]), counts[:-1], 1)
-    return steps
-
-
-def _assign(rows: Ints, before: Ints, index_of: Ints, grid: int, frames: Block) -> tuple[Ints, dict[str, int]]:
-    """For each SYNC of the grid the row of its PDO, -1 where there is none; counts of late, duplicate, missing."""
-    interval = before[rows] - 1
-    rows, interval = rows[interval >= 0], interval[interval >= 0]  # what came before the first SYNC answers none
-    first = np.searchsorted(interval, interval)  # position of the first PDO in the same interval
-    place = np.arange(len(rows)) - first
-    # Where SYNCs were lost the PDOs of one recorded interval belong to as many SYNCs.
-    span = np.append(np.diff(index_of), 1)[interval]
-    at = index_of[interval] + np.minimum(place, span - 1)
-    count = np.bincount(at, minlength=grid)
-    on_time = at.copy()
-    empty = np.flatnonzero(count == 0).tolist()
-    for e in np.flatnonzero(count >= 2).tolist():
-        while empty and e - LONGEST_LATE > empty[0]:
-            empty.pop(0)
-        # The latest empty one first: its PDO is the last but one that came here, and those between shift with it.
-        for spare in range(int(count[e]) - 1):
-            k = bisect_left(empty, e) - 1
-            if k < 0 or empty[k] < at[0]:
-                break
-            lo, hi = bisect_left(at, empty[k] + 1), bisect_right(at, e) - 2 - spare
-            data = frames["data"][rows[[max(lo - 1, 0), hi, hi + 1]]]
-            if spare == 0 and (data[1] == data[2]).all() and (data[0] != data[1]).any():
-                break  # the same twice from a drive that moves: a duplicate
-            at[lo : hi + 1] -= 1
-            empty.pop(k)
-    slot = np.full(grid, -1, np.int64)
-    slot[at[::-1]] = rows[::-1]  # of duplicates the first stays
-    held = np.flatnonzero(slot >= 0)
-    missing = int(held[-1] - held[0] + 1 - len(held)) if len(held) else 0
-    late = int(np.count_nonzero(at != on_time))
-    return slot, {"late": late, "duplicate": len(rows) - len(held), "missing": missing}
 
 
 def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:

@@ -1,0 +1,154 @@
+"""PDOs and SYNCs: sequences of frames made by hand with their answers, and random lateness that must lose nothing."""
+
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from made_up_buses import block, bus_of, bus_text, frame, robot_of
+
+from acquisition.blocks import FRAME, Block
+from acquisition.decoding import Decoded, decode
+
+ROBOT = robot_of(bus_text())
+BUS = bus_of(ROBOT)
+PERIOD_NS = 2_000_000
+SYNCS = 1440
+
+
+def sequence(text: str) -> Block:
+    """Frames out of words: `S` SYNC one period after the one before, `S+2.1` so many periods after it, `S#3` with the
+    counter 3, `1:7` node 1 answers with position and effort 7, `t1:7` the target 7 of node 1.
+    """
+    rows, sync_ns, now_ns = [], 1_000_000_000 - PERIOD_NS, 0
+    for word in text.split():
+        if word[0] == "S":
+            name, _, counter = word.partition("#")
+            sync_ns += round(float(name[1:] or 1) * PERIOD_NS)
+            now_ns = sync_ns
+            rows.append(frame(now_ns, 0x80, bytes([int(counter)]) if counter else b""))
+            continue
+        now_ns += 1000
+        node, value = (int(part) for part in word.removeprefix("t").split(":"))
+        data = struct.pack("<Hi", 15, value) if word[0] == "t" else struct.pack("<Hih", 0x1237, value, value)
+        rows.append(frame(now_ns, (0x200 if word[0] == "t" else 0x180) + node, data))
+    return block(rows)
+
+
+def decoded(text: str) -> Decoded:
+    return decode(sequence(text), ROBOT, BUS, "log")
+
+
+def told(text: str) -> tuple[list[list[int]], int]:
+    """Positions of both drives in each sample, and the SYNCs found to be lost."""
+    found = decoded(text)
+    return found.raw[:, :, 0].tolist(), found.syncs_lost
+
+
+BEFORE, AFTER = "S 1:1 2:1 S 1:2 2:2 S 1:3 2:3 S 1:4 2:4", "S 1:7 2:7 S 1:8 2:8 S 1:9 2:9"
+FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
+
+
+@pytest.mark.parametrize(
+    ("between", "samples", "lost"),
+    [
+        # In time; a drive late by one; both late, behind a SYNC that came late by one period.
+        ("S 1:5 2:5 S 1:6 2:6", [[5, 5], [6, 6]], 0),
+        ("S 2:5 S 1:5 1:6 2:6", [[5, 5], [6, 6]], 0),
+        ("S S+1 1:5 2:5 1:6 2:6", [[5, 5], [6, 6]], 0),
+        ("S S+1 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 0),
+        # A SYNC not recorded: two answers of each drive in two periods; one of them late; one missing of one drive.
+        ("S 1:5 2:5 1:6 2:6 S+2 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
+        ("S 1:5 2:5 2:6 S+2 1:6 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
+        ("S 2:5 S 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [[6, 6], [55, 55], [60, 60]], 1),
+        ("S 1:5 2:5 1:6 2:6 1:55 2:55 S+3 1:60 2:60", [[5, 5], [6, 6], [55, 55], [60, 60]], 2),
+        # Two answers of each drive, but no time for two: duplicates. Of duplicates the first counts.
+        ("S 1:5 2:5 1:55 2:55 S 1:6 2:6", [[5, 5], [6, 6]], 0),
+        # Two answers of one drive alone are no lost SYNC, however long the interval.
+        ("S 1:5 2:5 1:55 S+2 1:6 2:6", [[5, 5], [6, 6]], 0),
+        # A long interval with one answer of each drive: SYNC was not sent, none was lost.
+        ("S 1:5 2:5 S+2 1:6 2:6", [[5, 5], [6, 6]], 0),
+        # One missing; the same once more is no late one, and something else is.
+        ("S 2:5 S 1:6 2:6 1:6", [[6, 6]], 0),
+        ("S 2:5 S 1:5 2:6 1:6", [[5, 5], [6, 6]], 0),
+        # Late by three, and by four, which is too much: the oldest counts as missing.
+        ("S 2:5 S 2:6 S 2:61 S 2:62 1:5 1:6 1:61 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
+        ("S 2:5 S 2:6 S 2:61 S 2:62 S 2:63 1:6 1:61 1:62 1:63", [[6, 6], [61, 61], [62, 62], [63, 63]], 0),
+        # A drive late by one for a while.
+        ("S 2:5 S 1:5 2:6 S 1:6 2:61 S 1:61 2:62 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
+    ],
+)
+def test_sequences_with_known_answers(between, samples, lost):
+    assert told(f"{BEFORE} {between} {AFTER}") == (FIRST + samples + LAST, lost)
+
+
+def test_a_first_answer_that_is_late_belongs_to_the_first_sync():
+    assert told(f"S 2:0 S 1:0 2:10 1:10 {BEFORE} {AFTER}") == ([[0, 0], [10, 10], *FIRST, *LAST], 0)
+
+
+def test_a_counter_tells_what_was_lost():
+    assert told("S#8 1:1 2:1 S#9 1:2 2:2 S+1#1 1:4 2:4 1:5 2:5 S#3 1:6 2:6") == (
+        [[1, 1], [2, 2], [4, 4], [5, 5], [6, 6]],
+        1,
+    )
+
+
+def test_a_target_is_in_force_from_the_next_sync_on():
+    found = decoded("S 1:1 2:1 t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4")
+    joint = [drive.position_codec.si(np.array(counts)) / 50 for drive, counts in zip(
+        BUS.drives, ([1, 10, 11, 13], [1, 20, 21, 22]), strict=True)]  # fmt: skip
+    assert found.samples["reference"].T == pytest.approx(np.array(joint), rel=1e-12)
+
+
+def session(sync_ns: np.ndarray, came: list[np.ndarray], unrecorded: tuple[int, ...] = ()) -> Block:
+    """Frames of drives whose PDO of SYNC j came in the interval `came[drive][j]`."""
+    rows = [(int(t), -1, 0x80, 0) for k, t in enumerate(sync_ns) if k not in unrecorded]
+    for i, intervals in enumerate(came):
+        rows += [(int(sync_ns[k]) + 1 + i, j, 0x181 + i, j) for j, k in enumerate(intervals.tolist())]
+    rows.sort()
+    found = np.zeros(len(rows), FRAME)
+    found["time_ns"], _, found["can_id"], values = np.array(rows).T
+    found["length"] = np.where(found["can_id"] == 0x80, 0, 8)
+    payload = found["data"].view([("status", "<u2"), ("position", "<i4"), ("effort", "<i2")])[:, 0]
+    payload["position"] = values * (found["length"] > 0)
+    return found
+
+
+def late(rng: np.random.Generator, share: float) -> np.ndarray:
+    """Intervals in which the PDOs of 1440 SYNCs come: each late by up to three, in order; at the end all are there."""
+    by = rng.integers(0, 4, SYNCS) * (rng.random(SYNCS) < share)
+    return np.minimum(np.maximum.accumulate(np.arange(SYNCS) + by), SYNCS - 1)
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32), st.sampled_from([0.002, 0.05, 0.5, 1.0]))
+def test_whatever_is_late_nothing_is_lost(seed, share):
+    rng = np.random.default_rng(seed)
+    came = [late(rng, share) for _ in BUS.drives]
+    found = decode(session(10**9 + PERIOD_NS * np.arange(SYNCS), came), ROBOT, BUS, "log")
+    assert found.syncs_lost == 0
+    assert found.raw[:, :, 0].tolist() == [[k, k] for k in range(SYNCS)]
+    assert [p.late for p in found.pdos] == [np.count_nonzero(c != np.arange(SYNCS)) for c in came]
+    assert {(p.duplicate, p.missing, p.short) for p in found.pdos} == {(0, 0, 0)}
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 5))
+def test_a_sync_is_lost_only_where_it_is(seed, count):
+    """SYNCs late by more than a period, with the answers of all drives late just there; and `count` truly lost ones."""
+    rng = np.random.default_rng(seed)
+    stalls = 20 + 40 * np.arange(SYNCS // 40 - 1)
+    sync_ns = 10**9 + PERIOD_NS * np.arange(SYNCS)
+    came = [np.arange(SYNCS) for _ in BUS.drives]
+    for k in stalls:
+        by = int(rng.integers(1, 3))
+        sync_ns[k + 1 :] += by * PERIOD_NS  # nothing was sent, and time goes on from there
+        if rng.random() < 0.7:
+            for c in came:
+                c[k - 1] = k  # none, and two in a long interval
+    lost = tuple(sorted(rng.choice(stalls + 20, count, replace=False).tolist()))
+    found = decode(session(sync_ns, came, lost), ROBOT, BUS, "log")
+    assert found.syncs_lost == count
+    assert found.raw[:, :, 0].tolist() == [[k, k] for k in range(SYNCS)]
+    assert {(p.duplicate, p.missing, p.short) for p in found.pdos} == {(0, 0, 0)}
