@@ -1,0 +1,211 @@
+"""The independent simulator against mathematics: closed forms, energy, another integrator, the control laws by hand."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from independent_robots import Friction, plant
+from independent_simulator import (
+    AR,
+    Imperfections,
+    Runs,
+    coloured,
+    described_controller,
+    description,
+    designed_pd,
+    references,
+    simulate,
+    step,
+)
+from scipy.integrate import solve_ivp
+
+from identification.dynamics import Dynamics
+from identification.signals import load_signals
+from identification.synthetic import known_parameters
+
+NAMES = ("emps", "scara", "tx40")
+NOTHING = Imperfections()
+
+
+def toml(name: str):
+    return REPLAY / name / "robot.toml"
+
+
+def states(n: int, count: int = 20) -> np.ndarray:
+    return np.random.default_rng(n).uniform(-2, 2, size=(3, count, n))
+
+
+def short_run(name: str, cell: Imperfections = NOTHING, duration_s: float = 1.0, **changes: object) -> Runs:
+    body = plant(toml(name))
+    controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
+    controller = replace(controller, **changes)
+    return simulate(body, controller, references(body, range(2), duration_s=duration_s, rate_hz=1000.0), cell)
+
+
+def test_the_closed_form_of_the_scara_is_that_of_the_chain():
+    q, dq, _ = states(2)
+    for found, expected in zip(
+        plant(toml("scara")).rigid(q, dq), plant(toml("scara"), closed_form=False).rigid(q, dq), strict=True
+    ):
+        np.testing.assert_allclose(found, expected, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_inverse_dynamics_are_those_of_pinocchio(name):
+    """The conventions of both are the same: frames, coupled wrist, signs, names of parameters."""
+    dynamics, body = Dynamics(robot_named(name)), plant(toml(name), smooth=1e-9)
+    q, dq, ddq = states(body.n)
+    expected = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
+    np.testing.assert_allclose(body.inverse(q, dq, ddq), expected, atol=1e-12 * np.abs(expected).max())
+
+
+def potential(body, q: np.ndarray) -> np.ndarray:
+    """Potential energy (S,) from the links' centres of mass."""
+    _, origin, rotation = body.rigid._frames(q)
+    moment = body.rigid.mass[:, None] * origin + (rotation @ body.rigid.moment[..., None])[..., 0]
+    return -(moment @ body.rigid.gravity).sum(axis=1)
+
+
+@pytest.mark.parametrize("tilt_rad", [0.0, 0.05])
+def test_gravity_is_the_gradient_of_the_potential_energy(tilt_rad):
+    body = plant(toml("tx40"), tilt_rad=tilt_rad)
+    q = states(6)[0]
+    torque = body.rigid(q, 0 * q)[1]
+    for j, unit in enumerate(1e-5 * np.eye(6)):
+        slope = (potential(body, q + unit) - potential(body, q - unit)) / 2e-5
+        np.testing.assert_allclose(torque[:, j], slope, atol=1e-7)
+    assert (np.abs(torque[:, 0]).max() > 0.1) == (tilt_rad > 0)  # axis 1 is vertical unless the base is tilted
+
+
+def test_energy_is_kept_without_friction():
+    body = plant(toml("tx40"))
+    body = replace(body, friction=replace(body.friction, coulomb=np.zeros(7), viscous=np.zeros((6, 6))))
+    q, v = np.array([[0.3, -0.4, 0.5, 0.2, 0.6, 0.1]]), np.array([[0.5, 0.2, -0.4, 1.0, -0.5, 2.0]])
+    before, energy, kinetic = v, [], []
+    for _ in range(1000):
+        M, _ = body.inertia_and_bias(q, v)
+        kinetic.append(0.5 * (v @ M[0] @ v.T).item())
+        energy.append(kinetic[-1] + potential(body, q).item())
+        middle, before = 1.5 * v - 0.5 * before, v
+        q, v = step(body, q, v, body.offset + 0 * v, middle, 5e-4, 1)
+    assert np.ptp(kinetic) > 5.0
+    assert np.ptp(energy) < 1e-4 * np.ptp(kinetic)
+
+
+@pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6), ("tx40", 1e-5)])
+def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
+    """The commands of a noisy run, once more through DOP853, friction included."""
+    body, ticks = plant(toml(name), smooth=0.005), 100
+    controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
+    reference = references(body, range(1), duration_s=0.5, rate_hz=1000.0)
+    runs = simulate(body, controller, reference, Imperfections(encoder_noise=1e-5))
+    n, state = body.n, np.concatenate([runs.q_true[0, 0], runs.dq_true[0, 0]])
+
+    def slope(_: float, x: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        q, v = x[None, :n], x[None, n:]
+        M, bias = body.inertia_and_bias(q, v)
+        return np.concatenate([v[0], np.linalg.solve(M[0], (tau - bias - body.friction(v))[0])])
+
+    for k in range(ticks):
+        state = solve_ivp(slope, (0, 1e-3), state, method="DOP853", rtol=1e-8, atol=1e-11, args=(runs.effort[0, k],)).y[
+            :, -1
+        ]
+    assert np.abs(runs.q_true[0, ticks] - runs.q_true[0, 0]).max() > 100 * closest
+    np.testing.assert_allclose(runs.q_true[0, ticks], state[:n], atol=closest)
+
+
+def test_references_begin_and_end_at_rest_within_the_limits():
+    body = plant(toml("tx40"))
+    found = references(body, range(3), duration_s=6.0, rate_hz=1000.0)
+    for x in (found.dq, found.ddq):
+        assert np.abs(x[:, [0, -1]]).max() < 1e-9
+    for x, slope in ((found.q, found.dq), (found.dq, found.ddq)):
+        numeric = np.gradient(x, 1e-3, axis=1)[:, 1:-1]
+        np.testing.assert_allclose(slope[:, 1:-1], numeric, atol=2e-3 * np.abs(slope).max())
+    for j, joint in enumerate(robot_named("tx40").joints):
+        low, high = joint.si("position")
+        assert (found.q[..., j] > low).all()
+        assert (found.q[..., j] < high).all()
+        assert np.abs(found.dq[..., j]).max() < joint.si("speed")
+        assert np.abs(found.ddq[..., j]).max() < joint.si("acceleration")
+    assert np.abs(found.q[0] - found.q[1]).max() > 0.3
+
+
+def test_the_recorded_torque_is_the_law_on_what_the_encoder_gave():
+    """PD with velocity feed-forward on the SCARA: noise and counts are in the command, and the command is that of its tick."""
+    counts = 2 * np.pi / 65536
+    runs = short_run("scara", Imperfections(encoder_noise=2e-5, encoder_step=counts, gain_factor=1.1))
+    np.testing.assert_allclose(runs.q, np.round(runs.q / counts) * counts, atol=1e-12)
+    assert 1e-5 < np.std(runs.q - runs.q_true) < 1e-4
+    reference = references(plant(toml("scara")), range(2), duration_s=1.0, rate_hz=1000.0)
+    speed = np.diff(runs.q, axis=1) / 1e-3
+    expected = 1.1 * (
+        np.array([3700.0, 60.0]) * (runs.q_ref - runs.q)[:, 1:] + np.array([190.0, 3.1]) * (reference.dq[:, 1:] - speed)
+    )
+    np.testing.assert_allclose(runs.effort[:, 1:], expected, atol=1e-9)
+
+
+def test_the_axis_is_driven_by_the_law_of_its_authors():
+    """EMPS: v = kv (kp e - dq), dq over two samples, 10 V at most, 35.15 N/V."""
+    runs = short_run("emps", Imperfections(encoder_noise=2e-5), saturation=np.array([3.0]))
+    q, e = runs.q[..., 0], (runs.q_ref - runs.q)[..., 0]
+    volts = 243.45 * (160.18 * e[:, 2:] - (q[:, 2:] - q[:, :-2]) / 2e-3)
+    assert (np.abs(volts) > 3.0).any()
+    np.testing.assert_allclose(runs.effort[:, 2:, 0], 35.15065188 * np.clip(volts, -3.0, 3.0), atol=1e-9)
+
+
+def test_an_integral_carries_the_arm_and_starts_in_balance():
+    body = plant(toml("tx40"))
+    pd = designed_pd(body, 10.0, 1000.0)
+    pid = replace(pd, structure="pid", integral_gain=5.0 * pd.position_gain)
+    pi = replace(
+        pid, structure="cascade_p_pi", position_gain=pd.position_gain / pd.velocity_gain, integral_gain=np.full(6, 5.0)
+    )
+    reference = references(body, range(1), duration_s=1.0, rate_hz=1000.0)
+    still = replace(reference, q=reference.q[:, :1] + 0 * reference.q, dq=0 * reference.dq, ddq=0 * reference.ddq)
+    for controller, off in ((pd, 1e-3), (pid, 0.0), (pi, 0.0)):
+        runs = simulate(body, controller, still, NOTHING)
+        np.testing.assert_allclose(runs.q_true[:, -1], runs.q_true[:, 0], atol=2e-5 if off else 1e-9)
+        assert (np.abs(runs.q_true - still.q).max() > off) == (off > 0)
+        assert np.abs(runs.q_true - still.q).max() < (0.1 if off else 1e-9)
+
+
+def test_imperfections_are_what_they_are_called():
+    plain, late = short_run("scara"), short_run("scara", Imperfections(lag=3))
+    np.testing.assert_array_equal(late.effort[:, 3:], plain.effort[:, :-3])
+    np.testing.assert_array_equal(late.q, plain.q)
+    drifting = short_run("scara", Imperfections(drift_percent=50.0))
+    lost = (drifting.q_true - plain.q_true)[:, -1]
+    assert (np.abs(lost) > 1e-4).all()
+    noisy = short_run("scara", Imperfections(torque_noise_percent=5.0, coloured_noise_percent=5.0))
+    np.testing.assert_array_equal(noisy.q, plain.q)
+    pushed = short_run("scara", Imperfections(disturbance_percent=5.0))
+    assert np.abs(pushed.q - plain.q).max() > 1e-6
+
+
+def test_coloured_noise_has_deviation_one_and_the_correlation_it_is_named_by():
+    x = coloured(np.random.default_rng(1), (40, 4000, 2))
+    assert np.std(x) == pytest.approx(1.0, rel=0.05)
+    assert np.std(x[:, 0]) == pytest.approx(1.0, rel=0.25)  # from the first sample on
+    assert np.mean(x[:, 1:] * x[:, :-1]) / np.mean(x**2) == pytest.approx(AR, abs=2e-3)
+
+
+def test_friction_by_direction_and_near_standstill():
+    one = np.eye(1)
+    friction = Friction(directions=one, coulomb=np.array([2.0]), viscous=3 * one, smooth=np.array([1e-3]))
+    v = np.array([[0.5], [-0.5], [2e-3]])
+    np.testing.assert_allclose(friction(v)[:, 0], [3.5, -3.5, 2 * np.tanh(2) + 6e-3], rtol=1e-12)
+    np.testing.assert_allclose(replace(friction, asymmetry=0.2)(v)[:2, 0], [1.2 * 3.5, -0.8 * 3.5], rtol=1e-12)
+    slow = replace(friction, stribeck=0.5)(v)[:, 0]
+    np.testing.assert_allclose(slow[:2], [3.5, -3.5], rtol=1e-12)
+    assert slow[2] == pytest.approx(2 * np.tanh(2) * (1 + 0.5 * np.exp(-0.01)) + 6e-3)
+
+
+def test_a_run_is_written_and_read_as_a_recording(tmp_path):
+    runs, robot = short_run("scara", Imperfections(encoder_step=1e-5)), description(toml("scara"))
+    runs.write(tmp_path / "run.mcap", robot, 1)
+    read = load_signals(tmp_path / "run.mcap")
+    assert read.sample_rate_hz == 1000.0
+    for name in ("q", "q_ref", "effort"):
+        np.testing.assert_array_equal(getattr(read, name), getattr(runs, name)[1])
