@@ -1,7 +1,9 @@
 """The recording: what is written is read, and viewers find what they know."""
 
+import hashlib
 import json
 import os
+import struct
 import time
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from made_up_recordings import some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
 from acquisition import AcquisitionError
-from acquisition.blocks import gaps, sample_dtype
+from acquisition.blocks import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
 from acquisition.recording import RecordingWriter, read_recording
 from acquisition.robot import Robot, load_robot
 
@@ -50,6 +52,103 @@ def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -
     row = samples.dtype.itemsize
     assert [size // row for topic, size in found if topic == "/samples"] == [2000, 2000, 2000, 2000, 1001]
     assert [size // 22 for topic, size in found if topic == "/can/can0/frames"] == [100, 100, 100, 1]  # of 100 ms
+
+
+def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
+    """What a reader without numpy finds: layouts in words, rows packed little-endian, text in JSON."""
+    samples = np.zeros(2, sample_dtype(2, reference=True))
+    samples["stamp_ns"], samples["position"] = [7, 1_000_000_008], [[0.5, -1.5], [2.5, 3.0]]
+    samples["effort"], samples["reference"] = [[10.0, -20.0], [30.0, 40.0]], [[0.25, -0.75], [4.0, 5.0]]
+    frames = np.zeros(1, FRAME)
+    frames[0] = (12, 0x185, 3, SENT | EXTENDED, [0x37, 0x12, 0xFB, 0, 0, 0, 0, 0])
+    with RecordingWriter(tmp_path / "a.mcap", robot, source="x", sample_rate_hz=1000.0, effort_provenance="") as writer:
+        writer.samples(samples)
+        writer.frames("can0", frames)
+        writer.event(13, "phase", "track")
+        writer.health(14, {"late": 2})
+    with (tmp_path / "a.mcap").open("rb") as file:
+        messages = mcap.reader.make_reader(file).iter_messages()
+        found = {c.topic: (s.encoding, s.data.decode(), c.message_encoding, m) for s, c, m in messages if s}
+    encoding, layout, kind, message = found["/samples"]
+    row = "('stamp_ns', '<i8'), ('position', '<f8', (2,)), ('effort', '<f8', (2,)), ('reference', '<f8', (2,))"
+    assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 7)
+    assert list(struct.iter_unpack("<q6d", message.data)) == [
+        (7, 0.5, -1.5, 10.0, -20.0, 0.25, -0.75),
+        (1_000_000_008, 2.5, 3.0, 30.0, 40.0, 4.0, 5.0),
+    ]
+    encoding, layout, kind, message = found["/can/can0/frames"]
+    row = "('time_ns', '<i8'), ('can_id', '<u4'), ('length', '|u1'), ('flags', '|u1'), ('data', '|u1', (8,))"
+    assert (encoding, layout, kind, message.log_time) == ("numpy", f"[{row}]", "numpy", 12)
+    assert struct.unpack("<qIBB8s", message.data) == (12, 0x185, 3, 3, bytes.fromhex("3712FB0000000000"))
+    assert json.loads(found["/events"][3].data) == {"kind": "phase", "text": "track"}
+    assert json.loads(found["/health"][3].data) == {"late": 2}
+    assert (found["/events"][3].log_time, found["/health"][3].log_time) == (13, 14)
+    assert found["/events"][:3:2] == ("jsonschema", "json")
+
+
+def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
+    notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
+    with RecordingWriter(
+        tmp_path / "a.mcap", robot, source="a test", sample_rate_hz=250.0, effort_provenance="by hand", notes=notes
+    ):
+        pass
+    recording = read_recording(tmp_path / "a.mcap")
+    said = {key: recording.metadata[key] for key in recording.metadata if key not in ("created", "software", "crc32")}
+    assert said == {
+        "schema_version": "1",
+        "source": "a test",
+        "sample_rate_hz": "250.0",
+        "robot": "SCARA",
+        "joints": '["shoulder", "elbow"]',
+        "position_unit": '["rad", "rad"]',
+        "effort_unit": '["N m", "N m"]',
+        "effort_provenance": "by hand",
+        "bitrate": "500000",
+    }
+    assert recording.metadata["created"].endswith("+00:00")
+    assert "numpy " in recording.metadata["software"]
+    assert (recording.samples, recording.frames, recording.events, recording.health) == (None, {}, (), ())
+    assert recording.sha256 == hashlib.sha256((tmp_path / "a.mcap").read_bytes()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    ("stamps", "bad_row"),
+    [
+        ([0, 1, 2], None),
+        ([5, 5, 6], 2),
+        ([5, 4, 6], 2),
+        ([-1, 0, 1], 1),
+        ([0, 1, 2**31 * 10**9 - 1], None),
+        ([0, 1, 2**31 * 10**9], 3),
+    ],
+)
+def test_stamps_that_a_recording_takes(stamps: list[int], bad_row: int | None) -> None:
+    samples = np.zeros(3, sample_dtype(1, reference=False))
+    samples["stamp_ns"] = stamps
+    if bad_row is None:
+        check_samples(samples, -1, "x")
+        return
+    with pytest.raises(AcquisitionError) as caught:
+        check_samples(samples, -1, "x")
+    assert str(caught.value) == (
+        f"x: row {bad_row}: stamp_ns = {stamps[bad_row - 1]}: expected growing stamps from 0 to 2147483647999999999"
+    )
+
+
+@pytest.mark.parametrize("field", ["position", "effort", "reference"])
+def test_values_that_a_recording_does_not_take(field: str) -> None:
+    for value in (np.nan, np.inf, -np.inf):
+        samples = some_samples(5, n=3)
+        samples[field][3, 2] = value
+        with pytest.raises(AcquisitionError, match=f"x: row 4: {field} of joint 3 = {value}: expected a finite number"):
+            check_samples(samples, -1, "x")
+
+
+def test_gaps_of_one_and_a_half_periods_and_more() -> None:
+    samples = np.zeros(5, sample_dtype(1, reference=False))
+    samples["stamp_ns"] = np.cumsum([0, 2_000_000, 2_999_990, 3_000_010, 8_000_000])
+    found = [(g.row, g.stamp_ns, g.missing) for g in gaps(samples, 500.0)]
+    assert found == [(2, 4_999_990, 1), (3, 8_000_000, 3)]
 
 
 def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
