@@ -2,17 +2,21 @@
 
 import dataclasses
 import json
+from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
+import scipy.io
 from conftest import REPLAY, needs_data, robot_named
+from fits_of_records import iv_of, ls_of, signals_of
 
 from acquisition.robot import load_robot
 from identification import IdentificationError
 from identification.__main__ import main
 from identification.base_parameters import base_parameters
 from identification.dynamics import Dynamics, direct_model
+from identification.fit import Fit
 from identification.idim import Iteration, identify_iv, identify_ls
 from identification.instruments import not_positive
 from identification.plan import Overrides
@@ -22,6 +26,7 @@ from identification.study import Run, summaries
 from identification.synthetic import Noise, closed_loop, random_reference, truth
 
 RAW = Overrides(cutoff_hz=0)
+SCARA = REPLAY / "scara" / "session.mcap"
 
 
 def error_percent(beta: np.ndarray, true: np.ndarray) -> float:
@@ -37,11 +42,8 @@ def scaled(values: dict[str, float]) -> Iteration:
 
 
 def test_emps_converges_from_anywhere_to_the_same_answer(emps):
-    signals = load_signals(emps)
-    fits = [
-        identify_iv(signals, Overrides(), iteration)
-        for iteration in (scaled({"M1": 1.0}), scaled({"M1": 1000.0}), Iteration(start="ls"), Iteration())
-    ]
+    starts = (scaled({"M1": 1.0}), scaled({"M1": 1000.0}), Iteration(start="ls"))
+    fits = [*(identify_iv(signals_of(emps), Overrides(), iteration) for iteration in starts), iv_of(emps)]
     for fit in fits:
         assert (fit.status, fit.iv.reference, fit.iv.controller) == ("converged", "recorded", "described")
         assert len(fit.iv.passes) <= 4
@@ -53,15 +55,13 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
 
 
 def test_emps_without_a_filter_gives_the_same(emps):
-    signals = load_signals(emps)
-    filtered, raw = (identify_iv(signals, overrides, Iteration()) for overrides in (Overrides(), RAW))
+    raw = identify_iv(signals_of(emps), RAW, Iteration())
     assert raw.status == "converged"
-    np.testing.assert_allclose(raw.beta, filtered.beta, rtol=3e-3)
+    np.testing.assert_allclose(raw.beta, iv_of(emps).beta, rtol=3e-3)
 
 
 def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
-    signals = load_signals(tx40)
-    fit, ls = identify_iv(signals, Overrides(), Iteration()), identify_ls(signals, Overrides())
+    fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
     assert len(fit.iv.passes) <= 4
     assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == ("surrogate", "surrogate", "regular")
@@ -72,13 +72,12 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
 
 
 def test_tx40_is_worse_without_the_gain_update(tx40):
-    signals = load_signals(tx40)
-    fit = identify_iv(signals, Overrides(), Iteration(gain_update=False))
+    fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference does the method go on.
     first = fit.iv.passes[0]
     assert first.instruments == "reference"
     assert "the simulated robot leaves its reference at joint 6" in first.reason
-    updated = identify_iv(signals, Overrides(), Iteration())
+    updated = iv_of(tx40)
     assert all(p.instruments == "simulated" for p in updated.iv.passes)
     assert updated.iv.passes[0].tracking_percent < 5
     assert fit.iv.passes[0].residual_norm > 1.02 * updated.iv.passes[0].residual_norm
@@ -88,7 +87,7 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
 
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
-    signals = load_signals(tx40)
+    signals = signals_of(tx40)
     to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6, low_speed_percent=0.0)
     coarse = identify_iv(signals, Overrides(), to_the_end)
     monkeypatch.setattr("identification.instruments.RATE_PER_BANDWIDTH", 500.0)
@@ -136,10 +135,17 @@ def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     assert error_percent(iv.beta, ls.beta) < 1
 
 
+@cache
+def emps_simulated() -> Signals:
+    """The axis of the published digits along the reference of its record, without noise."""
+    q_ref = scipy.io.loadmat(needs_data("emps", "DATA_EMPS.mat"))["qg"]
+    return closed_loop(robot_named("emps"), q_ref, 1000.0, noise=Noise(), seed=0)
+
+
 def emps_like(position_noise: float, seed: int) -> Signals:
-    scipy_io = pytest.importorskip("scipy.io")
-    q_ref = scipy_io.loadmat(needs_data("emps", "DATA_EMPS.mat"))["qg"]
-    return closed_loop(robot_named("emps"), q_ref, 1000.0, noise=Noise(position=position_noise), seed=seed)
+    exact = emps_simulated()
+    noisy = Noise(position=position_noise).on_position(exact.q, np.random.default_rng(seed))
+    return dataclasses.replace(exact, q=noisy)
 
 
 def test_noise_that_biases_least_squares_does_not_bias_instruments():
@@ -173,21 +179,26 @@ def test_low_speed_rows_bias_friction_unless_left_out():
 # Where things go wrong
 
 
-def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_not_called_so(monkeypatch):
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    fit = identify_iv(signals, Overrides(), Iteration())
+@cache
+def with_torque_of_the_wrong_sign() -> Fit:
+    signals = signals_of(SCARA)
+    return identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
+
+
+def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_not_called_so():
+    signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = Dynamics(signals.robot)
     assert fit.status == "converged"
     assert not_positive(direct_model(idm, fit.base.representative(fit.beta)), signals.q[::500]) is None
     # A torque of the wrong sign gives inertias below zero: nothing may be called converged.
-    wrong = identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
+    wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "diverged"
     assert "inertia matrix is not positive" in wrong.iv.reason
     assert all(p.instruments != "simulated" or p.reason is None for p in wrong.iv.passes)
 
 
 def test_too_few_passes_are_called_what_they_are():
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    signals = signals_of(SCARA)
     fit = identify_iv(signals, Overrides(), Iteration(max_iterations=1))
     assert fit.status == "max_iterations"
     assert "after 1 passes" in fit.iv.reason
@@ -200,7 +211,7 @@ def test_too_few_passes_are_called_what_they_are():
 
 
 def test_a_reference_of_another_recording_is_refused():
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    signals = signals_of(SCARA)
     foreign = dataclasses.replace(signals, q_ref=np.array(signals.q_ref[::-1]))
     with pytest.raises(IdentificationError, match="expected the reference of this recording"):
         identify_iv(foreign, Overrides(), Iteration())
@@ -239,7 +250,7 @@ def test_recordings_of_few_samples_are_fitted():
 
 
 def test_a_controller_too_slow_for_the_recording_is_refused():
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    signals = signals_of(SCARA)
     slow = msgspec.structs.replace(signals.robot.controller, sample_rate_hz=1.0)
     robot = dataclasses.replace(signals.robot, controller=slow)
     with pytest.raises(IdentificationError, match=r"controller.sample_rate_hz = 1: .* expected at least 30"):
@@ -248,18 +259,17 @@ def test_a_controller_too_slow_for_the_recording_is_refused():
 
 def test_gains_tell_the_inertias_where_least_squares_has_none():
     """A torque of the wrong sign leaves least squares without positive inertias: Kp = J w² then gives those of the gains."""
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    c = signals.robot.controller
-    fit = identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
+    robot, fit = signals_of(SCARA).robot, with_torque_of_the_wrong_sign()
+    c = robot.controller
     assert any("those that the described gains suit at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
-    np.testing.assert_allclose(recorded_loop(signals.robot).inertias(c.bandwidth_hz), J)
+    np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
     assert (fit.iv.passes[0].gains >= 1 / J - 1e-9).all()
 
 
 def test_a_saturated_drive_is_reported(emps):
-    signals = load_signals(emps)
+    signals = signals_of(emps)
     motor = msgspec.structs.replace(signals.robot.motors[0], saturation=2.0)
     fit = identify_iv(
         dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, motors=(motor,))),
@@ -278,7 +288,7 @@ def refused(capsys, *arguments) -> str:
 
 
 def test_command_line(capsys, tmp_path):
-    session, out = REPLAY / "scara" / "session.mcap", tmp_path / "iv.json"
+    session, out = SCARA, tmp_path / "iv.json"
     assert main(["fit", str(session), "--method", "iv", "--json", str(out)]) == 0
     text = capsys.readouterr().out
     assert "passes from start: regular" in text
@@ -300,7 +310,7 @@ def test_command_line(capsys, tmp_path):
 def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
     robot = tmp_path / "robot.toml"
     text = (REPLAY / "scara" / "robot.toml").read_text()
-    session = REPLAY / "scara" / "session.mcap"
+    session = SCARA
     for wrong, message in (
         ("position_gain = [3700.0]", "controller.position_gain = [3700.0]: expected 2 numbers, one per motor"),
         ("position_gain = [3700.0, -60.0]", "expected positive numbers"),
@@ -387,7 +397,7 @@ def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):
     bare = msgspec.structs.replace(
         robot.controller, structure=None, position_gain=None, velocity_gain=None, sample_rate_hz=None
     )
-    signals = load_signals(REPLAY / "scara" / "session.mcap", dataclasses.replace(robot, controller=bare))
+    signals = load_signals(SCARA, dataclasses.replace(robot, controller=bare))
     fit = identify_iv(signals, Overrides(), Iteration())
     assert (fit.status, fit.iv.controller, fit.iv.reference) == ("converged", "surrogate", "recorded")
     assert any("a PD of 5 Hz stands in" in text for text in fit.warnings)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from fits_of_records import ls_of
 
 import identification.regression as regression_module
 from identification import IdentificationError
@@ -57,9 +58,8 @@ def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
 
 
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
-    signals = load_signals(REPLAY / "scara" / "session.mcap")
-    fit = identify_ls(signals, Overrides())
-    true = truth(Dynamics(signals.robot), fit.base)
+    fit = ls_of(REPLAY / "scara" / "session.mcap")
+    true = truth(Dynamics(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 3 * fit.sigma_hac).all()
     assert fit.errors[-1].relative_error_percent < 1.0
 

@@ -2,6 +2,7 @@
 
 import pytest
 from conftest import REPLAY
+from fits_of_records import ls_of, signals_of
 
 from acquisition.robot import load_robot
 from identification.idim import identify_ls
@@ -14,7 +15,7 @@ def digits(values, places=4):
 
 
 def test_emps_gives_every_printed_digit(emps):
-    fit = identify_ls(load_signals(emps), Overrides())
+    fit = ls_of(emps)
     assert digits(fit.estimate.beta) == ["95.1089", "203.5034", "20.3935", "-3.1648"]
     assert digits(fit.estimate.sigma) == ["0.1085", "1.1460", "0.1012", "0.0444"]
     assert f"{fit.errors[-1].relative_error_percent:.4f}" == "4.0834"
@@ -39,7 +40,7 @@ EARLIER = {
 
 
 def test_tx40_agrees_with_the_earlier_identification(tx40):
-    fit = identify_ls(load_signals(tx40), Overrides())
+    fit = ls_of(tx40)
     value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
     sigma = dict(zip(fit.estimate.names, fit.estimate.sigma, strict=True))
     assert len(value) == 60
@@ -53,6 +54,6 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
 
 
 def test_tx40_with_the_standstill_fits_less_well(tx40):
-    fit = identify_ls(load_signals(tx40), Overrides(span="all"))
+    fit = identify_ls(signals_of(tx40), Overrides(span="all"))
     assert 5.6 < fit.errors[-1].relative_error_percent <= 7.8
     assert fit.errors[-1].moving_relative_error_percent < fit.errors[-1].standing_relative_error_percent

@@ -6,12 +6,11 @@ import re
 import numpy as np
 import pytest
 from conftest import REPLAY, ROOT
+from fits_of_records import iv_of, signals_of
 
 from identification.__main__ import main
 from identification.base_parameters import base_parameters
 from identification.dynamics import Dynamics
-from identification.idim import Iteration, identify_iv
-from identification.plan import Overrides
 from identification.signals import load_signals
 from identification.synthetic import truth
 
@@ -19,8 +18,7 @@ from identification.synthetic import truth
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
 def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     folder = REPLAY / name
-    signals = load_signals(folder / "session.mcap")
-    fit = identify_iv(signals, Overrides(), Iteration())
+    signals, fit = signals_of(folder / "session.mcap"), iv_of(folder / "session.mcap")
     stored = json.loads((folder / "fit.json").read_text())["parameters"]
     true = json.loads((folder / "truth.json").read_text())["parameters"]
     assert (fit.status, len(fit.beta)) == ("converged", count)
@@ -81,7 +79,7 @@ def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     assert error(iv) < 0.5 * error(ls)
     # Simulated time: the same session again. Rounding differs from processor to processor, and moves a count now and then.
     again = load_signals(tmp_path / "out" / "session.mcap")
-    shipped = load_signals(REPLAY / "tx40" / "session.mcap")
+    shipped = signals_of(REPLAY / "tx40" / "session.mcap")
     np.testing.assert_allclose(again.q, shipped.q, atol=2e-5)
     assert (again.q == shipped.q).mean() > 0.9
     assert np.linalg.norm(again.effort - shipped.effort) < 0.01 * np.linalg.norm(shipped.effort)

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from fits_of_records import iv_of, ls_of, signals_of
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot import robot_from_files
@@ -15,7 +16,6 @@ from identification.__main__ import main
 from identification.charts import trust_drawing
 from identification.comparison import Value, Values, difference_lines, differences, values_of_fit
 from identification.dynamics import Dynamics
-from identification.idim import Iteration, identify_iv, identify_ls
 from identification.plan import Overrides
 from identification.robot_drawing import pose_stride, robot_scene
 from identification.session_panels import event_log, health_plot, span_lanes
@@ -257,9 +257,7 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, t
 
 
 def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
-    signals = load_signals(tx40)
-    ls = identify_ls(signals, Overrides())
-    fit = identify_iv(signals, Overrides(), Iteration())
+    signals, ls, fit = signals_of(tx40), ls_of(tx40), iv_of(tx40)
     start = time.perf_counter()
     write_fit_rrd(tmp_path / "fit.rrd", signals, fit, beside=ls)
     assert time.perf_counter() - start < 6, "2 s on a machine with nothing else to do"

@@ -1,0 +1,27 @@
+"""Signals and fits of a recording as they come without options, made once for all tests.
+
+Not for a test that patches the method: others would be given its fit.
+"""
+
+from functools import cache
+from pathlib import Path
+
+from identification.fit import Fit
+from identification.idim import Iteration, identify_iv, identify_ls
+from identification.plan import Overrides
+from identification.signals import Signals, load_signals
+
+
+@cache
+def signals_of(path: Path) -> Signals:
+    return load_signals(path)
+
+
+@cache
+def ls_of(path: Path) -> Fit:
+    return identify_ls(signals_of(path), Overrides())
+
+
+@cache
+def iv_of(path: Path) -> Fit:
+    return identify_iv(signals_of(path), Overrides(), Iteration())
