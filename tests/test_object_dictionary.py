@@ -145,7 +145,7 @@ def test_bit_rates_of_can(bitrate):
         (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x800 }]\n'), "Expected `int` <= 2047"),
         (("node = 1\n", "node = 1\nsign = 0\n"), "bus.drive[0].sign = 0: expected one of"),
         (("node = 1\n", "node = 1\nzero_counts = -2147483648\n"), None),
-        (("node = 1\n", "node = 1\nzero_counts = 2147483648\n"), "bus.drive[0].zero_counts = 2147483648: Expected `int` <= 2147483647"),
+        (("node = 1\n", "node = 1\nzero_counts = 2147483648\n"), "zero_counts = 2147483648: Expected `int` <= 2147483647"),
         (("node = 1\n", 'node = 1\nrated_torque_unit = "Nm"\n'), "rated_torque_unit = 'Nm': expected one of mA, mN m, uN m"),
         (("node = 1\n", 'node = 1\nrated_current_unit = "A"\n'), "rated_current_unit = 'A': expected one of mA, mN m"),
         (("node = 1\n", "node = 1\ncounts_per_m = 5\n"), "expected counts_per_turn or counts_per_m, one of the two"),
