@@ -71,6 +71,8 @@ def data(text: str) -> bytes:
         (value_answer(0x6041, 0, 0x1237, 2), "4B 41 60 00 37 12 00 00"),
         (value_answer(0x2000, 0, 0x030201, 3), "47 00 20 00 01 02 03 00"),
         (value_answer(0x1000, 0, 0x00020192, 4), "43 00 10 00 92 01 02 00"),
+        (value_answer(0x6064, 0, -5, 4), "43 64 60 00 FB FF FF FF"),
+        (value_answer(0x60C2, 2, -4, 1), "4F C2 60 02 FC 00 00 00"),
         (written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
         (abort_answer(0x2000, 7, 0x06090011), "80 00 20 07 11 00 09 06"),
     ],

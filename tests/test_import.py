@@ -404,6 +404,31 @@ def test_units_of_time_by_hand(tmp_path: Path, two: Robot, unit: str, per_s: flo
     assert recording.sample_rate_hz == 250.0
 
 
+def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: Path, two: Robot) -> None:
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2,t", np.zeros((3, 4)), np.arange(3.0))
+    short = csv(tmp_path / "b.csv", "t", np.arange(2.0))
+    assert "map.toml: time.unit = 'min': expected one of s, ms, us, ns" in refusal(
+        tmp_path, two, with_time("min"), table
+    )
+    two_tables = with_time("s") + "table = 2\n"
+    told = "map.toml: time: shape (2, 1): expected one column of 3 rows"
+    assert told in refusal(tmp_path, two, two_tables, table, short)
+    assert "time.table = 2: expected 1 at most" in refusal(tmp_path, two, two_tables, table)
+    without = MAP.replace("sample_rate_hz = 500", "")
+    assert "sample_rate_hz is not there: expected it, or a [time] table" in refusal(tmp_path, two, without, table)
+
+
+def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None:
+    """The unit tells the side: N m can only be the joint's where motors are recorded in A."""
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    table_map = MAP.replace('unit = "mA"\nside = "motor"', 'unit = "N m"')
+    result = run(tmp_path, two, table_map, table)
+    samples = read_recording(result.out).samples
+    assert samples is not None
+    assert samples["effort"].tolist() == CURRENT.tolist()
+    assert result.effort_provenance == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
+
+
 def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:
     assert "none.csv: cannot be read: No such file" in refusal(tmp_path, two, MAP, tmp_path / "none.csv")
     assert "cannot be read: Is a directory" in refusal(tmp_path, two, MAP, tmp_path)
