@@ -1,0 +1,96 @@
+"""The default cut-off against one next to it, on robots simulated independently: 20 seeds each, LS and IV.
+
+A default at which an estimate jumps is a defect: 1.0001 times the cut-off filters the same, so it must give the same.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from independent_robots import plant
+from independent_simulator import (
+    Imperfections,
+    Runs,
+    described_controller,
+    description,
+    designed_pd,
+    references,
+    simulate,
+)
+
+from acquisition.robot import Robot
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics
+from identification.idim import Iteration, identify_iv, identify_ls
+from identification.plan import Overrides
+from identification.synthetic import truth
+
+SEEDS = 20
+NEXT_TO_IT = 1.0001
+LARGEST_RATIO = 1.3
+
+
+@dataclass(frozen=True)
+class Simulated:
+    robot: Robot
+    runs: Runs
+    true: np.ndarray
+
+    def errors(self, method: str, seed: int) -> tuple[float, float]:
+        """|beta - true|/|true| at the default cut-off, and at the one next to it."""
+        signals = self.runs.signals(self.robot, seed)
+        beside = Overrides(cutoff_hz=5 * self.robot.controller.bandwidth_hz * NEXT_TO_IT)
+        fits = [
+            identify_ls(signals, overrides) if method == "ls" else identify_iv(signals, overrides, Iteration())
+            for overrides in (Overrides(), beside)
+        ]
+        assert method == "ls" or {fit.status for fit in fits} == {"converged"}
+        default, other = (float(np.linalg.norm(fit.beta - self.true) / np.linalg.norm(self.true)) for fit in fits)
+        return default, other
+
+
+def simulated(name: str, duration_s: float) -> Simulated:
+    toml = REPLAY / name / "robot.toml"
+    body = plant(toml, smooth=0.005)
+    controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
+    counts = 2 * np.pi / 262144 if name == "scara" else 1e-5
+    cell = Imperfections(encoder_noise=1e-5, encoder_step=counts, torque_noise_percent=2.0)
+    reference = references(body, range(SEEDS), duration_s=duration_s, rate_hz=1000.0)
+    runs = simulate(body, controller, reference, cell)
+    robot = description(toml, controller if name == "tx40" else None)
+    dynamics = Dynamics(robot)
+    return Simulated(robot, runs, truth(dynamics, base_parameters(dynamics)))
+
+
+@pytest.fixture(scope="module")
+def scara() -> Simulated:
+    return simulated("scara", 6.0)
+
+
+@pytest.fixture(scope="module")
+def tx40() -> Simulated:
+    return simulated("tx40", 8.0)
+
+
+# The largest median error. Of the simulated TX40's instruments all seeds run under --benchmark-enable only: 20 take minutes.
+FIGURES = {("scara", "ls"): 0.03, ("scara", "iv"): 0.03, ("tx40", "ls"): 0.02, ("tx40", "iv"): 0.01}
+QUICK = {("tx40", "iv"): 2, ("scara", "iv"): 6}
+
+
+@pytest.mark.xfail(strict=False, reason="MATLAB's edge rule at the default cut-off; slow rows in least squares")
+@pytest.mark.parametrize(("name", "method"), FIGURES)
+def test_the_default_cutoff_is_as_good_as_the_next(name, method, request):
+    whole = request.config.getoption("--benchmark-enable")
+    robot = request.getfixturevalue(name)
+    errors = np.array(
+        [robot.errors(method, seed) for seed in range(SEEDS if whole else QUICK.get((name, method), SEEDS))]
+    )
+    ratios = errors[:, 0] / errors[:, 1]
+    told = (
+        f"{name} {method}, {len(errors)} seeds: error median {100 * np.median(errors[:, 0]):.2f} %, largest "
+        f"{100 * errors[:, 0].max():.2f} %; ratio median {np.median(ratios):.4f}, largest {ratios.max():.4f}"
+    )
+    print(told)
+    assert ratios.max() <= LARGEST_RATIO, told
+    assert np.median(errors[:, 0]) < FIGURES[name, method], told
