@@ -1,7 +1,7 @@
 """The drives of a robot, resolved: `[bus]` and the object dictionaries into PDOs and codecs, or one line why not."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,6 +43,8 @@ class Drive:
         rated: raw values that objects of the drive must have, by index.
         tpdos, rpdos: from the drive, to the drive.
         dictionary: None where objects are written out.
+        speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
+            None where one of them states none.
     """
 
     name: str
@@ -57,6 +59,8 @@ class Drive:
     tpdos: tuple[Pdo, ...]
     rpdos: tuple[Pdo, ...]
     dictionary: ObjectDictionary | None
+    speed_limit: float | None = None
+    acceleration_limit: float | None = None
 
     def carrier(self, entry: ObjectEntry, direction: str) -> Pdo | None:
         """The PDO that carries an object."""
@@ -102,7 +106,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
         _drive(file, motor, robot.files, f"{place}: bus.drive[{i}]", traffic)
         for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True))
     )
-    bus = Bus(file=robot.bus, drives=drives)
+    bus = Bus(file=robot.bus, drives=tuple(_with_limits(drive, robot, i) for i, drive in enumerate(drives)))
     _refuse_pdos(bus, place)
     for i in range(robot.n):
         _refuse_counts(robot, i, robot.bus.drive[i], f"{place}: bus.drive[{i}]")
@@ -133,6 +137,18 @@ def refuse_out_of_range(path: NDArray[np.float64], robot: Robot, bus: Bus, place
                     f"{place}: at {k * bus.file.sync_period_s:.4g} s: target of node {drive.node} ({drive.name}) = "
                     f"{counts[k]:.10g} counts: expected {low} to {high}"
                 )
+
+
+def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
+    """The limits of the joints that motor `i` moves, at the motor: they add up at worst."""
+
+    def limit(quantity: str) -> float | None:
+        moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
+        if any(value is None for _, value in moved):
+            return None
+        return float(sum(r * value for r, value in moved) * drive.position_codec.counts_per_unit)
+
+    return replace(drive, speed_limit=limit("speed"), acceleration_limit=limit("acceleration"))
 
 
 def _refuse_pdos(bus: Bus, place: str) -> None:

@@ -84,6 +84,7 @@ class Master:
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
         self.sync_times: list[int] = []
+        self.synced_ns: int | None = None  # when we sent the last SYNC
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, whoever produces it
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
@@ -148,6 +149,7 @@ class Master:
     def sync(self) -> None:
         """Send SYNC; count who did not answer the one before."""
         self._next_sync()
+        self.synced_ns = self.link.now_ns()
         self.link.send(self.bus.file.sync_can_id, b"")
 
     def _next_sync(self) -> None:
@@ -187,13 +189,22 @@ class Master:
         place = f"node {node}: object {index:04X}:{sub} = {value}"
         check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
 
-    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+    def post(self, node: int, request: bytes) -> None:
+        """Send an SDO request whose answer `answered` has later, while other things go on."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
+
+    def answered(self, node: int, request: bytes) -> bytes | None:
+        """The answer to a request that was posted, once; None as long as there is none."""
+        answer = self._answers.pop(node, None)
+        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+
+    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+        self.post(node, request)
         until_ns = self.link.now_ns() + SDO_TIMEOUT_NS
         while True:
-            answer = self._answers.pop(node, None)
-            if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4]:
+            answer = self.answered(node, request)
+            if answer is not None:
                 return answer
             frame = self.link.receive(until_ns)
             if frame is None:

@@ -14,13 +14,14 @@ from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .cia402 import DISABLED, MODE_OF_OPERATION, Command, Mode, State, toward
-from .drives import refuse_out_of_range
+from .drives import Drive, refuse_out_of_range
 from .guards import Motion, motion_fault, node_fault
-from .master import PRE_OPERATIONAL, Master, axis_of
+from .master import Master, axis_of
 from .master_heartbeat import MasterHeartbeat
 from .recorder import Status
 from .reference import approach, check_limits
 from .robot import Robot
+from .safe_stop import leave_operational, safe_stop
 
 Vector = NDArray[np.float64]
 Orders = list[tuple[int, int]]  # controlword and target counts of each drive
@@ -28,7 +29,6 @@ Orders = list[tuple[int, int]]  # controlword and target counts of each drive
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
 HOLD_S = 0.3  # at the end of motion, before drives are disabled
 SLOW_STOP_S = 0.5  # in which a stop asked for comes to rest along the path
-QUICK_STOP_S = 0.5  # for drives to come to rest after a fault, before voltage is taken away
 # Down in order, so that a drive may brake and hold before it lets go.
 _DOWN = {
     State.OPERATION_ENABLED: Command.SWITCH_ON,
@@ -122,7 +122,6 @@ class _Session:
         self._period_s = master.bus.file.sync_period_s
         self._beat = _Beat(next_ns=0, until_ns=None)
         self._heartbeat = MasterHeartbeat(master)
-        self._last_orders: Orders | None = None
         self.addressed = False  # whether anything was commanded or written to the drives
 
     def prepare(self) -> None:
@@ -246,7 +245,6 @@ class _Session:
         return q
 
     def _send(self, orders: Orders) -> None:
-        self._last_orders = orders
         for watch, (control, target) in zip(self._master.nodes, orders, strict=True):
             drive = watch.drive
             values = {
@@ -336,47 +334,27 @@ class _Session:
     def make_safe(self) -> list[int]:
         """Stop and disable every drive, whatever happened; nodes that did not confirm.
 
-        Quick stop by PDO while SYNC goes on, then voltage off by PDO and by SDO. No step may keep the next from being tried.
         Without a reference nothing was commanded: drives that were started are asked for their state.
         """
         if not self.addressed or (self._beat.next_ns == 0 and self._plan.reference is None):
             self.addressed = False
             return []
         self._stop.reason = self._stop.reason or "safe state"
-        cycles = max(5, round(QUICK_STOP_S / self._period_s))
-        for k in range(2 * cycles if self._last_orders is not None else 0):  # else nothing was ever commanded
-            if all(watch.state in DISABLED and watch.answers for watch in self._master.nodes):
-                break
-            quick = Command.QUICK_STOP if k < cycles else Command.DISABLE_VOLTAGE
-            with suppress(AcquisitionError):
-                self._send(self._orders([quick.controlword] * self._robot.n))
-            with suppress(AcquisitionError):
-                self._one_more_sync()
-        unconfirmed = []
-        for watch in self._master.nodes:
-            drive, control = watch.drive, watch.drive.control
-            try:
-                if self._plan.reference is not None:
-                    word = Command.DISABLE_VOLTAGE.controlword
-                    self._master.write(drive.node, control.index, control.sub, word, control.bits // 8)
-                if self._master.state(drive) not in DISABLED:
-                    unconfirmed.append(drive.node)
-            except AcquisitionError:
-                unconfirmed.append(drive.node)
+        if self._plan.reference is not None:
+            unconfirmed = safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
+        else:
+            unconfirmed = [drive.node for drive in self._bus.drives if not self._is_disabled(drive)]
         with suppress(AcquisitionError):
             for text in self._heartbeat.release([d.node for d in self._bus.drives if d.node not in unconfirmed]):
                 self._log.event(self._link.now_ns(), "warning", text)
-        with suppress(AcquisitionError):
-            self._master.nmt(PRE_OPERATIONAL)
+        leave_operational(self._master)
         return unconfirmed
 
-    def _one_more_sync(self) -> None:
-        """SYNC and its answers, without guards."""
-        if self._bus.file.sync_producer == "recorder":
-            with suppress(AcquisitionError):
-                self._master.sync()
-        self._master.wait(self._link.now_ns() + self._bus.period_ns)
-        self._log.poll(self._link.now_ns())
+    def _is_disabled(self, drive: Drive) -> bool:
+        try:
+            return self._master.state(drive) in DISABLED
+        except AcquisitionError:
+            return False
 
 
 def _between(path: Vector, at: float) -> Vector:

@@ -1,0 +1,155 @@
+"""The one stop: when voltage goes off at each drive, by measured speed, and which drives count as disabled."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError
+from acquisition.cia402 import Command, Mode, State
+from acquisition.dry_run import DryRun, dry_run
+from acquisition.master import Master
+from acquisition.mechanism import Mechanism, typical_loops
+from acquisition.safe_stop import leave_operational, not_disabled, safe_stop
+from acquisition.simulated_node import SimulatedNode
+
+SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
+CAP_S = 0.5 + SPEED / np.deg2rad(4000)
+
+
+class Coasting:
+    """Joint 1 turns at SPEED until it is held, then as `after` says (s since then, to the share of SPEED); joint 2 stands."""
+
+    def __init__(self, after: Callable[[float], float]) -> None:
+        self.q, self.after, self.held_s = np.zeros(2), after, 0.0
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        share = self.after(self.held_s) if held[0] else 1.0
+        self.held_s += duration_s if held[0] else 0.0
+        self.q = self.q + np.array([SPEED * share * duration_s, 0.0])
+
+
+def moving(
+    after: Callable[[float], float], *, started: bool = True
+) -> tuple[DryRun, Master, list[tuple[int, int, bytes]]]:
+    """Two enabled drives, and what is sent to them from here on."""
+    robot = robot_of(bus_text(2))
+    bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
+    mechanism = Mechanism(plant=Coasting(after), loops=typical_loops(robot, np.full(2, 0.42)))
+    run = dry_run(robot, bus, mechanism, supervised=False, tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)))
+    master = Master(run.link, bus)
+    master.configure()
+    master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    if started:
+        master.start()
+    for node in (1, 2):
+        for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
+            master.write(node, 0x6040, 0, command.controlword, 2)
+    for _ in range(20):
+        master.sync()
+        master.wait(run.link.now_ns() + 2_000_000)
+    assert run.drives.states == [State.OPERATION_ENABLED] * 2
+    sent.clear()
+    return run, master, sent
+
+
+def off_s(sent: list[tuple[int, int, bytes]], node: int) -> float:
+    """From the first quick stop to the first disable voltage by PDO: controlwords 0002h and 0000h."""
+    words = [(t, data[:2]) for t, can_id, data in sent if can_id == 0x200 + node]
+    assert words[0][1] == b"\x02\x00"
+    return (next(t for t, word in words if word == b"\x00\x00") - words[0][0]) * 1e-9
+
+
+@pytest.mark.parametrize(
+    ("after", "at_s", "within_s"),
+    [
+        (lambda t: 0.0, 0.02, 0.012),
+        (lambda t: max(0.0, 1 - t / 0.2), 0.2, 0.02),  # until it stands, and not before
+        (lambda t: 1.0, 0.05, 0.006),  # the quick stop does not work
+        (lambda t: 1.0 + t, 0.05, 0.006),
+        (lambda t: max(0.5, 1 - 3 * t), CAP_S, 0.006),  # slower, but never at rest
+    ],
+)
+def test_voltage_goes_off_at_standstill_or_where_nothing_else_helps(after, at_s, within_s):
+    run, master, sent = moving(after)
+    assert safe_stop(master) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
+    assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)  # it stands, whatever the other does
+    run.close()
+
+
+def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
+    run, master, sent = moving(lambda t: 0.0)
+    safe_stop(master)
+    first_ns = sent[0][0]
+    at_once = {(can_id, data) for t, can_id, data in sent if t == first_ns}
+    quick = bytes.fromhex("2b40600002000000")  # two bytes to 6040h:0
+    assert {(0x601, quick), (0x602, quick)} <= at_once
+    assert {can_id for can_id, data in at_once if data[:2] == b"\x02\x00"} >= {0x201, 0x202}
+    run.close()
+
+
+def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
+    run, master, sent = moving(lambda t: 0.0, started=False)
+    assert safe_stop(master) == []
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)  # no position was heard: no target is made up
+    run.close()
+
+
+def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
+    run, master, sent = moving(lambda t: 1.0)
+    run.drives._silent.add(1)
+    began_ns = run.link.now_ns()
+    assert safe_stop(master) == [2]
+    assert run.drives.states[0] is State.SWITCH_ON_DISABLED
+    assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
+    assert (run.link.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
+    run.close()
+
+
+def test_switched_on_is_not_disabled(monkeypatch):
+    run, master, _ = moving(lambda t: 0.0)
+    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda node: 0x0233 if node.drive.node == 2 else 0x0250))
+    assert safe_stop(master) == [2]
+    run.close()
+
+
+def test_a_fault_is_disabled_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
+    run, master, _ = moving(lambda t: 0.0)
+    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda _: 0x0218))
+    assert safe_stop(master) == []
+
+    def refuse(*_):
+        raise AcquisitionError("bus: gone")
+
+    monkeypatch.setattr(run.link, "send", refuse)
+    monkeypatch.setattr(run.link, "receive", refuse)
+    assert safe_stop(master) == [1, 2]
+    run.close()
+
+
+def test_after_it_no_session_can_enable_by_pdo():
+    run, master, _ = moving(lambda t: 0.0)
+    assert safe_stop(master) == []
+    leave_operational(master)
+    master.wait(run.link.now_ns() + 1_000_000)
+    for word in (0x06, 0x07, 0x0F):
+        for node in (1, 2):
+            run.link.send(0x200 + node, word.to_bytes(2, "little") + bytes(4))
+        master.sync()
+        master.wait(run.link.now_ns() + 2_000_000)
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    run.close()
+
+
+def test_what_is_told_first():
+    assert not_disabled([1, 2]) == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP"
