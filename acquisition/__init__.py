@@ -13,14 +13,22 @@ The flow::
   ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs;
   ``overview`` sums up
 - without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
-- from elsewhere and to elsewhere: ``tables``, ``table_files``, ``conversions``; ``reference`` has trajectories
+- from elsewhere and to elsewhere: ``tables``, ``table_files``, ``mat_files``, ``conversions``; ``reference`` has trajectories
 - ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows
 """
+
+from collections.abc import Sequence
 
 
 def one_line(text: str) -> str:
     """`text` without line breaks and control characters, whatever file names and file contents it quotes."""
     return "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in " ".join(text.split()))
+
+
+def listed(names: Sequence[str]) -> str:
+    """Names for an error that says what was expected; of many the first 30."""
+    shown = ", ".join(names[:30])
+    return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"
 
 
 class AcquisitionError(Exception):

@@ -87,7 +87,7 @@ def table_reference(path: Path, robot: Robot, period_s: float) -> Vector:
     """
     from scipy.interpolate import CubicSpline
 
-    table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)])
+    table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
     time_s = table[:, 0]
     with np.errstate(all="ignore"):  # what overflows is refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():

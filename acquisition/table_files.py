@@ -1,24 +1,23 @@
 """Columns of numbers out of CSV and MAT files: what stands in them, without a meaning yet."""
 
-import io
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from . import AcquisitionError
+from . import AcquisitionError, listed
+from .mat_files import read_variables
 
 Matrix = NDArray[np.float64]
 
 
-def read_columns(path: Path, columns: Sequence[str | int]) -> Matrix:
+def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Matrix:
     """The asked columns of a table, side by side: (N, number of columns), as they stand in the file.
 
-    A string names a column of a CSV file's header line or a variable of a MAT file (version 7 or older); a matrix
-    variable counts as several columns. A number is a place in a CSV file, from 1. CSV cells are parted by comma,
-    semicolon, tab or blanks, whichever the first line shows; lines beginning with # are passed over, except a header.
+    A string names a column of a CSV file's header line, or what `mat_files` reads of a MAT file: there one name may give
+    several of the `count` columns that are expected. A number is a place in a CSV file, from 1. CSV cells are parted by
+    comma, semicolon, tab or blanks, whichever the first line shows; lines beginning with # are passed over, except a header.
 
     Raises `AcquisitionError` when the file cannot be read, a column is not there, or a cell is not a finite number.
     """
@@ -29,7 +28,7 @@ def read_columns(path: Path, columns: Sequence[str | int]) -> Matrix:
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
         raise AcquisitionError(f"{path}: a MAT file of version 7.3 (HDF5): expected version 7; save it with -v7")
     if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
-        values, labels = _mat(data, columns, str(path))
+        values, labels = read_variables(data, columns, count, str(path))
     else:
         values, labels = _csv(data, columns, str(path))
     finite = np.isfinite(values)
@@ -95,40 +94,5 @@ def _place(column: str | int, names: Sequence[str] | None, count: int, place: st
         )
     if names.count(column) != 1:
         found = "is not there" if column not in names else f"is there {names.count(column)} times"
-        raise AcquisitionError(f"{place}: column {column!r} {found}: expected one of {_listed(names)}")
+        raise AcquisitionError(f"{place}: column {column!r} {found}: expected one of {listed(names)}")
     return names.index(column)
-
-
-def _mat(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Matrix, list[str]]:
-    import scipy.io
-
-    wanted = [str(column) for column in columns]
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what scipy thinks of variables that were not asked for
-            present = [name for name, _, _ in scipy.io.whosmat(io.BytesIO(data))]
-            variables = scipy.io.loadmat(io.BytesIO(data), variable_names=wanted)
-    except Exception as error:  # scipy's reader meets damage with whatever its parts raise
-        raise AcquisitionError(f"{place}: not a MAT file that can be read: {error or type(error).__name__}") from error
-    parts: list[Matrix] = []
-    labels: list[str] = []
-    for column, name in zip(columns, wanted, strict=True):
-        if isinstance(column, int) or name not in variables:
-            raise AcquisitionError(f"{place}: variable {column!r} is not there: expected one of {_listed(present)}")
-        value = variables[name]
-        if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or value.ndim != 2:
-            kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-            raise AcquisitionError(f"{place}: variable {name!r} is {kind}: expected a vector or matrix of real numbers")
-        part = value.reshape(-1, 1) if 1 in value.shape else value
-        parts.append(part.astype(np.float64))
-        labels += [name] if part.shape[1] == 1 else [f"{name}(:,{k + 1})" for k in range(part.shape[1])]
-    lengths = {len(part) for part in parts}
-    if len(lengths) != 1:
-        told = ", ".join(f"{name} {len(part)}" for name, part in zip(wanted, parts, strict=True))
-        raise AcquisitionError(f"{place}: rows: {told}: expected variables of one length")
-    return np.hstack(parts), labels
-
-
-def _listed(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:30])
-    return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"

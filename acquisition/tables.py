@@ -135,7 +135,7 @@ def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float,
 
 
 def _values(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Matrix:
-    values = read_columns(_table(f"{key}.table", wanted.table, tables, place), wanted.columns)
+    values = read_columns(_table(f"{key}.table", wanted.table, tables, place), wanted.columns, robot.n)
     if values.shape[1] != robot.n:
         raise AcquisitionError(
             f"{place}: {key}.columns give {values.shape[1]} columns: expected {robot.n}, one per joint"
@@ -222,7 +222,7 @@ def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) 
         if wanted.unit not in TIME_UNITS:
             raise AcquisitionError(f"{place}: time.unit = {wanted.unit!r}: expected one of {', '.join(TIME_UNITS)}")
         table = _table("time.table", wanted.table, tables, place)
-        column = read_columns(table, [wanted.column])
+        column = read_columns(table, [wanted.column], 1)
         if column.shape != (rows, 1):
             raise AcquisitionError(f"{place}: time: shape {column.shape}: expected one column of {rows} rows")
         time_s = column[:, 0] * TIME_UNITS[wanted.unit][1]

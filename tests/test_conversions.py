@@ -62,7 +62,7 @@ def test_csv_holds_every_digit(tmp_path):
     import_log(log, mcap, ROBOT, "robot.toml")
     assert export_csv(mcap, out) == 50
     names = ["time_s", "joint_2_position_rad", "joint_1_effort_N_m", "joint_1_reference_rad"]
-    table, samples = read_columns(out, names), read_recording(mcap).samples
+    table, samples = read_columns(out, names, len(names)), read_recording(mcap).samples
     assert table[:, 0] == pytest.approx(np.arange(50) * 0.002)
     assert table[:, 1].tolist() == samples["position"][:, 1].tolist()
     assert table[:, 2].tolist() == samples["effort"][:, 0].tolist()

@@ -143,7 +143,7 @@ def test_any_csv(tmp_path_factory: pytest.TempPathFactory, content: bytes, colum
     path = scratch(tmp_path_factory) / "a.csv"
     path.write_bytes(content)
     with one_line_or_fine():
-        values = read_columns(path, columns)
+        values = read_columns(path, columns, len(columns))
         assert values.shape[1] == len(columns)
         assert np.isfinite(values).all()
 

@@ -302,11 +302,11 @@ def test_mat_mistakes(tmp_path: Path, two: Robot) -> None:
     good = {"p1": Q[:, 0], "p2": Q[:, 1], "c1": CURRENT[:, 0]}
     for extra, message in (
         ({}, "variable 'c2' is not there: expected one of p1, p2, c1"),
-        ({"c2": CURRENT[:2, 1]}, "rows: c1 3, c2 2: expected variables of one length"),
+        ({"c2": CURRENT[:2, 1]}, "c1 1 x 3, c2 1 x 2: expected variables of one length, 2 columns in all"),
         ({"c2": "text"}, "variable 'c2' is <U4 of shape (1,): expected a vector or matrix of real numbers"),
         ({"c2": np.array([1, 2, 3j])}, "variable 'c2' is complex128"),
         ({"c2": {"a": 1}}, "variable 'c2' is "),
-        ({"c2": np.zeros((0, 0))}, "rows: c1 3, c2 0"),
+        ({"c2": np.zeros((0, 0))}, "c1 1 x 3, c2 0 x 0: expected"),
         ({"c2": np.array([1, np.nan, 3])}, "row 2: c2 = nan: expected a finite number"),
     ):
         scipy.io.savemat(tmp_path / "a.mat", good | extra)

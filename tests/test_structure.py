@@ -52,7 +52,8 @@ ACQUISITION = {
     "cia402": {"__init__"},
     "mcap_content": {"__init__"},
     "recording": {"__init__", "blocks", "mcap_content", "robot", "whole_file"},
-    "table_files": {"__init__"},
+    "mat_files": {"__init__"},
+    "table_files": {"__init__", "mat_files"},
     "tables": {"__init__", "blocks", "description", "recording", "robot", "table_files", "whole_file"},
     "overview": {"__init__", "blocks", "recording", "robot"},
     "record": {
