@@ -1,0 +1,165 @@
+"""Each control law against its sampled loop written out by hand, with the exact matrix exponential of the plant."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from scipy.linalg import expm
+
+from acquisition.robot import load_robot, robot_from_files
+from identification.base_parameters import base_parameters
+from identification.dynamics import Dynamics, direct_model
+from identification.simulation import Loop, recorded_loop, simulate
+from identification.synthetic import truth
+
+MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
+TICKS = 400
+LAWS = {
+    "pd": (500.0, 25.0, 0.0),
+    "pd_velocity_feedforward": (500.0, 25.0, 0.0),
+    "cascade_p_p": (20.0, 25.0, 0.0),
+    "cascade_p_pi": (20.0, 25.0, 10.0),
+    "pid": (500.0, 25.0, 2000.0),
+    "computed_torque": (900.0, 50.0, 0.0),
+}
+ESTIMATES = ("exact", "backward_difference", "two_sample_mean")
+
+
+def axis(structure: str, estimate: str, saturation: float):
+    """A mass on a rail, driven through a ratio of 2 by a motor of 10 N/A."""
+    kp, kd, ki = LAWS[structure]
+    integral = f"integral_gain = [{ki}]\n" if ki else ""
+    return robot_from_files(
+        {
+            "robot.toml": (
+                'name = "axis"\n[[joint]]\nname = "x"\ntype = "prismatic"\n'
+                "dh = { alpha_deg = 90, d_m = 0, theta_deg = 0, r_m = 0 }\nrotor_inertia = false\ncoulomb = false\n"
+                f'[[motor]]\nname = "m"\ndrive_gain = {GAIN}\ndrive_gain_unit = "N/A"\nratio = {RATIO}\n'
+                f"saturation = {saturation}\n"
+                f'[controller]\nbandwidth_hz = 5\nstructure = "{structure}"\nsample_rate_hz = {1 / T}\n'
+                f'position_gain = [{kp}]\nvelocity_gain = [{kd}]\n{integral}velocity_estimate = "{estimate}"\n'
+                f"[parameters]\nM1 = {MASS}\nFv1 = {VISCOUS}\n"
+            ).encode()
+        },
+        "axis.toml",
+    )
+
+
+def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float) -> tuple[np.ndarray, np.ndarray]:
+    """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS)."""
+    kp, kd, ki = LAWS[structure]
+    held = expm(T * np.array([[0, 1, 0], [0, -VISCOUS / MASS, RATIO * GAIN / MASS], [0, 0, 0]]))
+    q = v = before = earlier = integral = 0.0
+    positions, efforts = [], []
+    for r, dr, ddr in path.T:
+        dq = {"exact": v, "backward_difference": (q - before) / T, "two_sample_mean": (q - earlier) / (2 * T)}[estimate]
+        before, earlier = q, before
+        e, de, speed = RATIO * (r - q), RATIO * (dr - dq), RATIO * dq
+        kept = integral
+        if structure == "pd":
+            u = kp * e - kd * speed
+        elif structure == "pd_velocity_feedforward":
+            u = kp * e + kd * de
+        elif structure == "cascade_p_p":
+            u = kd * (kp * e - speed)
+        elif structure == "cascade_p_pi":
+            integral += T * (kp * e - speed)
+            u = kd * ((kp * e - speed) + ki * integral)
+        elif structure == "pid":
+            integral += T * e
+            u = kp * e + kd * de + ki * integral
+        else:
+            u = (MASS * (ddr + (kp * e + kd * de) / RATIO) + VISCOUS * v) / (GAIN * RATIO)
+        if abs(u) > saturation:
+            u, integral = np.sign(u) * saturation, kept
+        positions.append(q)
+        efforts.append(u)
+        q, v, _ = held @ [q, v, u]
+    return np.array(positions), np.array(efforts)
+
+
+def path_of(kind: str) -> np.ndarray:
+    """A step of 10 mm, or a sine with its derivatives; the first instant is at rest at zero in both."""
+    t, w = T * np.arange(TICKS), 2 * np.pi * 3
+    if kind == "step":
+        return np.stack([np.where(t > 0, 0.01, 0.0), 0 * t, 0 * t])
+    return 0.01 * np.stack([1 - np.cos(w * t), w * np.sin(w * t), w**2 * np.cos(w * t)])
+
+
+@pytest.mark.parametrize(("kind", "saturation"), [("step", 1e6), ("step", 3.0), ("sine", 1e6)])
+@pytest.mark.parametrize("estimate", ESTIMATES)
+@pytest.mark.parametrize("structure", LAWS)
+def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
+    robot = axis(structure, estimate, saturation)
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    model, path = direct_model(dynamics, base.representative(truth(dynamics, base))), path_of(kind)
+    references = [x[:, None].copy() for x in path]
+    rest = (np.zeros(1), np.zeros(1))
+    done = simulate(model, recorded_loop(robot), *references, start=rest, bound=np.ones(1), substeps=4)
+    q, effort = by_hand(structure, estimate, path, saturation)
+    assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
+    assert np.abs(q).max() > 5e-3
+    np.testing.assert_allclose(done.q[::4, 0], q, atol=2e-7)
+    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+
+
+@pytest.mark.parametrize("structure", ["cascade_p_pi", "pid"])
+def test_the_gain_update_leaves_the_motion_as_it_was(structure):
+    """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
+    robot = axis(structure, "backward_difference", 3.0)
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    zero = np.zeros((TICKS, 1))
+    moved = []
+    for factor in (1.0, 2.0):
+        model = direct_model(dynamics, base.representative(factor * truth(dynamics, base)))
+        loop = recorded_loop(robot).scaled(np.array([factor]))
+        step = path_of("step")[0][:, None].copy()
+        moved.append(simulate(model, loop, step, zero, zero, start=(zero[0], zero[0]), bound=np.ones(1)))
+    assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
+    np.testing.assert_allclose(moved[1].q, moved[0].q, atol=1e-12)
+    np.testing.assert_allclose(moved[1].tau, 2 * moved[0].tau, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("way", [1, -1])
+def test_viscous_friction_of_each_direction_slows_its_own(way):
+    """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
+    dynamics = Dynamics(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
+    chi = np.array([values.get(name, 0.0) for name in dynamics.names])
+    Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
+    model = direct_model(dynamics, chi)
+    one = np.ones(1)
+    assert model.inverse(0 * one, way * 0.2 * one, 0 * one, way * one) == pytest.approx(way * (Fv * 0.2 + Fc))
+    row = dynamics.regressor(0 * one[None], way * 0.2 * one[None], 0 * one[None])[0, 0] @ chi
+    assert row == pytest.approx(way * (Fv * 0.2 + Fc))
+    zero = np.zeros((TICKS, 1))
+    loop = Loop(
+        period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
+        saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
+    )  # fmt: skip
+    done = simulate(model, loop, zero, zero, zero, start=(0 * one, way * 0.5 * one), bound=one, substeps=4)
+    t = T / 4 * np.arange(4 * TICKS)
+    np.testing.assert_allclose(way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4)
+
+
+def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
+    """Two coupled motors at rest, off the reference: tau = Rᵀ G Kp R e, worked out entry by entry."""
+    R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
+    model = direct_model(
+        dynamics := Dynamics(load_robot(REPLAY / "scara" / "robot.toml")),
+        np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
+    )
+    loop = Loop(
+        period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2), Ki=np.zeros(2),
+        position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf), velocity_estimate="exact",
+        computed_torque=False,
+    )  # fmt: skip
+    reference, zero = np.tile(e, (2, 1)), np.zeros((2, 2))
+    m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
+    for estimate in ("exact", "backward_difference"):  # the two ways through the law
+        law = replace(loop, velocity_estimate=estimate)
+        done = simulate(model, law, reference, zero, zero, start=(np.zeros(2), np.zeros(2)), bound=np.ones(2))
+        np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
