@@ -238,6 +238,9 @@ def test_values_in_a_frame():
         (0x6064, 0): 0x04030201,
         (0x6074, 0): 32767,
     }
+    assert pdo.unpack(data("37 92 FB FF FF FF D4 FE 00")) == values  # what is beyond belongs to nobody
+    with pytest.raises(AcquisitionError, match="PDO 0x185: 7 bytes: expected 8"):
+        pdo.unpack(data("37 92 FB FF FF FF D4"))
     assert [pdo.offset(0x6041, 0), pdo.offset(0x6064, 0), pdo.offset(0x6074, 0)] == [0, 2, 6]
     assert [pdo.offset(0x6064, 1), pdo.offset(0x6065, 0)] == [None, None]
     assert (pdo.bits, pdo.length) == (64, 8)

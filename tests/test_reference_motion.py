@@ -48,6 +48,14 @@ def test_positions_at_and_beyond_each_end(sign, limit_deg):
     assert beyond == f"here: {found}: expected {-150 * DEG:.4g} to {60 * DEG:.4g}"
 
 
+@pytest.mark.parametrize(("sign", "limit_deg"), [(1, 60.0), (-1, 150.0)])
+def test_rounding_beyond_an_end(sign, limit_deg):
+    """A billionth of the larger limit, 150 degrees, is rounding."""
+    ramp = np.sin(np.linspace(0, np.pi, 5001)) ** 2 * sign
+    check_limits(second_joint(ramp * (limit_deg + 0.9e-9 * 150) * DEG), robot_with(), PERIOD_S, "here")
+    told(second_joint(ramp * (limit_deg + 1.1e-9 * 150) * DEG), robot_with())
+
+
 @pytest.mark.parametrize("sign", [1, -1])
 def test_speed_on_each_side(sign):
     """A ramp of 200 deg/s between rows that are at rest; the steps at its ends need acceleration, which is not limited here."""
