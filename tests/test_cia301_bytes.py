@@ -327,7 +327,25 @@ def test_boot_up_and_heartbeats(node):
     assert node.heartbeat() == [(0x705, data("7F"))]
 
 
+def test_a_message_of_an_error_without_a_fault(node):
+    """Code, error register (bit 0: some error, bit 4: communication), five bytes of the maker's."""
+    assert node.error(0x8130, 0x11) == [(0x085, data("30 81 11 00 00 00 00 00"))]
+    assert node.error(0x8130) == [(0x085, data("30 81 01 00 00 00 00 00"))]
+    assert node.state is State.SWITCH_ON_DISABLED
+
+
+def test_a_reset_forgets_values_mapping_and_state(node):
+    written(node, *MAPPED, "2F 60 60 00 08 00 00 00")
+    node.receive(0x000, data("01 05"))
+    commanded(node, "06 00")
+    assert node.receive(0x000, data("81 05")) == [(0x705, data("00"))]
+    assert (node.tpdos, node.rpdos, node.state) == ((), (), State.SWITCH_ON_DISABLED)
+    assert node.receive(0x605, data("40 60 60 00 00 00 00 00")) == [(0x585, data("4F 60 60 00 00 00 00 00"))]
+    assert node.receive(0x605, data("40 00 14 01 00 00 00 00")) == [(0x585, data("43 00 14 01 00 00 00 80"))]
+
+
 def test_sdo_of_a_node_by_its_state(node):
+    assert node.receive(0x605, data("40 41 60 00 00 00 00 00")) == [(0x585, data("4B 41 60 00 50 02 00 00"))]
     assert node.receive(0x605, data("40 00 10 00 00 00 00 00")) == [(0x585, data("43 00 10 00 92 01 02 00"))]
     assert node.receive(0x606, data("40 00 10 00 00 00 00 00")) == []
     node.receive(0x000, data("02 05"))  # stopped: NMT and heartbeats only
@@ -358,6 +376,8 @@ def test_mapping_is_refused_where_cia_301_refuses_it(node):
     written(node, *long)
     assert node.receive(0x605, data("2F 01 1A 00 03 00 00 00")) == [(0x585, data("80 01 1A 00 42 00 04 06"))]
     written(node, "2F 01 1A 00 02 00 00 00")  # 64 bits just fit
+    written(node, "23 02 1A 01 08 01 C2 60", "23 02 1A 02 08 02 C2 60")  # both parts of 60C2h
+    assert node.receive(0x605, data("23 02 1A 03 08 03 C2 60")) == [(0x585, data("80 02 1A 03 41 00 04 06"))]
 
 
 def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):

@@ -10,6 +10,7 @@ from acquisition.bus_description import parse_object
 from acquisition.cia402 import ObjectEntry
 from acquisition.drives import resolve
 from acquisition.object_dictionary import DictionaryEntry, load_dictionary
+from acquisition.simulated_node import simulated_node
 
 DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"
 
@@ -99,6 +100,30 @@ def test_a_dictionary_that_is_missing_beside_the_description():
         AcquisitionError, match=r"bus.drive\[0\].dictionary = 'a.eds': is missing beside the description"
     ):
         resolve(robot, "robot.toml")
+
+
+@pytest.mark.parametrize(
+    ("asked", "answer"),
+    [
+        ("40 00 10 00 00 00 00 00", "43 00 10 00 92 01 02 00"),
+        ("40 60 60 00 00 00 00 00", "4F 60 60 00 0A 00 00 00"),
+        ("40 64 60 00 00 00 00 00", "43 64 60 00 00 00 00 00"),
+        ("40 76 60 00 00 00 00 00", "43 76 60 00 2C 01 00 00"),  # 300 mN m, as the description says
+        ("40 18 10 01 00 00 00 00", "43 18 10 01 9A 00 00 00"),  # out of [DeviceInfo]
+        ("40 18 10 02 00 00 00 00", "43 18 10 02 77 07 00 00"),
+        ("40 00 18 01 00 00 00 00", "43 00 18 01 85 01 00 80"),  # switched off until a master says otherwise
+        ("40 08 10 00 00 00 00 00", "80 08 10 00 00 00 02 06"),
+        ("2B 41 60 00 01 00 00 00", "80 41 60 00 02 00 01 06"),  # read only
+        ("23 76 60 00 01 00 00 00", "60 76 60 00 00 00 00 00"),
+    ],
+)
+def test_a_simulated_drive_serves_its_dictionary(asked, answer):
+    keys = (
+        'dictionary = "a.eds"\nobjects = { "6040" = "U16", "607A" = "I32" }\nreference = "6074"\nrated_torque_nm = 0.3'
+    )
+    text = bus_text(1).replace("node = 1\n", "node = 5\n").replace('reference = "6074"\nrated_torque_nm = 0.42', keys)
+    drive = bus_of(robot_of(text, {"dictionary:a.eds": (DEVICE + EDS).encode()})).drives[0]
+    assert simulated_node(drive).receive(0x605, bytes.fromhex(asked)) == [(0x585, bytes.fromhex(answer))]
 
 
 # [bus]
