@@ -8,7 +8,8 @@ The flow::
 
 - what is there: ``description`` (TOML), ``robot``, ``bus_description``; ``drives`` resolves it with ``object_dictionary``
 - protocol without I/O: ``cia402`` (states, raw integers to SI), ``sdo``, ``pdo``
-- the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``
+- the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``;
+  ``listening`` tells who is there before anything is sent
 - the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
   ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs;
   ``overview`` sums up

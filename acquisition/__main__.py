@@ -85,11 +85,12 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.csv", help="the table to write")
     command.set_defaults(run=_export)
 
-    command = commands.add_parser("replay", help="put a recording's frames back on a bus, with their timing")
+    command = commands.add_parser("replay", help="what a recording's drives sent, and SYNC, on a silent bus")
     command.add_argument("recording", type=Path, metavar="LOG.mcap")
     command.add_argument("--interface", required=True, help="python-can's name: socketcan, udp_multicast, ...")
     command.add_argument("--channel", required=True, help="can0, or a multicast group")
     command.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; default 1")
+    command.add_argument("--onto-bus", action="store_true", help="also where hardware may be on the bus")
     command.set_defaults(run=_replay)
 
     command = commands.add_parser("recover", help="a whole recording from one that was cut")
@@ -250,7 +251,7 @@ def _replay(arguments: argparse.Namespace) -> None:
     stop = Stop()
     file = BusFile(interface=arguments.interface, channel=arguments.channel, drive=(), sync_period_s=1.0)
     with stop_on_signals(stop):
-        count = replay(arguments.recording, file, stop, speed=arguments.speed)
+        count = replay(arguments.recording, file, stop, speed=arguments.speed, onto_bus=arguments.onto_bus)
     print(one_line(f"{count} frames sent on {arguments.interface} {arguments.channel}"))
 
 

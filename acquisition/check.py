@@ -11,6 +11,7 @@ from . import AcquisitionError
 from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 from .cia402 import State
 from .drives import LARGEST_LOAD, Bus, Drive
+from .listening import other_master
 from .master import Master, Wire
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
@@ -53,8 +54,15 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
 
 
 def look(link: Wire, bus: Bus) -> list[Finding]:
-    """What drives say over a link that is open."""
+    """What drives say over a link that is open; nothing is sent where another master is heard first."""
     master = Master(link, bus)
+    sign = other_master(master)
+    if sign is not None:
+        told = (
+            f"{sign}: nothing was sent, so nothing is known of states, PDOs, supervision, scales, identity, rated values "
+            "and SYNC; `robot-acquire record --passive` records beside it"
+        )
+        return [Finding(subject="another master", found=told, ok=False)]
     findings = []
     everyone = True
     for drive in bus.drives:

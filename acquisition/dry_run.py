@@ -14,6 +14,7 @@ from .mechanism import Mechanism, mechanism_of
 from .robot import Robot
 from .simulated_drives import SimulatedDrives, SimulatedFault
 
+IDLE_HEARTBEAT_MS = 200  # before a master sets another: who listens first must hear them
 _NUMBERS = itertools.count()
 
 
@@ -78,6 +79,7 @@ def serve(
     drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
     link = open_link(bus.file, passive=False)
     try:
+        drives.tell_heartbeats(IDLE_HEARTBEAT_MS)
         sent = drives.boot()
         ready()
         while not stopped():

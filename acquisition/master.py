@@ -160,18 +160,23 @@ class Master:
             watch.answers = 0
         self.at_sync()
 
-    def nmt(self, command: int, node: int = 0) -> None:
-        """Network management to one node, 0 to all."""
+    def nmt(self, command: int, node: int) -> None:
+        """Network management to one node; never to all (0), among which may be others than our drives."""
         self.link.send(0, bytes([command, node]))
 
+    def nmt_drives(self, command: int) -> None:
+        """Network management to each of our drives."""
+        for drive in self.bus.drives:
+            self.nmt(command, drive.node)
+
     def start(self) -> None:
-        """START to all nodes; what they said before counts no more, positions least of all."""
+        """START to all drives; what they said before counts no more, positions least of all."""
         for watch in self.nodes:
             watch.statusword, watch.counts, watch.effort = None, None, None
             watch.answers, watch.silent_syncs = 0, 0
             watch.booted, watch.emergency, watch.nmt = False, None, None
             watch.started, watch.unstarted = False, 0
-        self.nmt(START)
+        self.nmt_drives(START)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
 
@@ -215,7 +220,7 @@ class Master:
 
     def configure(self) -> None:
         """In PRE-OPERATIONAL: heartbeat and PDOs of every drive, as the description has them."""
-        self.nmt(PRE_OPERATIONAL)
+        self.nmt_drives(PRE_OPERATIONAL)
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
         for drive in self.bus.drives:

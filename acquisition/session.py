@@ -16,6 +16,7 @@ from . import AcquisitionError
 from .cia402 import DISABLED, MODE_OF_OPERATION, Command, Mode, State, toward
 from .drives import Drive, refuse_out_of_range
 from .guards import Motion, motion_fault, node_fault
+from .listening import refuse_enabled, refuse_other_master
 from .master import Master, axis_of
 from .master_heartbeat import MasterHeartbeat
 from .recorder import Status
@@ -131,8 +132,8 @@ class _Session:
             refuse_out_of_range(self._plan.reference, self._robot, self._bus, self._plan.place)
             self._check_carriers()
         self._log.event(self._link.now_ns(), "phase", "configure")
-        if self._plan.reference is not None:
-            self._refuse_enabled()  # by reading alone: who else holds a drive keeps it as it is
+        refuse_other_master(self._master)
+        self._refuse_enabled()  # by reading alone: who else holds a drive keeps it as it is
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()
@@ -150,13 +151,9 @@ class _Session:
 
     def _refuse_enabled(self) -> None:
         """A drive that gives torque before it was told to is somebody else's; one in fault is told, and reset later."""
-        for drive in self._bus.drives:
-            state = self._master.state(drive)
-            if state not in DISABLED:
-                told = f"node {drive.node}: {state.words} before the session began"
-                raise AcquisitionError(f"{told}: expected switch on disabled: does another master hold it?")
-            if state is State.FAULT:
-                self._log.event(self._link.now_ns(), "mark", f"node {drive.node}: found in fault; it is reset")
+        reset = "; it is reset" if self._plan.reference is not None else ""
+        for node in refuse_enabled(self._master):
+            self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
 
     def _check_carriers(self) -> None:
         """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0."""

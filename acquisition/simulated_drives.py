@@ -133,6 +133,12 @@ class SimulatedDrives:
         """Whether no drive gives torque."""
         return all(state in DISABLED for state in self.states)
 
+    def tell_heartbeats(self, every_ms: int) -> None:
+        """From their next boot on drives whose dictionaries ask for no heartbeat send one every `every_ms`."""
+        for node in self.nodes:
+            if node.initial.get((HEARTBEAT_TIME, 0)) == 0:
+                node.initial[HEARTBEAT_TIME, 0] = every_ms
+
     def boot(self) -> Sent:
         """Boot-up messages."""
         sent = [frame for node in self.nodes for frame in node.boot()]

@@ -1,6 +1,6 @@
 """Sessions on simulated drives in simulated time, for tests."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -78,7 +78,7 @@ def dry_session(
     bus: Bus | None = None,
     faults: Sequence[SimulatedFault] = (),
     plant: Plant | None = None,
-    through: type[Through] = Through,
+    through: Callable[..., Through] = Through,
     stop: Stop | None = None,
     drives: Bus | None = None,
 ) -> Outcome:

@@ -98,7 +98,7 @@ def test_a_target_is_in_force_from_the_next_sync_on():
     found = decoded("S 1:1 2:1 t1:10 t2:20 S 1:2 2:2 t1:11 t2:21 S 1:3 2:3 t1:12 t1:13 t2:22 S 1:4 2:4")
     joint = [drive.position_codec.si(np.array(counts)) / 50 for drive, counts in zip(
         BUS.drives, ([1, 10, 11, 13], [1, 20, 21, 22]), strict=True)]  # fmt: skip
-    assert found.samples["reference"].T == pytest.approx(np.array(joint), rel=1e-12)
+    np.testing.assert_allclose(found.samples["reference"].T, joint, rtol=1e-12)
 
 
 def session(sync_ns: np.ndarray, came: list[np.ndarray], unrecorded: tuple[int, ...] = ()) -> Block:

@@ -20,6 +20,7 @@ from acquisition.reference import approach, check_limits, table_reference
 from acquisition.session import Plan, Stop, _Session
 from acquisition.simulated_drives import SimulatedFault
 
+LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Plan(reference=swing(2))
 
 
@@ -253,7 +254,7 @@ def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
     @dataclass(kw_only=True)
     class Interrupting(Through):
         def receive(self, until_ns):
-            if self.now_ns() > 1_000_000_000 + at * 1e9 and not stop.reason:
+            if self.now_ns() > LISTENED_NS + at * 1e9 and not stop.reason:
                 stop.reason = "stopped by SIGINT"
             return super().receive(until_ns)
 
@@ -299,7 +300,7 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
             ("rated_torque_nm = 0.42", "rated_torque_nm = 0.5"),
             "rated value (6076:0) = 420: expected 500 as robot.toml says",
         ),
-        (("node = 2", "node = 9"), "node 9: object 1017:0: no answer in 0.3 s"),
+        (("node = 2", "node = 9"), "node 9: object 6041:0: no answer in 0.3 s"),
     ],
 )
 def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp_path, change, expected):

@@ -1,0 +1,227 @@
+"""Listening before sending: replay on a silent bus only, sessions and checks beside another master, NMT by node."""
+
+import threading
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from dry_sessions import Through, dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError
+from acquisition.blocks import EXTENDED, REMOTE, SENT
+from acquisition.bus import Frame, Link, open_bus, open_link
+from acquisition.bus_description import BusFile
+from acquisition.check import look
+from acquisition.cia402 import State
+from acquisition.dry_run import dry_run, serve
+from acquisition.listening import service_of, sign_of_master
+from acquisition.recording import read_recording
+from acquisition.replay import replay
+from acquisition.session import Plan, Stop
+
+ROBOT = robot_of(bus_text(2))
+BUS = bus_of(ROBOT)
+PLANS = [Plan(duration_s=0.1), Plan(reference=swing(2, seconds=0.4, amplitude=0.02))]
+
+
+@pytest.fixture(scope="module")
+def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A session that moved two drives."""
+    path = tmp_path_factory.mktemp("listening") / "log.mcap"
+    assert not dry_session(path, PLANS[1]).ending.fault
+    return path
+
+
+def bus_file(channel: str, interface: str = "virtual") -> BusFile:
+    return BusFile(interface=interface, channel=channel, drive=(), sync_period_s=1.0)
+
+
+class Ear:
+    """All frames on a bus from now on."""
+
+    def __init__(self, file: BusFile) -> None:
+        self._link = open_link(file, passive=True)
+
+    def frames(self) -> list[Frame]:
+        found = []
+        while (frame := self._link.take(0)) is not None:
+            found.append(frame)
+        self._link.close()
+        return found
+
+
+# Identifiers of CiA 301 written out; the drives are nodes 1 and 2, with TPDO 1 and RPDO 1 on the usual identifiers.
+SERVICES = [
+    (0x000, "NMT command", True),
+    (0x080, "SYNC", True),
+    (0x081, "emergency of node 1", False),
+    (0x181, "TPDO 1 of node 1", False),
+    (0x201, "RPDO 1 to node 1", True),
+    (0x303, "RPDO 2 to node 3", True),
+    (0x4FF, "TPDO 4 of node 127", False),
+    (0x57F, "RPDO 4 to node 127", True),
+    (0x581, "SDO answer of node 1", False),
+    (0x602, "SDO request to node 2", True),
+    (0x701, "heartbeat of node 1", False),
+    (0x77F, "heartbeat of node 127", True),
+    (0x700, "frame 0x700", False),
+    (0x690, "frame 0x690", False),
+]
+
+
+@pytest.mark.parametrize(("can_id", "service", "master"), SERVICES)
+def test_what_a_frame_says_of_its_sender(can_id, service, master):
+    frame = Frame(0, can_id, b"\x05")
+    assert service_of(frame, 0x80) == service
+    sign = sign_of_master(frame, BUS)
+    assert (sign is not None) == master
+    assert sign is None or sign.startswith(service)
+    assert sign_of_master(frame._replace(flags=EXTENDED), BUS) is None
+
+
+def test_a_boot_up_is_no_sign_of_a_master():
+    frame = Frame(0, 0x77F, b"\0")
+    assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
+
+
+def test_sync_of_a_producer_that_is_described_and_own_identifiers_are_no_sign():
+    other = bus_of(robot_of(bus_text(2, extra='sync_producer = "other"')))
+    assert sign_of_master(Frame(0, 0x80, b""), other) is None
+    swapped = bus_of(robot_of(bus_text(1, drive="""tpdo = [{ objects = ["6041", "6064", "6074"], can_id = 0x201 }]
+rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
+    assert sign_of_master(Frame(0, 0x201, bytes(8)), swapped) is None
+    assert sign_of_master(Frame(0, 0x181, bytes(6)), swapped) == "TPDO 1 of node 1"
+    assert sign_of_master(Frame(0, 0x701, b"", REMOTE), swapped) == "remote request for heartbeat of node 1"
+
+
+def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
+    robot = robot_of(bus_text(2, channel="replay_onto_drives"))
+    stop, ear = threading.Event(), Ear(bus_file("replay_onto_drives"))
+    drives = threading.Thread(target=serve, args=(robot, bus_of(robot), stop.is_set), daemon=True)
+    drives.start()
+    try:
+        with pytest.raises(AcquisitionError, match=r"node [12] is heard: expected a silent bus; nothing was sent"):
+            replay(tracked, bus_file("replay_onto_drives"), Stop())
+    finally:
+        stop.set()
+        drives.join(10)
+    # Drives alone: boot-up and heartbeats.
+    assert {frame.can_id for frame in ear.frames()} == {0x701, 0x702}
+
+
+@pytest.mark.parametrize("can_id", [0x80, 0x83, 0x185, 0x585, 0x705, 0x123])
+def test_replay_is_refused_whoever_is_heard(tracked, can_id):
+    file = bus_file(f"replay_{can_id:03X}")
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file)
+    timer = threading.Timer(0.1, somebody.send, (can_id, b"\x01"))
+    timer.start()
+    try:
+        with pytest.raises(AcquisitionError) as caught:
+            replay(tracked, file, Stop())
+    finally:
+        timer.join()
+        somebody.close()
+    assert service_of(Frame(0, can_id, b""), 0x80) in str(caught.value)
+    assert [frame.can_id for frame in ear.frames()] == [can_id]
+
+
+def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
+    file = bus_file("replay_silent")
+    ear, started_s = Ear(file), time.monotonic()
+    count = replay(tracked, file, Stop(), speed=20.0)
+    assert time.monotonic() - started_s > 0.5
+    recorded = next(iter(read_recording(tracked).frames.values()))
+    drives = np.isin(recorded["can_id"], [0x80, 0x81, 0x82, 0x181, 0x182, 0x581, 0x582, 0x701, 0x702])
+    expected = recorded[drives]
+    assert {0, 0x201, 0x202, 0x601, 0x602} <= set(recorded["can_id"][~drives].tolist())
+    found = ear.frames()
+    assert [frame.can_id for frame in found] == expected["can_id"].tolist()
+    assert [list(frame.data) for frame in found] == [r["data"][: r["length"]].tolist() for r in expected]
+    assert count == len(found)
+
+
+def test_replay_onto_hardware_must_be_asked_for(tracked):
+    with pytest.raises(AcquisitionError, match=r"--interface socketcan: hardware .* expected --onto-bus"):
+        replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
+    with pytest.raises(AcquisitionError, match="nowhere0: cannot be opened"):
+        replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)
+
+
+@dataclass(kw_only=True)
+class Neighbour(Through):
+    """Sends one frame 0.3 s after the start; keeps what the session sent."""
+
+    can_id: int = 0
+    flags: int = 0
+    said: bool = False
+
+    def receive(self, until_ns):
+        if not self.said and self.now_ns() >= 1_300_000_000:
+            self.said = True
+            return Frame(self.now_ns(), self.can_id, b"\x05", self.flags)
+        return super().receive(until_ns)
+
+
+def sent_in(outcome) -> list[int]:
+    blocks = list(outcome.recording.frames.values())
+    return [] if not blocks else blocks[0]["can_id"][(blocks[0]["flags"] & SENT) != 0].tolist()
+
+
+@pytest.mark.parametrize("plan", PLANS)
+@pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x605, 0x77F])
+def test_a_session_beside_another_master_sends_nothing(tmp_path, plan, can_id):
+    outcome = dry_session(tmp_path / "a.mcap", plan, through=partial(Neighbour, can_id=can_id))
+    assert outcome.ending.fault
+    assert service_of(Frame(0, can_id, b""), 0x80) in outcome.ending.reason
+    assert "record --passive" in outcome.ending.reason
+    assert sent_in(outcome) == []
+    assert outcome.events("disabled") + outcome.events("not disabled") == []
+
+
+@pytest.mark.parametrize("plan", PLANS)
+def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, plan):
+    """Only SDO reads are sent; the way out is named."""
+
+    @dataclass(kw_only=True)
+    class Enabled(Through):
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            if frame is not None and frame.can_id == 0x581:
+                return frame._replace(data=frame.data[:4] + b"\x37\x02\0\0")  # 6041h: operation enabled
+            return frame
+
+    outcome = dry_session(tmp_path / "a.mcap", plan, through=Enabled)
+    assert outcome.ending.reason.startswith("node 1: operation enabled before the session began")
+    assert "`robot-acquire disable`" in outcome.ending.reason
+    frames = next(iter(outcome.recording.frames.values()))
+    sent = frames[(frames["flags"] & SENT) != 0]
+    assert sent["can_id"].tolist() == [0x601]
+    assert sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
+    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+
+
+def test_nmt_goes_to_our_drives_only(tmp_path):
+    outcome = dry_session(tmp_path / "a.mcap", PLANS[1])
+    frames = next(iter(outcome.recording.frames.values()))
+    nmt = frames[frames["can_id"] == 0]
+    assert nmt["length"].tolist() == [2] * len(nmt)
+    assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
+
+
+def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
+    sent: list[Frame] = []
+    run = dry_run(ROBOT, BUS, tap=lambda frame: sent.append(frame) if frame.flags & SENT else None)
+    try:
+        alone = look(Neighbour(link=run.link, can_id=0x181), BUS)
+        assert sum("switch on disabled" in finding.found for finding in alone) == 2
+        sent.clear()
+        (found,) = look(Neighbour(link=run.link, can_id=0x602), BUS)
+    finally:
+        run.close()
+    assert (found.subject, found.ok) == ("another master", False)
+    assert found.found.startswith("SDO request to node 2: nothing was sent, so nothing is known of states")
+    assert sent == []
