@@ -1,0 +1,129 @@
+"""Weights, estimates, covariances and tests of small systems, from the formulas as they stand in the papers."""
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from identification.diagnostics import instrument_tests
+from identification.estimators import (
+    essential_parameters,
+    instrumental_variables,
+    joint_weights,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+
+
+def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Z, W (r, b) and Y (r,) that have something, but not all, in common."""
+    rng = np.random.default_rng(seed)
+    W = rng.normal(size=(r, b))
+    Z = W + 0.5 * rng.normal(size=(r, b))
+    return Z, W, W @ np.arange(1.0, b + 1) + rng.normal(size=r)
+
+
+def test_instruments_of_two_joints_worked_out_on_paper():
+    """One row of joint 1 (weight 2), two of joint 2 (weight 1): (Z'D²W) beta = Z'D²Y, and C = s² (Z'D²W)⁻¹ Z'D²Z (W'D²Z)⁻¹.
+
+    Z'D²W = [[8 + 3, 4], [0 + 1, 2]] = [[11, 4], [1, 2]]; Z'D²Y = [44 + 9, 7] with Y = (11, 2, 7): determinant 18.
+    """
+    Z = np.array([[1.0, 0.0], [0.0, 1.0], [3.0, 0.0], [0.0, 0.0]])
+    W = np.array([[2.0, 1.0], [1.0, 2.0], [1.0, 0.0], [5.0, 5.0]])
+    Y = np.array([11.0, 7.0, 3.0, 9.0])
+    used = np.array([1.0, 1.0, 1.0, 0.0])  # the last row does not count
+    fit = instrumental_variables(Z, W, Y, np.array([0, 1, 1, 1]), ("a", "b"), np.array([2.0, 1.0]), used)
+    beta = [Fraction(53 * 2 - 4 * 7, 18), Fraction(11 * 7 - 53, 18)]
+    np.testing.assert_allclose(fit.beta, [float(x) for x in beta], rtol=1e-12)
+    rho = [2 * (11 - 2 * beta[0] - beta[1]), 7 - beta[0] - 2 * beta[1], 3 - beta[0]]
+    norm2 = sum(x * x for x in rho)
+    assert fit.residual_norm == pytest.approx(float(norm2) ** 0.5)
+    s2, inverse, ZZ = norm2 / 2, np.array([[2, -4], [-1, 11]]) / 18, np.diag([4.0 + 9.0, 1.0])
+    np.testing.assert_allclose(fit.covariance, float(s2) * inverse @ ZZ @ inverse.T, rtol=1e-12)
+    assert fit.rows == 3
+
+
+def test_instruments_with_weights_and_left_out_rows_are_the_formula():
+    Z, W, Y = system(1, 40, 3)
+    joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
+    used = (np.arange(40) % 5 > 0).astype(float)
+    fit = instrumental_variables(Z, W, Y, joints, tuple("abc"), weights, used)
+    D2 = np.diag(weights[joints] ** 2 * used)
+    inverse = np.linalg.inv(Z.T @ D2 @ W)
+    np.testing.assert_allclose(fit.beta, inverse @ Z.T @ D2 @ Y, rtol=1e-10)
+    rho = Y - W @ fit.beta
+    s2 = rho @ D2 @ rho / (32 - 1)
+    np.testing.assert_allclose(fit.covariance, s2 * inverse @ Z.T @ D2 @ Z @ inverse.T, rtol=1e-9)
+    # beta - beta_true = bread Qᵀ rho is what every robust deviation is made from.
+    true = np.arange(1.0, 4.0)
+    np.testing.assert_allclose(
+        fit.bread @ fit.Q.T @ (np.sqrt(np.diag(D2)) * (Y - W @ true)), fit.beta - true, atol=1e-10
+    )
+    unweighted = np.linalg.solve(Z.T @ np.sqrt(D2) @ W, Z.T @ np.sqrt(D2) @ Y)
+    assert np.abs(unweighted - fit.beta).max() > 1e-3  # weights on Z too: it makes a difference here
+
+
+def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
+    """Joint 1: six rows, two columns. Joint 2: five rows, three columns of which one is twice another: rank 2."""
+    rng = np.random.default_rng(4)
+    W = np.zeros((11, 4))
+    W[:6, :2] = rng.normal(size=(6, 2))
+    W[6:, 1:3] = rng.normal(size=(5, 2))
+    W[6:, 3] = 2 * W[6:, 2]
+    Y = rng.normal(size=11)
+    joints = np.repeat([0, 1], [6, 5])
+    found = joint_weights(W, Y, joints, np.array([6, 5]))
+    for j, (columns, freedom) in enumerate((([0, 1], 4), ([1, 2], 3))):
+        A, y = W[joints == j][:, columns], Y[joints == j]
+        rho = y - A @ np.linalg.solve(A.T @ A, A.T @ y)
+        assert found[j] == pytest.approx(np.sqrt(freedom / (rho @ rho)), rel=1e-10)
+    # The weighted estimate is that of the rows divided by s_j.
+    full = W[:, :3]
+    fit = weighted_least_squares(full, Y, joints, np.array([6, 5]), tuple("abc"))
+    D = np.diag(joint_weights(full, Y, joints, np.array([6, 5]))[joints])
+    np.testing.assert_allclose(fit.beta, np.linalg.lstsq(D @ full, D @ Y, rcond=None)[0], rtol=1e-9)
+    rho = D @ (Y - full @ fit.beta)
+    np.testing.assert_allclose(fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9)
+
+
+def test_the_f_test_of_the_reduction_is_the_formula():
+    """F = ((RSS_reduced - RSS_full)/dropped) / (RSS_full/(r - b)); twelve rows and five columns, so that each number shows."""
+    rng = np.random.default_rng(12)
+    W = rng.normal(size=(12, 5))
+    Y = W @ np.array([50.0, 0.01, -40.0, 0.0, 60.0]) + rng.normal(size=12)
+    problem = (W, Y, np.zeros(12, dtype=int), np.array([12]))
+    full = ordinary_least_squares(*problem, tuple("abcde"))
+    reduced = essential_parameters(*problem, full, correlation=0.2)
+    assert reduced.estimate.names == ("a", "c", "e")
+    rss = {}
+    for kept in ((0, 1, 2, 3, 4), (0, 2, 4)):
+        A = W[:, kept]
+        rho = Y - A @ np.linalg.lstsq(A, Y, rcond=None)[0]
+        rss[len(kept)] = rho @ rho
+    F = (rss[3] - rss[5]) / 2 / (rss[5] / 7)
+    assert pytest.approx(F) == reduced.F
+    assert reduced.p_value == pytest.approx(stats.f.sf(F, 2, 7))
+    share = 0.8 / 1.2  # of twelve rows eight are independent
+    assert reduced.F_effective == pytest.approx(share * F)
+    assert reduced.p_effective == pytest.approx(stats.f.sf(share * F, 2, 8 - 5))
+
+
+def test_the_durbin_wu_hausman_test_is_the_regression_on_what_instruments_leave():
+    """V = W - Z (Z'Z)⁻¹ Z'W; regress Y on W and on [W V]: F = ((RSS_W - RSS_WV)/q) / (RSS_WV/(r - b - q)), Janot2016."""
+    Z, W, Y = system(6, 30, 3)
+    V = W - Z @ np.linalg.solve(Z.T @ Z, Z.T @ W)
+    rss = []
+    for A in (W, np.c_[W, V]):
+        rho = Y - A @ np.linalg.lstsq(A, Y, rcond=None)[0]
+        rss.append(rho @ rho)
+    F = (rss[0] - rss[1]) / 3 / (rss[1] / (30 - 3 - 3))
+    tests = instrument_tests(np.linalg.qr(Z)[0], W, Y, 30, 0.0)
+    assert tests.dwh_F == pytest.approx(F)
+    assert tests.dwh_p_value == pytest.approx(stats.f.sf(F, 3, 24))
+    # One parameter: the first stage is the regression of its column on its instrument.
+    w, z = W[:, :1], Z[:, :1]
+    fitted = z @ (z.T @ w) / (z.T @ z)
+    first = (fitted.T @ fitted).item() / (((w - fitted).T @ (w - fitted)).item() / 29)
+    one = instrument_tests(z / np.linalg.norm(z), w, Y, 30, 0.0)
+    assert one.first_stage_F == pytest.approx(first)
