@@ -100,3 +100,22 @@ def test_cutoffs_beyond_half_the_rate_and_too_few_samples_are_refused():
         lowpass(np.zeros((12, 1)), 20.0, FS)
     with pytest.raises(IdentificationError, match="too few to decimate"):
         decimate(np.zeros(24), 10)
+
+
+@pytest.mark.parametrize("factor", [5, 10])
+def test_smooth_ends_keep_a_single_sample_small_in_the_end_rows(factor):
+    """An outlier in the first or the last sample: MATLAB edges hand most of it on, smooth ends average it."""
+    last = np.zeros(50 * factor)
+    last[-1] = 1.0
+    first = np.zeros(49 * factor + 1)  # the last sample is kept, so this length keeps the first one too
+    first[0] = 1.0
+    for x, row in ((last, -1), (first, 0)):
+        assert decimate(x, factor)[row] > 0.5
+        assert abs(decimate(x, factor, smooth_ends=True)[row]) < 0.35
+    line = 3.0 + 0.02 * np.arange(50 * factor)
+    ripple = 10 ** (-2 * 0.05 / 20)  # a filter of even order is at the foot of its ripple at 0 Hz, in both directions
+    found = decimate(line, factor, smooth_ends=True)
+    np.testing.assert_allclose(found, ripple * line[factor - 1 :: factor], rtol=1e-6)
+    rows = decimate(np.random.default_rng(0).standard_normal((400, 50 * factor)), factor, smooth_ends=True)
+    spread = rows.std(axis=0)
+    assert (spread[[0, -1]] < 2 * spread[10:-10].mean()).all()  # MATLAB's: 3 times and more
