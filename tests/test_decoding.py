@@ -144,6 +144,27 @@ def test_jitter_and_a_clock_that_is_another():
     assert "SYNC came every 30 ms: expected 2 ms as robot.toml says" in slow.warnings
 
 
+@pytest.mark.parametrize("early", [1, -1])
+def test_the_grid_begins_where_all_syncs_together_put_it(early):
+    """The first SYNC was read 40 µs off its time, the 49 others on it: the grid is 1/50 of that off, not all of it."""
+    intervals = session()
+    t_ns = intervals[0][0][0]
+    intervals[0][0] = frame(t_ns - early * 40_000, 0x80)
+    stamps = decoded(intervals).samples["stamp_ns"]
+    assert stamps[0] - t_ns == -early * 800
+    assert np.diff(stamps).tolist() == [2_000_000] * 49
+
+
+def test_of_two_answers_to_a_sync_the_first_is_the_sample():
+    """The same PDO again, later and with other contents, while no SYNC is without an answer."""
+    intervals = session()
+    t, _, length, flags, data = intervals[20][1]
+    intervals[20].append((t + 500_000, 0x181, length, flags, data + np.uint8(1)))
+    found = decoded(intervals)
+    right(found)
+    assert [p.duplicate for p in found.pdos] == [1, 0]
+
+
 @pytest.mark.parametrize("way", [1, -1])
 def test_a_counter_that_wraps_goes_on(way):
     """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC earlier; back again at 40."""
