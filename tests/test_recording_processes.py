@@ -406,7 +406,8 @@ def test_known_errors_are_one_line(folder):
         (["import", str(folder / "x.log"), "--robot", robot, "-o", str(folder / "o.mcap")], "x.log: cannot be read"),
         (["import", str(folder / "x.csv"), "--robot", robot, "-o", str(folder / "o.mcap")], "--map is not there"),
         (["export", str(folder / "there.mcap"), "-o", str(folder / "o.csv")], "expected an MCAP file"),
-        (["replay", str(folder / "there.mcap"), "--interface", "nothing", "--channel", "x"], "expected an MCAP file"),
+        (["replay", str(folder / "there.mcap"), "--interface", "virtual", "--channel", "x"], "expected an MCAP file"),
+        (["replay", str(folder / "there.mcap"), "--interface", "slcan", "--channel", "x"], "expected --onto-bus"),
     ):
         process = acquire(folder, *arguments)
         _, errors = process.communicate(timeout=60)
