@@ -51,6 +51,10 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--dry-run", action="store_true", help="all of it on simulated drives, without any bus")
     command.set_defaults(run=_record)
 
+    command = commands.add_parser("disable", help="stop and disable all drives, whoever enabled them; never refused")
+    command.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    command.set_defaults(run=_disable)
+
     command = commands.add_parser("simulate", help="simulated drives on the bus of a description, for anyone's master")
     command.add_argument("robot", type=Path, metavar="ROBOT.toml")
     command.add_argument("--replay", type=Path, metavar="LOG.mcap", help="drives that replay a recording's samples")
@@ -141,6 +145,25 @@ def _record(arguments: argparse.Namespace) -> None:
         raise AcquisitionError(f"{arguments.output}: ended by a fault: {ending.reason}")
     if not ending.all_disabled:
         raise AcquisitionError(f"{arguments.output}: NOT EVERY DRIVE CONFIRMED THAT IT IS DISABLED: see its events")
+
+
+def _disable(arguments: argparse.Namespace) -> int:
+    from .disabling import disable
+    from .robot import load_robot
+    from .safe_stop import not_disabled
+
+    robot = load_robot(arguments.robot)
+    nodes = [drive.node for drive in robot.bus.drive] if robot.bus is not None else []
+    try:
+        unconfirmed = disable(robot, str(arguments.robot))
+    except AcquisitionError:
+        print(not_disabled(nodes), file=sys.stderr)
+        raise
+    if unconfirmed:
+        print(not_disabled(unconfirmed), file=sys.stderr)
+        return 1
+    print(f"disabled: nodes {', '.join(map(str, nodes))}; all in pre-operational")
+    return 0
 
 
 def _simulate(arguments: argparse.Namespace) -> None:

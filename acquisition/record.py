@@ -74,7 +74,10 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
         # The link first: a bus that cannot be opened leaves no file behind.
         link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
         try:
-            log = ProcessLog(out, robot, source="CAN, active", place=place, feed=not shared, passive=False)
+            dead_man = shared and wanted.track is not None
+            log = ProcessLog(
+                out, robot, source="CAN, active", place=place, feed=not shared, passive=False, dead_man=dead_man
+            )
         except BaseException:
             link.close()
             raise

@@ -8,6 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -19,6 +20,7 @@ from numpy.typing import NDArray
 from . import AcquisitionError
 from .blocks import FRAME, SENT
 from .bus import DRAIN_S, Frame, Receiver, block_of, kernel_drops, open_bus
+from .dead_man import DeadMan, SignsOfLife
 from .drives import resolve
 from .master_heartbeat import HEARTBEAT_ID
 from .recorder import Recorded, Recorder, Status
@@ -74,11 +76,15 @@ class ProcessLog:
     Raises `AcquisitionError` where the process cannot open the bus or the file.
     """
 
-    def __init__(self, path: Path, robot: Robot, *, source: str, place: str, feed: bool, passive: bool) -> None:
+    def __init__(
+        self, path: Path, robot: Robot, *, source: str, place: str, feed: bool, passive: bool, dead_man: bool = False
+    ) -> None:
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
+        watched, signs = context.Pipe() if dead_man else (None, None)
+        self._signs = None if signs is None else SignsOfLife(signs)
         self._frames: list[Frame] | None = [] if feed else None
-        arguments = (other, str(path.absolute()), dict(robot.files), source, place, feed, passive)
+        arguments = (other, str(path.absolute()), dict(robot.files), source, place, feed, passive, watched)
         self._process = context.Process(target=_main, args=arguments, name="recorder", daemon=True)
         # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
         resource_tracker.ensure_running()  # it would unblock them on its own first start
@@ -88,6 +94,8 @@ class ProcessLog:
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
         other.close()
+        if watched is not None:
+            watched.close()
         self._expect("ready", START_S)
         self._heard_s, self._hangs = time.monotonic(), False
 
@@ -106,14 +114,19 @@ class ProcessLog:
         self._send(("event", stamp_ns, kind, text))
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs."""
+        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs.
+
+        With a dead man this is the sign that the session lives: to be called at every SYNC, by the SYNC loop alone.
+        """
+        if self._signs is not None:
+            self._signs.alive()
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
         status = None
         try:
             while self._connection.poll():
                 kind, content = self._connection.recv()
-                if kind == "failed":
+                if kind in ("failed", "stopped"):
                     raise AcquisitionError(content)
                 status = content if kind == "status" else status
         except (EOFError, OSError) as error:
@@ -128,6 +141,8 @@ class ProcessLog:
 
     def finish(self, stamp_ns: int) -> Recorded:
         """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
+        if self._signs is not None:
+            self._signs.ended()
         if self._frames:
             self._hand_over()
         self._send(("stop", stamp_ns))
@@ -138,6 +153,8 @@ class ProcessLog:
 
     def close(self) -> None:
         """Let go of the process; it ends its file by itself when nobody is there any more."""
+        if self._signs is not None:
+            self._signs.close()
         self._connection.close()
         self._process.join(30)
 
@@ -166,23 +183,31 @@ class ProcessLog:
 
 
 def _main(
-    connection: Connection, path: str, files: Mapping[str, bytes], source: str, place: str, feed: bool, passive: bool
+    connection: Connection,
+    path: str,
+    files: Mapping[str, bytes],
+    source: str,
+    place: str,
+    feed: bool,
+    passive: bool,
+    watched: Connection | None,
 ) -> None:
     """The recorder's process. Ctrl-C and its like are the session's business: it ends when told, or left alone."""
-    for number in STOPPING:
+    for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its dead man must go on
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
     bus = None
     try:
         robot = robot_from_files(files, place)
         assert robot.bus is not None
-        # A recorder never sends, whatever the session does.
+        # What records never sends; a dead man opens the bus once more, when it has to.
         bus = None if feed else open_bus(robot.bus, passive=True)
         recorder = Recorder(Path(path), robot, source=source, place=place)
         receiver = None if bus is None else Receiver(bus)
         try:
             ours = np.zeros(0, np.int64) if passive else _master_ids(robot, place)
-            done = _record(connection, recorder, receiver, ours)
+            dead_man = None if watched is None or passive else DeadMan(watched, resolve(robot, place))
+            done = _record(connection, recorder, receiver, ours, dead_man)
         finally:
             recorder.close()
         if done is not None:
@@ -208,14 +233,18 @@ def _master_ids(robot: Robot, place: str) -> NDArray[np.int64]:
 
 
 def _record(
-    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: NDArray[np.int64]
+    connection: Connection,
+    recorder: Recorder,
+    receiver: Receiver | None,
+    ours: NDArray[np.int64],
+    dead_man: DeadMan | None,
 ) -> Recorded | None:
-    """Until told to stop, or until the session is gone."""
+    """Until told to stop, or until the session is gone and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:
         thread.start()
     connection.send(("ready", None))
-    stop_ns = None
+    stop_ns, gone, told = None, False, False
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
@@ -227,8 +256,20 @@ def _record(
                 elif message[0] == "stop":
                     stop_ns = message[1]
         except (EOFError, OSError):
-            recorder.event(time.time_ns(), "fault", "the session's process is gone")
-            stop_ns = time.time_ns()
+            if not gone:
+                recorder.event(time.time_ns(), "fault", "the session's process is gone")
+            gone = True
+            if dead_man is None or not dead_man.waiting:
+                stop_ns = time.time_ns()
+            else:
+                time.sleep(BLOCK_S / 5)  # the pipe of a session that is gone is always ready
+        if dead_man is not None:
+            while dead_man.events:
+                recorder.event(*dead_man.events.popleft())
+            if dead_man.reason is not None and not told:
+                told = True
+                with suppress(OSError):
+                    connection.send(("stopped", dead_man.reason))
         if receiver is not None:
             if stop_ns is not None:
                 receiver.stopped = True

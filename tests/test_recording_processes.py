@@ -96,10 +96,10 @@ def acquire(folder: Path, *arguments: str, **options: object) -> "subprocess.Pop
 
 
 @contextmanager
-def drives(folder: Path) -> Iterator["subprocess.Popen[str]"]:
+def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     """Simulated drives that have told that they are there."""
     ear = open_link(bus_at(folder), passive=True)
-    process = acquire(folder, "simulate", str(folder / "robot.toml"), "--duration", "120")
+    process = acquire(folder, "simulate", str(folder / "robot.toml"), "--duration", "120", *options)
     try:
         assert process.stderr is not None
         assert "simulated drives, nodes 1, 2" in process.stderr.readline()
