@@ -154,6 +154,12 @@ def test_frames_of_python_can(given, expected):
     assert tapped == [frame]
 
 
+def test_a_link_passes_can_fd_over():
+    link = Link(FakeBus(message(data=bytes(12), is_fd=True), message(0x285)), passive=True)
+    assert link.take(1.0).can_id == 0x285
+    assert link.take(0.0) is None
+
+
 def test_a_receiver_keeps_the_order_and_leaves_can_fd_out():
     fake = FakeBus(*(given for given, _ in FRAMES), message(data=bytes(12), is_fd=True))
     receiver = Receiver(fake)
@@ -306,6 +312,21 @@ def test_how_a_bus_is_opened(monkeypatch, keys, passive, expected):
     assert options == {"interface": keys.get("interface", "socketcan"), "ignore_config": True} | expected
 
 
+@pytest.mark.parametrize(
+    "error", [can.CanInitializationError("no such device"), OSError("no such device"), ImportError]
+)
+def test_a_bus_that_cannot_be_opened_is_told(monkeypatch, error):
+    def refuse(**_: object) -> None:
+        raise error
+
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    file = BusFile(interface="pcan", channel="PCAN_USBBUS1", drive=(drive,), sync_period_s=0.002)
+    monkeypatch.setattr(can, "Bus", refuse)
+    why = "ImportError" if error is ImportError else "no such device"
+    with pytest.raises(AcquisitionError, match=f"bus: pcan PCAN_USBBUS1: cannot be opened: {why}"):
+        open_bus(file, passive=False)
+
+
 def test_a_bus_opened_passively_cannot_send(monkeypatch):
     _, bus = opened(monkeypatch, passive=True)
     with pytest.raises(AcquisitionError, match="passive"):
@@ -329,6 +350,7 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
     granted[0] = 8 * 2**20
     bus_module._enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20)]
+    assert bus_module.queue_bytes(sock) == 8 * 2**20
 
 
 # Logs

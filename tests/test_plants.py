@@ -90,6 +90,10 @@ def test_a_typical_plant_of_a_robot_that_states_no_limits():
     robot = robot_of(text)
     assert typical_inertia(robot, np.array([0.42])) == pytest.approx([10.5 / 10])
     assert middle_of_range(robot).tolist() == [0.0]
+    plant = typical_plant(robot, np.array([0.42]), load_share=0.0)
+    for _ in range(200):
+        plant.step(np.array([0.1 * 21]), FREE, 0.5)
+    assert plant.state()[1] == pytest.approx([1.0])  # rad/s, where a twentieth of 21 N m is viscous
 
 
 def test_a_table_goes_by_its_rate():
