@@ -192,6 +192,15 @@ def test_ends_of_ranges(change, expected):
         assert expected in str(caught.value)
 
 
+def test_one_drive_for_each_motor_and_a_node_of_its_own_for_the_master():
+    text = bus_text(2)
+    with pytest.raises(AcquisitionError, match=r"bus.drive = '1 tables': expected one per motor: 2"):
+        robot_of(text[: text.rindex("[[bus.drive]]")])
+    with pytest.raises(AcquisitionError, match=r"bus\.master_node = 2: expected a node id that no drive has"):
+        robot_of(bus_text(2, extra="master_node = 2"))
+    assert robot_of(bus_text(2, extra="master_node = 3")).bus.master_node == 3
+
+
 def entries(pdo) -> list[str]:
     return [str(entry) for entry in pdo.entries]
 
