@@ -64,12 +64,16 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
     command.set_defaults(run=_simulate)
 
-    command = commands.add_parser("import", help="tables (CSV, MAT) or CAN logs (candump, ASC, BLF) into a recording")
+    command = commands.add_parser(
+        "import", help="tables (CSV, MAT) or CAN logs (candump, ASC, BLF, TRC) into a recording"
+    )
     command.add_argument(
         "tables", nargs="+", type=Path, metavar="FILE", help="CSV or MAT files, as the map counts them; or one CAN log"
     )
     command.add_argument("--robot", required=True, type=Path, metavar="ROBOT.toml", help="the robot's description")
-    command.add_argument("--map", type=Path, metavar="MAP.toml", help="which column is what (for tables)")
+    command.add_argument(
+        "--map", type=Path, metavar="MAP.toml", help="which column is what: for tables, none for CAN logs"
+    )
     command.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
     command.set_defaults(run=_import)
 
@@ -204,11 +208,9 @@ def _simulate(arguments: argparse.Namespace) -> None:
 
 
 def _import(arguments: argparse.Namespace) -> None:
-    if all(path.suffix.lower() in (".log", ".asc", ".blf") for path in arguments.tables):
+    if arguments.map is None:
         _import_log(arguments)
         return
-    if arguments.map is None:
-        raise AcquisitionError("--map is not there: expected MAP.toml, which says what the tables' columns are")
     with _working("importing"):
         from .robot import load_robot
         from .tables import import_tables
@@ -223,13 +225,17 @@ def _import(arguments: argparse.Namespace) -> None:
 
 
 def _import_log(arguments: argparse.Namespace) -> None:
-    if len(arguments.tables) > 1:
-        raise AcquisitionError(f"{arguments.tables[1]}: a second CAN log: expected one")
     with _working("importing"):
-        from .conversions import import_log
+        from .conversions import import_log, is_log
         from .robot import load_robot
         from .whole_file import refuse_input
 
+        tables = [path for path in arguments.tables if not is_log(path)]
+        if tables:
+            expected = "expected MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
+            raise AcquisitionError(f"{tables[0]}: a table, and --map is not there: {expected}")
+        if len(arguments.tables) > 1:
+            raise AcquisitionError(f"{arguments.tables[1]}: a second CAN log: expected one")
         refuse_input(arguments.output, [arguments.robot, *arguments.tables])
         found = import_log(arguments.tables[0], arguments.output, load_robot(arguments.robot), str(arguments.robot))
     _tell_converted(arguments.output, found)

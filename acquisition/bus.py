@@ -1,4 +1,4 @@
-"""The only file that imports python-can: a bus as frames and times, silent where it must be; logs of other tools.
+"""A bus as frames and times, silent where it must be. Only this file and `can_logs` import python-can.
 
 Network interfaces stay on this machine unless the description tells otherwise.
 """
@@ -7,15 +7,14 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from . import AcquisitionError
-from .blocks import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE, SENT, Block
+from .blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block
 from .bus_description import BusFile
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
@@ -99,7 +98,7 @@ class Link:
             if not self._own or sent not in self._own or (message.is_rx and not _is_group(self._bus)):
                 break
             self._own.remove(sent)
-        frame = _frame_of(message)
+        frame = frame_of(message)
         if self._tap is not None:
             self._tap(frame)
         return frame
@@ -326,7 +325,7 @@ class Receiver:
             return np.zeros(0, FRAME)
         if self._raw is not None:
             return _block_of_raw(items)
-        return block_of([_frame_of(m) for m in items if not getattr(m, "is_fd", False)])
+        return block_of([frame_of(m) for m in items if not getattr(m, "is_fd", False)])
 
 
 def _block_of_raw(items: list[Any]) -> Block:
@@ -359,7 +358,8 @@ def block_of(frames: list[Frame]) -> Block:
     return block
 
 
-def _frame_of(message: Any) -> Frame:
+def frame_of(message: Any) -> Frame:
+    """A message of python-can as a frame."""
     flags = (
         (EXTENDED if message.is_extended_id and not message.is_error_frame else 0)
         | (ERROR if message.is_error_frame else 0)
@@ -367,33 +367,3 @@ def _frame_of(message: Any) -> Frame:
         | (0 if message.is_rx else SENT)
     )
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)
-
-
-def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF log.
-
-    The interface of a candump's error frame is None: python-can's reader does not tell it. In the place of a frame, None
-    stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
-    (from 1) where its time is none that a recording holds.
-    """
-    import can
-
-    if path.suffix.lower() not in (".log", ".asc", ".blf"):
-        raise AcquisitionError(f"{path}: suffix {path.suffix!r}: expected .log (candump), .asc or .blf")
-    count, latest_s = 0, LARGEST_STAMP_NS * 1e-9
-    try:
-        with can.LogReader(path) as reader:
-            for message in reader:
-                count += 1
-                if not 0 <= message.timestamp <= latest_s:  # nor is NaN
-                    told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
-                    raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
-                interface = None if message.channel is None else str(message.channel)
-                yield interface, None if getattr(message, "is_fd", False) else _frame_of(message)
-    except AcquisitionError:
-        raise
-    except OSError as error:
-        raise AcquisitionError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except Exception as error:  # the readers meet damage with whatever their parts raise
-        told = str(error) or type(error).__name__
-        raise AcquisitionError(f"{path}: damaged after {count} frames: {told[:200]}") from error

@@ -79,6 +79,8 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
         findings += [
             Finding(subject=f"{subject} supervision", found=text, ok=True) for text in supervision_of(master, drive)
         ]
+        doubts = drive.dictionary.warnings if drive.dictionary is not None else ()
+        findings += [Finding(subject=f"{subject} dictionary", found=text, ok=True) for text in doubts]
         scale = _scale(master, drive)
         if scale:
             findings.append(Finding(subject=f"{subject} scale", found=scale, ok=True))

@@ -9,7 +9,8 @@ import numpy as np
 
 from . import AcquisitionError
 from .blocks import Block
-from .bus import Frame, block_of, read_log
+from .bus import Frame, block_of
+from .can_logs import SUFFIXES, read_log
 from .decoding import Decoded, decode, written_by_master
 from .drives import resolve
 from .recording import RecordingWriter, read_recording
@@ -55,8 +56,13 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     return _converted(robot, decoded, channel)
 
 
+def is_log(path: Path) -> bool:
+    """Whether a file is a CAN log, by its suffix."""
+    return path.suffix.lower() in SUFFIXES
+
+
 def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
-    """A candump, ASC or BLF log of one interface into the recording `out`, decoded as `robot` has its drives.
+    """A candump, ASC, BLF or TRC log of one interface into the recording `out`, decoded as `robot` has its drives.
 
     Of a log of several interfaces those frames are taken whose interface the description names.
     """

@@ -158,7 +158,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         syncs_lost=lost,
         period_s=period_s,
         jitter_s=jitter_s,
-        warnings=(*wrapped, *_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
+        warnings=(*bus.warnings, *wrapped, *_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
     )
 
 

@@ -87,6 +87,12 @@ class Bus:
         return bus_load(pdos, bitrate=self.file.bitrate, sync_period_s=self.file.sync_period_s)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What was read with doubt in the drives' dictionaries."""
+        dictionaries = [drive.dictionary for drive in self.drives if drive.dictionary is not None]
+        return tuple(dict.fromkeys(text for dictionary in dictionaries for text in dictionary.warnings))
+
+    @property
     def provenance(self) -> str:
         """Where efforts come from, drive by drive; drives alike are named together."""
         told: dict[str, list[str]] = {}

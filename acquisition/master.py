@@ -18,6 +18,7 @@ from .cia402 import (
     state_of,
 )
 from .drives import Bus, Drive
+from .error_frames import error_words
 from .object_dictionary import IDENTITY
 from .pdo import configuration
 from .sdo import ANSWER, REQUEST, answer_of, check_answer, read_request, write_request
@@ -108,7 +109,7 @@ class Master:
     def dispatch(self, frame: Frame) -> None:
         """Note what a frame says."""
         if frame.flags & ERROR:
-            self.bus_error = f"error frame {frame.data.hex()}"
+            self.bus_error = f"error frame: {error_words(frame.can_id, frame.data)}"
             return
         if frame.flags & (EXTENDED | REMOTE):
             return

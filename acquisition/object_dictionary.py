@@ -14,6 +14,12 @@ from .cia402 import INTEGERS
 
 IDENTITY = 0x1018
 LARGEST_DICTIONARY = 4 * 2**20  # bytes
+# Numbers of [DeviceInfo] that a file leaves empty; the importer stops at them.
+_EMPTY = re.compile(
+    r"^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO|BaudRate_\d+|SimpleBootUp(?:Master|Slave)|Granularity"
+    r"|DynamicChannelsSupported|GroupMessaging|LSS_Supported)[ \t]*=[ \t]*(?=(?:;.*)?\r?$)",
+    re.IGNORECASE | re.MULTILINE,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,12 +34,13 @@ class DictionaryEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectDictionary:
-    """Entries by (index, sub-index), and the identity the file states (0 where it states none)."""
+    """Entries by (index, sub-index), the identity the file states (0 where it states none), and what was read with doubt."""
 
     entries: Mapping[tuple[int, int], DictionaryEntry]
     vendor: int
     product: int
     product_name: str
+    warnings: tuple[str, ...] = ()
 
     @property
     def identity(self) -> list[tuple[int, str, int]]:
@@ -60,11 +67,8 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     if len(data) > LARGEST_DICTIONARY:
         raise AcquisitionError(f"{place}: {len(data)} bytes: expected {LARGEST_DICTIONARY} at most")
     text = data.decode("utf-8-sig", errors="replace")
-    empty = re.search(r"(?im)^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO)[ \t]*=[ \t]*\r?$", text)
-    if empty:
-        line = text.count("\n", 0, empty.start()) + 1
-        raise AcquisitionError(f"{place}: line {line}: {empty[1]} is empty: expected a number; write 0x0 there")
-    source = io.StringIO(text)
+    empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
+    source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
     source.name = "dictionary.eds"  # the importer goes by the suffix
     try:
         with warnings.catch_warnings():
@@ -98,4 +102,5 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         vendor=about.vendor_number or 0,
         product=about.product_number or 0,
         product_name=about.product_name or "",
+        warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which says nothing" for line, key in empty),
     )

@@ -11,8 +11,9 @@ import pytest
 from acquisition import AcquisitionError
 from acquisition import bus as bus_module
 from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
-from acquisition.bus import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus, read_log
+from acquisition.bus import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus
 from acquisition.bus_description import BusFile, DriveFile
+from acquisition.can_logs import read_log
 
 
 def test_a_row_byte_for_byte():

@@ -8,7 +8,8 @@ from made_up_buses import bus_text, flat, robot_of, session
 
 from acquisition import AcquisitionError
 from acquisition.__main__ import main
-from acquisition.blocks import ERROR
+from acquisition.blocks import ERROR, SENT
+from acquisition.can_logs import read_log
 from acquisition.conversions import decode_recording, export_csv, import_log
 from acquisition.recording import read_recording
 from acquisition.table_files import read_columns
@@ -30,7 +31,7 @@ def write_log(path, frames) -> None:
             )
 
 
-@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf"])
+@pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc"])
 def test_logs_of_other_tools_are_decoded(tmp_path, suffix):
     log, out = tmp_path / f"a{suffix}", tmp_path / "a.mcap"
     frames = flat(session(targets=True))
@@ -43,6 +44,45 @@ def test_logs_of_other_tools_are_decoded(tmp_path, suffix):
         assert stored[field].tolist() == frames[field].tolist()
     assert recording.samples["position"][0, 0] * 50 * 65536 / (2 * np.pi) == pytest.approx(1000)
     assert recording.metadata["source"] == f"log a{suffix}"
+
+
+TRC = """;$FILEVERSION=1.1
+;$STARTTIME=43474.5
+;   Start time: 09.01.2019 12:00:00.000.0
+;   Message Number) Time Offset (ms) Type ID (hex) Data Length Data Bytes (hex)
+     1)         0.0  Rx         0080  0
+     2)         1.5  Rx         0181  8  37 12 E8 03 00 00 F4 FF
+     3)         2.0  Warng  FFFFFFFF  4  00 00 00 08  BUSHEAVY
+     4)         4.0  Tx         0601  2  40 41
+"""
+
+
+def test_a_pcan_trace_by_hand(tmp_path):
+    """Days since 1899-12-30 and milliseconds: noon of 2019-01-09, 1547035200 s of Unix time. The status line is no frame."""
+    (tmp_path / "a.trc").write_text(TRC)
+    base = 1_547_035_200_000_000_000
+    assert [(i, f.time_ns - base, f.can_id, f.data.hex(), f.flags) for i, f in read_log(tmp_path / "a.trc")] == [
+        ("1", 0, 0x80, "", 0),
+        ("1", pytest.approx(1_500_000, abs=500), 0x181, "3712e8030000f4ff", 0),
+        ("1", pytest.approx(4_000_000, abs=500), 0x601, "4041", SENT),
+    ]
+
+
+def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
+    (tmp_path / "r.toml").write_text(bus_text())
+    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
+    write_log(tmp_path / "a.trc", flat(session()))
+    assert main(["import", str(tmp_path / "a.trc"), *command]) == 0
+    assert "a.mcap: made up, 50 samples at 500 Hz" in capsys.readouterr().out
+    (tmp_path / "a.trc").write_text(TRC)
+    assert main(["import", str(tmp_path / "a.trc"), *command]) == 1
+    assert "a.trc: 1 SYNC (0x80) in 3 frames" in capsys.readouterr().err
+    for tables, told in (
+        (["a.trc", "b.csv"], "b.csv: a table, and --map is not there"),
+        (["a.trc"] * 2, "a second CAN log"),
+    ):
+        assert main(["import", *(str(tmp_path / name) for name in tables), *command]) == 1
+        assert told in capsys.readouterr().err
 
 
 def test_a_third_partys_candump_by_the_command(tmp_path, capsys):
@@ -77,6 +117,24 @@ def test_csv_holds_every_digit(tmp_path):
         ("a.blf", b"LOGGjunk", "damaged after 0 frames"),
         ("a.asc", b"\xff\xfe\n", "holds no CAN frames|damaged"),
         ("a.txt", b"x", "suffix '.txt': expected .log"),
+        ("a.trc", b"", "holds no CAN frames"),
+        ("a.trc", b";$FILEVERSION=1.1\n;\n", "holds no CAN frames"),
+        ("a.trc", b"1)  1059.9  Rx  0181  8  00 00\n", "damaged"),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.1\n1)  1059.9  Rx  0181  8  00 00\n",
+            "damaged: TRCReader: Failed to parse message '1\\)",
+        ),
+        (
+            "a.trc",
+            b";$FILEVERSION=1.2\n1)  1059.9 1  Rx  0080  0\n",
+            "version 1.2 of PCAN's format: expected one of 1.0, 1.1",
+        ),
+        (
+            "a.log",
+            b"(1.0) can0 080#\n(1.1) can0 181#001122334455667788\n",
+            r"frame 2 \(0x181\): 9 bytes: expected 8 at most",
+        ),
     ],
 )
 def test_logs_that_are_none(tmp_path, name, content, expected):

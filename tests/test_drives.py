@@ -314,7 +314,7 @@ def test_damaged_dictionaries(tmp_path):
     for data, expected in (
         (b"", "holds no objects"),
         (b"\xff\xfe\x00junk", "not an EDS or DCF"),
-        (b"[DeviceInfo]\nVendorNumber=\n", "line 2: VendorNumber is empty: expected a number"),
+        (b"[DeviceInfo]\nVendorNumber=x\n", "not an EDS or DCF"),
         (b"[1000]\nObjectType=7\n", "not an EDS or DCF"),
         (b"[6041]\na=1\n[6041]\n", "line 3: [6041] is there twice: expected once"),
     ):

@@ -239,3 +239,19 @@ def test_where_efforts_come_from_drive_by_drive():
     assert bus.provenance == (
         f"motor_1, motor_3: {told} x 0.42 (rated_torque_nm), sign +1; motor_2: {told} x 0.42 (rated_torque_nm), sign -1"
     )
+
+
+def test_an_empty_number_is_read_as_0_with_a_warning():
+    """Makers leave them empty; what says nothing of the identity is not compared with the drive."""
+    device = (
+        "[DeviceInfo]\r\nVendorName=\r\nVendorNumber=\r\nProductName=\r\nProductNumber= ; later\r\nNrOfRXPDO = \r\n"
+    )
+    dictionary = found(device + "BaudRate_1000=1\nGranularity=\n" + EDS.replace("DefaultValue=0x777", ""))
+    assert (dictionary.vendor, dictionary.product, dictionary.product_name) == (0, 0, "")
+    assert dictionary.identity == []
+    assert dictionary.warnings == tuple(
+        f"a.eds: line {line}: {key} is empty: read as 0, which says nothing"
+        for line, key in ((3, "VendorNumber"), (5, "ProductNumber"), (6, "NrOfRXPDO"), (8, "Granularity"))
+    )
+    assert len(dictionary.entries) == len(found(DEVICE + EDS).entries)
+    assert found(DEVICE + EDS).warnings == ()

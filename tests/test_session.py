@@ -139,7 +139,7 @@ class ErrorFrames(Through):
     def receive(self, until_ns):
         frame = super().receive(until_ns)
         self.count += frame is not None
-        return frame._replace(flags=4, data=b"\0\0\0\x19") if frame and self.count == 1500 else frame
+        return frame._replace(can_id=0x28, flags=4, data=b"\0\0\0\x19") if frame and self.count == 1500 else frame
 
 
 @dataclass(kw_only=True)
@@ -195,7 +195,8 @@ def test_a_node_that_does_not_start_or_leaves_is_a_fault(tmp_path):
 def test_an_error_frame_stops_motion(tmp_path):
     outcome = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
     assert outcome.ending is not None
-    assert outcome.ending.reason == "bus: error frame 00000019"
+    told = "protocol: in acknowledgement; no acknowledgement: no other node hears, or the cable is open"
+    assert outcome.ending.reason == f"bus: error frame: {told}"
     assert outcome.drives.all_disabled
 
 

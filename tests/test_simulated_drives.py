@@ -1,5 +1,8 @@
 """Simulated drives as their master sees them: real dictionaries, mapping by SDO, loops, quantisation."""
 
+import dataclasses
+import re
+
 import numpy as np
 import pytest
 from conftest import needs_data
@@ -8,6 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition import AcquisitionError
 from acquisition.bus_description import dictionary_label
+from acquisition.check import look
 from acquisition.cia402 import State
 from acquisition.dry_run import dry_run
 from acquisition.master import Master
@@ -51,6 +55,25 @@ def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name
     assert np.ptp(outcome.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
     assert "dictionary:" + name in outcome.recording.attachments
     assert f"{entry}" in outcome.recording.metadata["effort_provenance"]
+
+
+def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
+    """Two drives of one file: one warning in the recording, a finding of each drive that does not stand against a session."""
+    name = "maxon_EPOS4.eds"
+    robot = robot_with(name)
+    label = dictionary_label(name)
+    emptied, count = re.subn(rb"(?m)^(ProductNumber=)\S+", rb"\1", robot.files[label])
+    assert count == 1
+    robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
+    line = robot.files[label][: robot.files[label].index(b"ProductNumber=")].count(b"\n") + 1
+    told = f"{name}: line {line}: ProductNumber is empty: read as 0, which says nothing"
+    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.2), robot=robot)
+    assert outcome.recorded.warnings == (told,)
+    assert outcome.events("warning") == [told]
+    run = dry_run(robot, bus_of(robot))
+    found = [(f.subject, f.ok) for f in look(run.link, bus_of(robot)) if f.found == told]
+    run.close()
+    assert found == [("node 1 (motor_1) dictionary", True), ("node 2 (motor_2) dictionary", True)]
 
 
 def test_another_drive_than_the_dictionary_says_is_told():

@@ -18,6 +18,7 @@ ACQUISITION = {
     "robot": {"__init__", "bus_description", "description"},
     "object_dictionary": {"__init__", "cia402"},
     "sdo": {"__init__"},
+    "error_frames": set(),
     "pdo": {"__init__", "cia402"},
     "drives": {"__init__", "bus_description", "cia402", "object_dictionary", "pdo", "robot"},
     "association": {"blocks"},
@@ -30,7 +31,7 @@ ACQUISITION = {
     "simulated_drives": {"cia402", "drives", "plants", "robot", "simulated_node", "simulated_supervision"},
     "mechanism": {"__init__", "drives", "plants", "robot", "simulated_drives"},
     "dry_run": {"__init__", "bus", "drives", "mechanism", "robot", "simulated_drives"},
-    "master": {"__init__", "blocks", "bus", "cia402", "drives", "object_dictionary", "pdo", "sdo"},
+    "master": {"__init__", "blocks", "bus", "cia402", "drives", "error_frames", "object_dictionary", "pdo", "sdo"},
     "master_heartbeat": {"__init__", "bus_description", "cia402", "master"},
     "safe_stop": {"__init__", "cia402", "master", "sdo"},
     "guards": {"cia402", "master", "robot"},
@@ -84,7 +85,8 @@ ACQUISITION = {
         "session",
     },
     "live_line": {"recorder", "robot"},
-    "conversions": {"__init__", "blocks", "bus", "decoding", "drives", "recording", "robot", "whole_file"},
+    "can_logs": {"__init__", "blocks", "bus"},
+    "conversions": {"__init__", "blocks", "bus", "can_logs", "decoding", "drives", "recording", "robot", "whole_file"},
     "supervision": {"__init__", "bus", "bus_description", "cia402", "drives", "master", "master_heartbeat"},
     "check": {"__init__", "bus", "cia402", "drives", "listening", "master", "pdo", "robot", "supervision"},
     "replay": {
@@ -301,7 +303,7 @@ OWNERS = {
     "rerun": {"identification/viewer.py"},
     "mcap": {"acquisition/recording.py", "acquisition/mcap_content.py"},
     "rosbags": {"acquisition/recording.py"},
-    "can": {"acquisition/bus.py"},
+    "can": {"acquisition/bus.py", "acquisition/can_logs.py"},
     "canopen": {"acquisition/object_dictionary.py"},
 }
 FILES = sorted((ROOT / "acquisition").glob("*.py")) + sorted((ROOT / "identification").glob("*.py"))
