@@ -82,6 +82,8 @@ class BusFile(Table, frozen=True):
         loopback: whether network interfaces (udp_multicast) stay on this machine.
         heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
         master_node: node id under which this master sends its heartbeat while it moves drives.
+        late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
+        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled.
     """
 
     interface: Word
@@ -94,6 +96,9 @@ class BusFile(Table, frozen=True):
     loopback: bool = True
     heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
     master_node: Node = 127
+    late_sync_s: Positive | None = None
+    enable_motion_deg: Positive = 1.0
+    enable_motion_m: Positive = 0.005
 
 
 def parse_object(name: str) -> tuple[int, int]:

@@ -124,7 +124,7 @@ def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: S
             log.event(time.time_ns(), "fault" if fault else "end", reason)
         if fault:
             raise AcquisitionError(reason)
-        return Ending(reason=reason, fault=fault, all_disabled=True), log.finish(time.time_ns())
+        return Ending(reason=reason, fault=fault), log.finish(time.time_ns())
     finally:
         log.close()
 

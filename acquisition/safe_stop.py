@@ -9,8 +9,9 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 
 from . import AcquisitionError
-from .cia402 import MODE_OF_OPERATION, Command, Mode, State, state_of
-from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch, axis_of
+from .cia402 import Command, State, state_of
+from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
+from .orders import send_order
 from .sdo import answer_of, read_request, write_request
 
 FALL_S = 0.05  # within which the speed of a drive must fall, or its quick stop does not work
@@ -133,17 +134,8 @@ def leave_operational(master: Master) -> None:
 
 def _command(master: Master, watch: NodeWatch, command: Command) -> None:
     """By PDO, with the position at hand."""
-    drive, counts = watch.drive, watch.counts
-    if counts is None:
-        return  # a target would be made up
-    values = {
-        (drive.control.index, drive.control.sub): command.controlword,
-        (drive.target.index, drive.target.sub): counts,
-        (MODE_OF_OPERATION + axis_of(drive), 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
-    }
-    for pdo in drive.rpdos:
-        if all((entry.index, entry.sub) in values for entry in pdo.entries):
-            master.link.send(pdo.can_id, pdo.pack(values))
+    if watch.counts is not None:  # else a target would be made up
+        send_order(master, watch, command.controlword, watch.counts)
 
 
 def _ask(master: Master, one: _Stopping, command: Command) -> None:

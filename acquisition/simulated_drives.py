@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .cia402 import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, Mode, PositionCodec, State
+from .cia402 import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State
 from .drives import Bus
 from .plants import Plant
 from .robot import Robot
@@ -21,20 +21,31 @@ from .simulated_supervision import Supervision, leave_unsupervised
 Vector = NDArray[np.float64]
 
 SUBSTEPS = 4  # of the loops in a period
-FaultKind = Literal["emergency", "silent", "reset", "late", "missing", "duplicate", "short", "stuck"]
+FaultKind = Literal[
+    "emergency", "silent", "reset", "late", "missing", "duplicate", "short", "stuck", "slow", "deaf", "clear"
+]
+QUICK_STOP_STAYS = (
+    5,
+    6,
+    7,
+    8,
+)  # 605Ah: in quick stop active when at rest; the smaller ones go on to switch on disabled
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedFault:
     """Something goes wrong with `node` at the `sync`-th SYNC it answers (from 1), for `count` SYNCs.
 
-    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` says nothing more at all; `stuck` moves no more.
+    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` says nothing more at all; `stuck` moves no more;
+    `slow` does not get from switched on to operation enabled; `deaf` neither answers SYNC nor takes over what came before
+    it; `clear` has the `bits` of its statusword at 0.
     """
 
     kind: FaultKind
     node: int
     sync: int
     count: int = 1
+    bits: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -107,6 +118,7 @@ class SimulatedDrives:
             sign=np.array([c.sign for c in codecs]),
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
+        self._quick_stop = np.array([joint.si("acceleration") or 10.0 for joint in robot.joints])
         self._effort_steps = np.array([drive.effort.scale for drive in bus.drives])
         self._answered = [0] * robot.n
         self._silent: set[int] = set()
@@ -192,19 +204,29 @@ class SimulatedDrives:
             node.tick()
             if node.operational:
                 self._answered[i] += 1
+                node.cleared = sum(fault.bits for fault in self._acting(i, "clear"))
+                node.tick()
+                if self._acting(i, "deaf"):
+                    continue
                 sent += self._answer(i, now_ns)
+                was = node.state
                 node.apply()
+                if was is State.SWITCHED_ON and node.state is State.OPERATION_ENABLED and self._acting(i, "slow"):
+                    node.state = was
         if moving:
             self._move()
         return sent
+
+    def _acting(self, i: int, kind: FaultKind | None = None) -> list[SimulatedFault]:
+        """Faults of drive `i` at this SYNC, of one kind or of all."""
+        node, k = self.nodes[i].drive.node, self._answered[i]
+        return [f for f in self._faults if f.node == node and f.sync <= k < f.sync + f.count and kind in (None, f.kind)]
 
     def _answer(self, i: int, now_ns: int) -> Sent:
         """TPDOs of drive `i`, with what goes wrong."""
         node, frames = self.nodes[i], self.nodes[i].answers()
         before: Sent = []
-        for fault in self._faults:
-            if fault.node != node.drive.node or not fault.sync <= self._answered[i] < fault.sync + fault.count:
-                continue
+        for fault in self._acting(i):
             if fault.kind == "emergency":
                 before += node.emergency(0x2310)  # continuous over current
             elif fault.kind == "silent":
@@ -226,13 +248,16 @@ class SimulatedDrives:
     def _move(self) -> None:
         """One period: targets, loops, plant."""
         memory, loops, dt = self._memory, self._loops, self._period_s / SUBSTEPS
-        enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes])
+        stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
+        enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
         stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
         if self.plant.prescribed_effort() is not None:  # no loop has a say
-            self.plant.step(memory.actual, ~enabled, self._period_s)
+            self.plant.step(memory.actual, ~enabled | stopping, self._period_s)
             return
         q, _ = self.plant.state()
-        target = self._targets(q, enabled)
+        # Quick stop: the target slows down at the joint's acceleration limit, in the same loop.
+        slower = np.sign(memory.slope) * np.maximum(np.abs(memory.slope) - self._quick_stop * self._period_s, 0.0)
+        target = np.where(stopping, memory.target + slower * self._period_s, self._targets(q, enabled & ~stopping))
         # A drive that was just enabled begins where it stands.
         memory.before = np.where(memory.held, q, memory.target)
         memory.target = target
@@ -253,6 +278,10 @@ class SimulatedDrives:
             memory.actual = memory.actual + (demand - memory.actual) * (1 - np.exp(-dt / loops.current_s))
             self.plant.step(memory.actual, ~enabled | stuck, dt)
         memory.demand, memory.slope = demand, slope
+        for i, node in enumerate(self.nodes):
+            stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
+            if stopping[i] and slope[i] == 0.0 and not stays:
+                node.state = State.SWITCH_ON_DISABLED
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node

@@ -58,6 +58,7 @@ class SimulatedNode:
     waiting: dict[int, bytes] = field(default_factory=dict)
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
+    cleared: int = 0
 
     def boot(self) -> Sent:
         """Back to the values of the start; the boot-up message."""
@@ -82,7 +83,10 @@ class SimulatedNode:
         return self.error(code, register)
 
     def error(self, code: int, register: int = 1) -> Sent:
-        """An emergency message without a change of state."""
+        """An emergency message without a change of state; the objects of the last error tell it too."""
+        for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
+            if key in self.values:
+                self.values[key] = value
         return [(0x80 + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
@@ -125,8 +129,9 @@ class SimulatedNode:
 
     @property
     def statusword(self) -> int:
-        """Bits of the state, voltage present, remote."""
-        return self.state.value[1] | 0x0210
+        """Bits of the state, voltage present, remote; enabled it follows its target. Less what is `cleared`."""
+        follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
+        return (self.state.value[1] | 0x0210 | follows) & ~self.cleared
 
     def _set(self, key: Key, value: int) -> None:
         was = self.values.get(key, 0)
@@ -203,6 +208,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     else:
         used = (drive.status, drive.control, drive.position, drive.target, drive.effort.entry)
         types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
+        types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
         types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
         for communication, mapping in PARAMETERS.values():

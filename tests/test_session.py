@@ -390,7 +390,8 @@ def test_a_sync_that_ends_stops_motion(tmp_path):
     plan = Plan(reference=swing(2, seconds=4.0))
     outcome = dry_session(tmp_path / "a.mcap", plan, robot=robot, through=SyncOfAnother)
     assert outcome.ending is not None
-    assert "no SYNC in 50 periods" in outcome.ending.reason
+    assert "no SYNC in 10 periods" in outcome.ending.reason  # in motion: 20 ms
+    assert outcome.ending.all_disabled
     assert outcome.drives.all_disabled
 
 

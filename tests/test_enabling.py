@@ -1,0 +1,175 @@
+"""While drives are enabled: held arms do not sink, joints that run away are caught, and nothing jumps when motion begins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from dry_sessions import Outcome, Through, dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.blocks import SENT
+from acquisition.cia402 import State
+from acquisition.mechanism import rated_motor_effort
+from acquisition.plants import JointwisePlant, typical_plant
+from acquisition.session import Plan
+from acquisition.simulated_drives import SimulatedDrives, SimulatedFault
+
+DEG = np.degrees(1.0)
+TRACK = Plan(reference=swing(2, seconds=0.4, amplitude=0.02))
+
+
+def loaded(share: float) -> JointwisePlant:
+    """Level joints that carry a share of the rated effort."""
+    robot = robot_of(bus_text(2))
+    return typical_plant(robot, rated_motor_effort(bus_of(robot)), share)
+
+
+def targets(outcome: Outcome, node: int) -> np.ndarray:
+    """Targets sent to a drive in motor counts, in the order sent."""
+    frames = outcome.recording.frames["test"]
+    ours = frames[(frames["can_id"] == 0x200 + node) & ((frames["flags"] & SENT) != 0)]
+    return ours["data"][:, 2:6].copy().view("<i4")[:, 0]
+
+
+def phase_of(outcome: Outcome, name: str) -> np.ndarray:
+    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
+    names = list(stamps)
+    at, then = stamps[name], stamps[names[names.index(name) + 1]]
+    samples = outcome.recording.samples
+    return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
+
+
+@pytest.mark.parametrize("late_s", [0.0, 2.0])
+def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
+    late = [SimulatedFault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
+    assert outcome.ending.reason == "finished"
+    enabling = phase_of(outcome, "enable")
+    start = enabling["position"][0]
+    stood = phase_of(outcome, "approach")["position"][:3] if late_s else phase_of(outcome, "track")["position"][:3]
+    # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some while the load came on.
+    assert np.abs(stood[:, 0] - start[0]).max() * DEG < (0.001 if late_s else 0.02)
+    if late_s:
+        assert len(enabling) > 1000
+        assert 0.01 < np.abs(enabling["position"] - start).max() * DEG < 1.0
+    # Held to the count until motion begins, and no step then.
+    period = 0.002
+    fastest = (
+        0.2 * np.radians(200) * 50 * 65536 / (2 * np.pi) * period
+    )  # the approach is slower than a fifth of the limit
+    for node in (1, 2):
+        sent = targets(outcome, node)
+        assert np.ptp(sent[: round(late_s / period) or 5]) == 0
+        assert np.abs(np.diff(sent)).max() < 0.02 * np.radians(200) * 50 * 65536 / 2 / np.pi
+        approaching = np.abs(np.diff(sent))[: len(enabling) + 100]
+        assert approaching.max() < fastest
+
+
+def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
+    """Someone turns a joint by hand (brake open) before its drive is enabled: the target goes along, within the limit."""
+
+    class Turned(JointwisePlant):
+        def step(self, effort, held, duration_s):
+            super().step(effort, held, duration_s)
+            if held[1]:
+                self._q[1] += 0.05 * duration_s  # 0.05 rad/s
+
+    robot = robot_of(bus_text(2))
+    rated = np.abs(robot.joint_effort(rated_motor_effort(bus_of(robot))[None])[0])
+    plant = Turned(
+        rated / 140, 0.01 * rated, 0.05 * rated, 0 * rated, slides=np.zeros(2, bool), position=np.zeros(2)
+    )  # fmt: skip
+    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
+    assert outcome.ending.reason == "finished"
+    enabling = phase_of(outcome, "enable")["position"][:, 1]
+    assert enabling[-1] - enabling[0] == pytest.approx(0.05 * 0.2, rel=0.1)
+    # It is held at the last position that came before the drive said it was enabled.
+    sent = targets(outcome, 2)
+    scale = 50 * 65536 / (2 * np.pi)
+    assert sent[len(enabling) + 1] / scale == pytest.approx(enabling[-2], abs=2e-4)
+
+
+def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
+    """The sag under 50 % load until the loop has built up its effort, and limits on both sides of it."""
+
+    def enabled(name: str, limit_deg: float) -> Outcome:
+        robot = robot_of(bus_text(2, extra=f"enable_motion_deg = {limit_deg:.6f}"))
+        late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+        return dry_session(tmp_path / name, TRACK, robot=robot, plant=loaded(0.5), faults=late)
+
+    free = enabled("free.mcap", 1.0)
+    positions = phase_of(free, "enable")["position"]
+    sag_deg = np.abs(positions - positions[0]).max() * DEG
+    assert 0.1 < sag_deg < 1.0
+    assert enabled("inside.mcap", 1.02 * sag_deg).ending.reason == "finished"
+    beyond = enabled("beyond.mcap", 0.98 * sag_deg)
+    assert beyond.ending.fault
+    assert beyond.ending.reason.startswith("joint_1: moved -0.00")
+    assert "rad while drives were enabled: expected" in beyond.ending.reason
+    assert beyond.drives.all_disabled
+
+
+class Runaway(JointwisePlant):
+    """The effort of the first joint acts the wrong way round: wrong commutation."""
+
+    def step(self, effort, held, duration_s):
+        super().step(effort * np.array([-1.0, 1.0]), held, duration_s)
+
+
+def runaway() -> Runaway:
+    plant = loaded(0.3)
+    plant.__class__ = Runaway
+    return plant
+
+
+@dataclass(kw_only=True)
+class Watching(Through):
+    """Notes state and speed of the first drive whenever time goes on."""
+
+    drives: SimulatedDrives | None = None
+
+    def receive(self, until_ns):
+        frame = super().receive(until_ns)
+        if self.drives is not None:
+            history.append((self.now_ns(), self.drives.states[0], self.drives.states[1]))
+        return frame
+
+
+history: list[tuple[int, State, State]] = []
+
+
+def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tmp_path, monkeypatch):
+    history.clear()
+    made = []
+    begin = SimulatedDrives.__init__
+
+    def remember(self, *arguments, **named):
+        begin(self, *arguments, **named)
+        for node in self.nodes:
+            node.values[0x605A, 0] = 6  # quick stop active when at rest
+            node.initial = dict(node.values)
+        made.append(self)
+
+    monkeypatch.setattr(SimulatedDrives, "__init__", remember)
+
+    @dataclass(kw_only=True)
+    class Here(Watching):
+        def receive(self, until_ns):
+            self.drives = made[-1]
+            return super().receive(until_ns)
+
+    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100_000)]
+    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=runaway(), faults=late, through=Here)
+    assert outcome.ending.fault
+    assert outcome.ending.reason.startswith("joint_1: ")
+    assert outcome.ending.all_disabled
+
+    def first(state: State) -> float:
+        return next(t for t, one, _ in history if one is state) * 1e-9
+
+    enabled, stopped = first(State.OPERATION_ENABLED), first(State.QUICK_STOP_ACTIVE)
+    off = next(t for t, one, _ in history if one is State.SWITCH_ON_DISABLED and t * 1e-9 > stopped) * 1e-9
+    assert stopped - enabled < 0.1
+    assert off - stopped < 0.06  # 50 ms in which its speed did not fall, and two SYNCs
+    assert {two for t, _, two in history if enabled <= t * 1e-9 < stopped} == {State.SWITCHED_ON}
