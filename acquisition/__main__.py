@@ -6,7 +6,7 @@ Parse, one library call, print. Libraries are imported by the commands that use 
 import argparse
 import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from .conversions import Converted
     from .record import Told
     from .robot import Robot
+    from .session import Ending
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -140,15 +141,23 @@ def _record(arguments: argparse.Namespace) -> None:
     )
     stop = Stop()
     with stop_on_signals(stop), _live_line(robot) as told:
-        ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop)
+        ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop, _announce)
     for text in () if ending.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{arguments.output}: {robot.name}, {held}; {ending.reason}"))
     if ending.fault:
         raise AcquisitionError(f"{arguments.output}: ended by a fault: {ending.reason}")
-    if not ending.all_disabled:
-        raise AcquisitionError(f"{arguments.output}: NOT EVERY DRIVE CONFIRMED THAT IT IS DISABLED: see its events")
+    if ending.alarm:
+        raise AcquisitionError(f"{arguments.output}: {ending.alarm}")
+
+
+def _announce(ending: "Ending") -> None:
+    """What is said of a session's end before its recording is closed: drives that may still be enabled before all else."""
+    reason = f"fault: {ending.reason}" if ending.fault else ""
+    with suppress(OSError):  # a terminal that is gone
+        for text in filter(None, (ending.alarm, reason, *ending.reports)):
+            print(one_line(text), file=sys.stderr, flush=True)
 
 
 def _disable(arguments: argparse.Namespace) -> int:

@@ -20,6 +20,7 @@ from .reference import check_limits, table_reference
 from .robot import Robot
 from .session import Ending, Plan, Stop, run_active
 
+STOPPED = "stopped by"
 Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left
 
 
@@ -33,8 +34,16 @@ class Wanted:
     track: Path | None = None
 
 
-def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop: Stop) -> tuple[Ending, Recorded]:
-    """Record until the plan ends or `stop` has a reason.
+def record(
+    robot: Robot,
+    place: str,
+    out: Path,
+    wanted: Wanted,
+    told: Told,
+    stop: Stop,
+    announce: Callable[[Ending], None] = lambda _: None,
+) -> tuple[Ending, Recorded]:
+    """Record until the plan ends or `stop` has a reason; `announce` is told how a session ended, as soon as it is known.
 
     Raises `AcquisitionError` where the description, the bus or the file refuses; what fails once the session runs stands
     in the ending.
@@ -86,7 +95,7 @@ def record(robot: Robot, place: str, out: Path, wanted: Wanted, told: Told, stop
         watched = _Told(
             log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
         )
-        ending = run_active(robot, Master(link, bus), watched, plan, stop)
+        ending = run_active(robot, Master(link, bus), watched, plan, stop, announce)
         try:
             return ending, log.finish(link.now_ns())
         except AcquisitionError as error:
@@ -154,10 +163,14 @@ def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a terminal that is gone end the session in order in place of ending the program on the spot."""
+    """Ctrl-C, SIGTERM and a terminal that is gone end the session in order in place of ending the program on the spot.
+
+    Ctrl-C after any of them is a quick stop.
+    """
 
     def asked(number: int, _: FrameType | None) -> None:
-        stop.reason = stop.reason or f"stopped by {signal.Signals(number).name}"
+        stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
+        stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
 
     # A hangup that is ignored already stays so, as `nohup` has it. A shell's background jobs ignore SIGINT: not these.
     numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]

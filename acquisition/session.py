@@ -117,12 +117,12 @@ def run_active(
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
         ending = Ending(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
+        if unconfirmed:
+            announce(ending)  # before the drives are asked for more
         if session.addressed:
             text = ending.alarm or "every drive confirmed"
             with suppress(AcquisitionError):
                 log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
-        if unconfirmed:
-            announce(ending)  # before the drives are asked for more
         ending = replace(ending, reports=tuple(session.reports(unconfirmed)) if fault else ())
         for text in ending.reports:
             with suppress(AcquisitionError):

@@ -67,6 +67,7 @@ class Outcome:
     drives: SimulatedDrives
     recorded: Recorded
     recording: Recording
+    announced: tuple[Ending, ...] = ()
 
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]
@@ -95,8 +96,10 @@ def dry_session(
     mechanism = None if plant is None else Mechanism(plant=plant, loops=typical_loops(robot, rated))
     run = dry_run(robot, drives or bus, mechanism, faults=faults, tap=log.tap)
     ending, raised = None, None
+    announced: list[Ending] = []
     try:
-        ending = run_active(robot, Master(through(link=run.link), bus), log, plan, stop or Stop())
+        master = Master(through(link=run.link), bus)
+        ending = run_active(robot, master, log, plan, stop or Stop(), announced.append)
     except BaseException as error:
         raised = error
     until_ns = run.link.now_ns() + 200_000_000
@@ -104,4 +107,11 @@ def dry_session(
         pass
     recorded = log.finish(run.link.now_ns())
     run.close()
-    return Outcome(ending=ending, raised=raised, drives=run.drives, recorded=recorded, recording=read_recording(path))
+    return Outcome(
+        ending=ending,
+        raised=raised,
+        drives=run.drives,
+        recorded=recorded,
+        recording=read_recording(path),
+        announced=tuple(announced),
+    )
