@@ -20,6 +20,8 @@ from .description import Name, Positive, Table, parse_toml
 
 Vector = NDArray[np.float64]
 Rows = Annotated[int, msgspec.Meta(ge=0)]
+Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
+Edges = Literal["smooth", "matlab"]
 EffortUnit = Literal["A", "V", "N m", "N"]
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
@@ -105,6 +107,13 @@ class Controller(Table, frozen=True):
     velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] = "backward_difference"
 
 
+class LowSpeed(Table, frozen=True):
+    """Rows slower than this share of the peak speed, in percent, are left out: of least squares, of iv. None: the default."""
+
+    ls: Share | None = None
+    iv: Share | None = None
+
+
 class Identification(Table, frozen=True):
     """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
 
@@ -113,6 +122,18 @@ class Identification(Table, frozen=True):
     span: Literal["motion", "all"] = "motion"
     cut_start_samples: Rows | None = None
     cut_end_samples: Rows | None = None
+    edges: Edges = "smooth"
+    low_speed_percent: Share | LowSpeed | None = None
+
+    @property
+    def low_speed(self) -> LowSpeed:
+        """`low_speed_percent` by method; a single number holds for both."""
+        return low_speed_by_method(self.low_speed_percent)
+
+
+def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
+    """A low-speed threshold by method, from one number for both or from one for each."""
+    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
 class RobotFile(Table, frozen=True):

@@ -52,6 +52,12 @@ class Dynamics:
         """Whether a column belongs to a link (XX ... M) rather than to a motor or to friction."""
         return not isinstance(self.sources[column], JointTerm)
 
+    @property
+    def coulomb_directions(self) -> Vector:
+        """Directions r (c, n) that Coulomb friction acts along, its speed being r·dq: of joints, and of coupled motors."""
+        terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind == "coulomb"]
+        return np.array(list(dict.fromkeys(tuple(term.direction) for term in terms))).reshape(-1, self.robot.n)
+
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""
         return np.argwhere(self._nonzero[:, columns])

@@ -41,7 +41,8 @@ class Estimate:
         covariance: (b, b) by the formula, which assumes white residuals.
         weights: (n,) 1/s_j given to the rows of joint j; ones where rows were not weighted.
         residual_norm: |Y - W beta| of the weighted rows.
-        condition_number: of W as it stands; `condition_number_scaled`: of the weighted W with columns of norm one.
+        condition_number: of W as it stands, in the rows that count; `condition_number_scaled`: of the weighted W with columns
+            of norm one.
         rows: r, the number of decimated samples over all joints.
         Q, bread: beta - beta_true = bread Qᵀ rho with weighted rho (r,): Q (r, b) orthonormal columns that span W, or Z.
     """
@@ -208,7 +209,7 @@ def instrumental_variables(
     condition = float(np.linalg.cond(A))
     if not condition < 1 / RANK_TOLERANCE:
         raise IdentificationError(f"instruments and regressor have too little in common: cond(ZᵀW) = {condition:.2g}")
-    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W), condition)
+    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W * used[:, None]), condition)
 
 
 def _factors(Z: Vector, W: Vector) -> tuple[Vector, Vector, Vector]:

@@ -1,6 +1,7 @@
-"""Zero-phase low-pass, central differences, parallel decimation, with the edge rules of MATLAB's filtfilt and decimate.
+"""Zero-phase low-pass, central differences, parallel decimation.
 
-Those rules (padding by three times the filter's order, keeping the last sample) are what published digits rest on.
+The low-pass pads by three times the filter's order, as MATLAB's filtfilt does, and decimation keeps the last sample, as its
+decimate does. Decimation smooths the ends; MATLAB's own edge rule, on which published digits rest, is there on request.
 """
 
 from dataclasses import dataclass
@@ -74,7 +75,7 @@ class Decimation:
     """Parallel decimation by `factor`; `smooth_ends` as in `decimate`."""
 
     factor: int = 1
-    smooth_ends: bool = False
+    smooth_ends: bool = True
 
     def rows(self, samples: int) -> int:
         """Number of rows that so many samples give."""
@@ -103,14 +104,14 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
     return min(plans, key=lambda plan: (max(plan) > LARGEST_PASS, len(plan), max(plan)))
 
 
-def decimate(x: Vector, factor: int, *, smooth_ends: bool = False) -> Vector:
+def decimate(x: Vector, factor: int, *, smooth_ends: bool = True) -> Vector:
     """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then every `factor`-th sample.
 
     Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's `decimate` does. The
     paper's equation (6): the same filter for the torque and for every column of the regressor.
 
-    MATLAB extends the signal by reflection at its end samples, so the noise of these two samples stands at full size in the
-    rows beside them. `smooth_ends` reflects at a line through the last samples instead, as far as the filter reaches.
+    The ends are reflected at a line through the last samples, as far as the filter reaches. Without `smooth_ends` they are
+    reflected at the end samples themselves, as MATLAB does: the noise of these two stands at full size in the rows beside.
     """
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER

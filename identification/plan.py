@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from acquisition.robot import Edges, LowSpeed, low_speed_by_method
+
 from . import IdentificationError
 from .filtering import LARGEST_PASS, Decimation, decimation_passes, motion_between
 from .signals import Signals
@@ -24,12 +26,14 @@ _BLOCK = 200_000  # samples looked through at a time for the span of motion
 class Overrides:
     """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
 
-    `cutoff_hz` 0 means no filter.
+    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv.
     """
 
     cutoff_hz: float | None = None
     decimation: int | None = None
     span: Span | None = None
+    edges: Edges | None = None
+    low_speed_percent: float | LowSpeed | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,9 +44,10 @@ class Plan:
         cutoff_hz: low-pass of the position in Hz (one direction), None without.
         decimation: samples per decimated row, n_d.
         start, stop: range of the samples used.
-        smooth_ends: whether the decimation smooths the ends (`filtering.decimate`). It does where the position's noise is not
-            filtered; behind the rule's filter MATLAB's edge rules hold, on which published digits rest.
-        span: what that range is, in words.
+        filtered: whether the position's low-pass is that of the rule, or a lower one.
+        edges: how the decimation treats the two ends (`filtering.decimate`).
+        low_speed: rows slower than this are left out, by method (`low_speed.fast_rows`).
+        span: what that range is, in words; `span_rule` the setting it follows from.
         warnings: rules of the method that the settings leave.
     """
 
@@ -50,14 +55,17 @@ class Plan:
     decimation: int
     start: int
     stop: int
-    smooth_ends: bool
+    filtered: bool
+    edges: Edges
+    low_speed: LowSpeed
     span: str
+    span_rule: Span
     warnings: tuple[str, ...]
 
     @property
     def decimator(self) -> Decimation:
         """The decimation that torque and regressor go through alike."""
-        return Decimation(factor=self.decimation, smooth_ends=self.smooth_ends)
+        return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
 
 def make_plan(signals: Signals, overrides: Overrides) -> Plan:
@@ -105,12 +113,14 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
         warnings.append(
             f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
-    start, stop, span, standing = _span(signals, cutoff_hz, overrides.span or stored.span)
+    span_rule = overrides.span or stored.span
+    start, stop, span, standing = _span(signals, cutoff_hz, span_rule)
     warnings += [f"joint {name} does not move" for name in standing]
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
+    given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
         raise IdentificationError(
             f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
@@ -121,8 +131,11 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
         decimation=decimation,
         start=start,
         stop=stop,
-        smooth_ends=not filtered,
+        filtered=filtered,
+        edges=overrides.edges or stored.edges,
+        low_speed=low_speed_by_method(stored.low_speed if given is None else given),
         span=span,
+        span_rule=span_rule,
         warnings=tuple(warnings),
     )
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from .base_parameters import BaseParameters
 from .dynamics import Dynamics
 from .filtering import Decimation, Motion, decimation_reach, motion_between
+from .low_speed import measured_fast_rows
 from .plan import Plan
 from .signals import Signals
 
@@ -27,17 +28,19 @@ class Regression:
         W: (r, b) regressor of the base parameters.
         Y: (r,) torques.
         joint_of_row: (r,) joint index of each row, ascending.
-        rows: (n,) decimated samples per joint. A long recording is held reduced: per joint the b + 1 rows of the QR
-            factor of [W Y], which have the same normal equations; `rows` still counts the samples.
+        fast: (rows, n) whether a decimated sample counts for least squares (`low_speed`).
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
+
+    A long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that count for least
+    squares, which have the same normal equations.
         base: the base parameters.
     """
 
     W: Vector
     Y: Vector
     joint_of_row: NDArray[np.intp]
-    rows: NDArray[np.intp]
+    fast: NDArray[np.bool_]
     tau: Vector
     speed: Vector
     base: BaseParameters
@@ -50,12 +53,27 @@ class Regression:
     @property
     def reduced(self) -> bool:
         """Whether rows are QR factors rather than samples."""
-        return int(self.rows.sum()) != len(self.Y)
+        return self.tau.size != len(self.Y)
+
+    @property
+    def counted(self) -> tuple[Vector, Vector, NDArray[np.intp], NDArray[np.intp]]:
+        """W, Y, joint_of_row for least squares, zero in rows that do not count, and how many samples (n,) do per joint."""
+        rows = self.fast.sum(axis=0)
+        if self.reduced or self.fast.all():
+            return self.W, self.Y, self.joint_of_row, rows
+        used = self.used
+        return self.W * used[:, None], self.Y * used, self.joint_of_row, rows
+
+    @property
+    def used(self) -> Vector:
+        """1 for rows (r,) that count for least squares, 0 for others."""
+        return np.ones(len(self.Y)) if self.reduced else self.fast.T.reshape(-1).astype(float)
 
 
 def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameters) -> Regression:
     """W and Y of a motion held in memory, every sample of it, not decimated."""
-    return _stacked([_block(motion, slice(None), dynamics, base, Decimation())], base)
+    every = np.ones(motion.q.shape, dtype=bool)
+    return _stacked([_block(motion, slice(None), dynamics, base, Decimation(), every)], base)
 
 
 def regression_of_recording(
@@ -68,8 +86,11 @@ def regression_of_recording(
     """W and Y of a recording, block by block, so that the whole undecimated W is never held."""
     blocks: list[_Block] = []
     reduced: Regression | None = None
+    fast, done_rows = measured_fast_rows(signals, plan, dynamics), 0
     for motion, inside, done in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
-        blocks.append(_block(motion, inside, dynamics, base, plan.decimator))
+        here = slice(done_rows, done_rows + inside.stop - inside.start)
+        done_rows = here.stop
+        blocks.append(_block(motion, inside, dynamics, base, plan.decimator, fast[here]))
         say(f"regressor: {done:.0%}")
         if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
             reduced = _reduce(_stacked(blocks, base), reduced)
@@ -149,18 +170,27 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Block:
-    """The decimated rows of a block that count: W (n, b, rows), Y (n, rows), speed (rows, n)."""
+    """The decimated rows of a block: W (n, b, rows), Y (n, rows), speed and fast (rows, n)."""
 
     W: Vector
     Y: Vector
     speed: Vector
+    fast: NDArray[np.bool_]
 
 
-def _block(motion: Motion, inside: slice, dynamics: Dynamics, base: BaseParameters, decimation: Decimation) -> _Block:
+def _block(
+    motion: Motion,
+    inside: slice,
+    dynamics: Dynamics,
+    base: BaseParameters,
+    decimation: Decimation,
+    fast: NDArray[np.bool_],
+) -> _Block:
     return _Block(
         W=decimated_regressor(motion, dynamics, base, decimation)[..., inside],
         Y=decimation.filtered(motion.tau.T)[:, inside],
         speed=decimation.kept(motion.dq)[inside],
+        fast=fast,
     )
 
 
@@ -172,7 +202,7 @@ def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
         W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
         Y=Y.reshape(-1),
         joint_of_row=np.repeat(np.arange(n), rows),
-        rows=np.full(n, rows),
+        fast=np.concatenate([block.fast for block in blocks]),
         tau=Y.T,
         speed=np.concatenate([block.speed for block in blocks]),
         base=base,
@@ -180,18 +210,18 @@ def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
 
 
 def _reduce(new: Regression, before: Regression | None) -> Regression:
-    """Per joint the QR factor of the rows so far: b + 1 rows with the same normal equations."""
-    n = len(new.rows)
+    """Per joint the QR factor of the rows so far that count: b + 1 rows with the same normal equations."""
+    n = new.tau.shape[1]
     factors = []
     for j in range(n):
-        parts = [np.c_[r.W, r.Y][r.joint_of_row == j] for r in (before, new) if r is not None]
+        parts = [np.c_[r.W, r.Y][(r.joint_of_row == j) & (r.used > 0)] for r in (before, new) if r is not None]
         factors.append(np.linalg.qr(np.concatenate(parts), mode="r"))
     stack = np.concatenate(factors)
     return Regression(
         W=np.ascontiguousarray(stack[:, :-1]),
         Y=np.ascontiguousarray(stack[:, -1]),
         joint_of_row=np.repeat(np.arange(n), [len(f) for f in factors]),
-        rows=new.rows + (before.rows if before is not None else 0),
+        fast=new.fast if before is None else np.concatenate([before.fast, new.fast]),
         tau=new.tau if before is None else np.concatenate([before.tau, new.tau]),
         speed=new.speed if before is None else np.concatenate([before.speed, new.speed]),
         base=new.base,
