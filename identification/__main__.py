@@ -200,7 +200,6 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
         values=values,
         tolerance_percent=options.tolerance_percent,
         max_iterations=options.max_iterations,
-        low_speed_percent=options.low_speed_percent,
     )
     return identify_iv(signals, _overrides(options), iteration, essential=options.essential, say=say)
 

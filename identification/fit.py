@@ -11,11 +11,14 @@ from .diagnostics import InstrumentTests, TorqueError
 from .estimators import Estimate, Reduction
 from .filtering import Motion
 from .plan import Plan
+from .plausibility import Doubt
 
 Vector = NDArray[np.float64]
 Method = Literal["ols", "wls", "iv"]
 InstrumentKind = Literal["simulated", "stepped back", "reference"]
-Status = Literal["solved", "converged", "max_iterations", "diverged"]
+Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
+
+NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,7 +77,7 @@ class InstrumentEvidence:
         start: `regular`, `ls`, or the file the start was read from.
         reference: `recorded`, or `surrogate` where the measured position stands in, which leaves the instruments not
             strictly exogenous. `controller`: `described`, or `surrogate` for a PD of the stated bandwidth.
-        passes: one by one.
+        passes: one by one; `returned` is the number of the one whose estimate this is, counted from 1.
         reason: why the status is what it is, None for `converged`.
         tests: of the instruments.
         rows_used_percent: rows left after those at low simulated speed were taken out.
@@ -87,6 +90,7 @@ class InstrumentEvidence:
     reference: Literal["recorded", "surrogate"]
     controller: Literal["described", "surrogate"]
     passes: tuple[Pass, ...]
+    returned: int
     reason: str | None
     tests: InstrumentTests
     rows_used_percent: float
@@ -102,7 +106,8 @@ class Fit:
 
     `base` lists all base parameters; `estimate` has those estimated, which are fewer when only the essential ones were
     kept. `errors` holds one entry per joint and, last, all joints together. `sigma_hac` is NaN where the recording is so
-    long that rows were reduced. `iv` is there for the instrumental variable method only.
+    long that rows were reduced. `doubts` are what of the estimate no robot has. `iv` is there for the instrumental variable
+    method only.
     """
 
     method: Method
@@ -114,9 +119,18 @@ class Fit:
     sigma_hac: Vector
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
+    doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
 
     @property
     def beta(self) -> Vector:
         """(b,) values of all base parameters, zero where one was left out."""
         return self.estimate.among(self.base.names)
+
+    @property
+    def distrust(self) -> tuple[str, ...]:
+        """Why the result is not to be trusted: no fixed point, or what no robot has, beyond chance. Empty where it may be."""
+        why = [doubt.text for doubt in self.doubts if doubt.severe]
+        if self.status in NO_FIXED_POINT:
+            why.insert(0, f"status {self.status}" + (f": {self.iv.reason}" if self.iv and self.iv.reason else ""))
+        return tuple(why)

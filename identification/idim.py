@@ -5,6 +5,7 @@ approach for rigid industrial robots identification", Control Engineering Practi
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -16,6 +17,8 @@ from .base_parameters import BaseParameters, base_parameters
 from .diagnostics import TorqueError, lag_one, torque_errors
 from .dynamics import Dynamics
 from .estimators import (
+    Estimate,
+    Reduction,
     essential_parameters,
     instrumental_variables,
     one_thread,
@@ -23,10 +26,19 @@ from .estimators import (
     weighted_least_squares,
 )
 from .fit import Fit, Pass
-from .instruments import experiment, fast_rows, instruments, regular_start, simulated_motion
-from .judgement import compared, judged, judged_iv, predicted_rows
+from .instruments import (
+    Experiment,
+    Instruments,
+    SimulatedMotion,
+    experiment,
+    instruments,
+    regular_start,
+    simulated_motion,
+)
+from .judgement import compared, joint_tracking_percent, judged, judged_iv, predicted_rows
+from .low_speed import fast_rows
 from .plan import Overrides, Plan, make_plan, rule_cutoff_hz
-from .regression import regression_of_recording, torque_of_recording
+from .regression import Regression, regression_of_recording, torque_of_recording
 from .signals import Signals
 
 Vector = NDArray[np.float64]
@@ -47,8 +59,7 @@ class Iteration:
     """How the instrumental variable method iterates.
 
     `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
-    under the name they were read from. `low_speed_percent`: rows slower than this, in percent of the simulated peak speed,
-    are left out; None takes 4 %, or 4 deviations of the measured speed's noise where that is more.
+    under the name they were read from.
     """
 
     start: str = "regular"
@@ -56,7 +67,6 @@ class Iteration:
     tolerance_percent: float = 2.5
     max_iterations: int = 10
     gain_update: bool = True
-    low_speed_percent: float | None = None
 
 
 @one_thread
@@ -77,11 +87,11 @@ def identify_ls(
     idm = Dynamics(signals.robot)
     base = base_parameters(idm)  # (2): tau = IDM(q, dq, ddq) beta
     observed = regression_of_recording(signals, plan, idm, base, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    rows = (observed.W, observed.Y, observed.joint_of_row, observed.rows)
-    full = (weighted_least_squares if method == "wls" else ordinary_least_squares)(*rows, base.names)
-    rho = observed.tau - predicted_rows(signals, plan, idm, observed, full)
-    reduction = essential_parameters(*rows, full, correlation=lag_one(rho * full.weights) or 0.0)
-    return judged(signals, idm, plan, observed, method, reduction.estimate if essential else full, reduction)
+    weighted = weighted_least_squares(*observed.counted, base.names)
+    full = weighted if method == "wls" else ordinary_least_squares(*observed.counted, base.names)
+    reduction = _reduced(signals, plan, idm, observed, full)
+    estimate, beside = reduction.estimate if essential else full, None if method == "wls" else weighted
+    return judged(signals, idm, plan, observed, method, estimate, reduction, weighted=beside)
 
 
 @one_thread
@@ -105,44 +115,98 @@ def identify_iv(
     if observed.reduced:
         raise IdentificationError(f"{signals.recording}: too long for instruments; expected a larger --decimate")
     W, Y, joint_of_row, names = observed.W, observed.Y, observed.joint_of_row, base.names
-    ls = weighted_least_squares(W, Y, joint_of_row, observed.rows, names)
-    rho = observed.tau - predicted_rows(signals, plan, idm, observed, ls)
-    reduction = essential_parameters(
-        W, Y, joint_of_row, observed.rows, ls, correlation=lag_one(rho * ls.weights) or 0.0
-    )
+    ls = weighted_least_squares(*observed.counted, names)
+    reduction = _reduced(signals, plan, idm, observed, ls)
     kept = reduction.kept if essential else np.arange(base.b)
     e = experiment(signals, plan, idm, base, _prior(signals, overrides, plan, ls.beta))
     beta = ls.beta if iteration.start == "ls" else regular_start(idm, base)
     if iteration.values is not None:
         beta = iteration.values(base)
+
+    def solved(z: Instruments, rows: Vector) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+        few = tuple(names[i] for i in kept)
+        return instrumental_variables(z.Z[:, kept], W[:, kept], Y, joint_of_row, few, ls.weights, rows)
+
     passes: list[Pass] = []
-    estimate, used = ls, np.ones(len(Y))
+    tried: list[Instruments] = []
+    estimate, used, before = ls, np.ones(len(Y)), beta
     good: Vector | None = None
     failure: str | None = None
     while not (passes and passes[-1].settled) and len(passes) < iteration.max_iterations:
         say(f"pass {len(passes) + 1}: simulating the robot")
         z = instruments(e, beta, good, gain_update=iteration.gain_update)  # Z = IDM(q_sim, dq_sim, ddq_sim)
         good = good if z.kind == "reference" else z.beta
+        rows = used
         if len(passes) < ROWS_FREE:
-            used = fast_rows(e, z, iteration.low_speed_percent)
+            rows = fast_rows(z.slip, e.slip_noise, e.directions, plan.low_speed.iv).T.reshape(-1).astype(float)
         try:
-            estimate = instrumental_variables(  # beta = (ZᵀW)⁻¹ ZᵀY
-                z.Z[:, kept], W[:, kept], Y, joint_of_row, tuple(names[i] for i in kept), ls.weights, used
-            )
+            estimate = solved(z, rows)
         except IdentificationError as error:
-            failure = f"pass {len(passes) + 1}, {100 * used.mean():.0f} % of the rows fast enough: {error}"
+            failure = f"pass {len(passes) + 1}, {100 * rows.mean():.0f} % of the rows fast enough: {error}"
             failure += f"; {z.reason}" if z.reason else ""
             break
-        passes.append(compared(estimate, z, observed, used, iteration.tolerance_percent))
-        beta = estimate.among(names)
+        used = rows
+        tried.append(z)
+        passes.append(compared(estimate, z, before, observed, used, iteration.tolerance_percent))
+        beta = before = estimate.among(names)
         if len(passes) >= RELAXED_AFTER:
             beta = 0.5 * (beta + z.beta)
     if not passes:
         raise IdentificationError(f"{signals.recording}: no instruments: {failure}")
-    final = simulated_motion(e, estimate.among(names), gain_update=iteration.gain_update)
+    final, returned = simulated_motion(e, before, gain_update=iteration.gain_update), len(passes)
+    if not passes[-1].settled or failure is not None:
+        best = _best_pass(e, _solvable(solved, tried, used), names, gain_update=iteration.gain_update)
+        if best is not None:
+            returned, estimate, final = best
     return judged_iv(
-        signals, idm, plan, observed, estimate, reduction, e, final, tuple(passes), used, iteration.start, failure
+        signals,
+        idm,
+        plan,
+        observed,
+        estimate,
+        reduction,
+        e,
+        final,
+        tuple(passes),
+        returned,
+        used,
+        iteration.start,
+        failure,
     )
+
+
+def _reduced(signals: Signals, plan: Plan, idm: Dynamics, observed: Regression, full: Estimate) -> Reduction:
+    """The essential parameters, by least squares on the rows that count."""
+    rho = (observed.tau - predicted_rows(signals, plan, idm, observed, full)) * full.weights * observed.fast
+    return essential_parameters(*observed.counted, full, correlation=lag_one(rho) or 0.0)
+
+
+def _solvable(
+    solved: Callable[[Instruments, Vector], Estimate], tried: list[Instruments], used: Vector
+) -> dict[int, Estimate]:
+    """The passes' estimates on the same rows, by number, counted from 1; without those that these rows do not determine."""
+    found = {}
+    for number, z in enumerate(tried, 1):
+        with suppress(IdentificationError):
+            found[number] = solved(z, used)
+    return found
+
+
+def _best_pass(
+    e: Experiment, estimates: dict[int, Estimate], names: tuple[str, ...], *, gain_update: bool
+) -> tuple[int, Estimate, SimulatedMotion] | None:
+    """Where there is no fixed point, the pass whose simulated robot tracks best at its worst joint.
+
+    `estimates` are those of the passes by number, all on the rows of the last. None where no robot can be simulated with any
+    of them.
+    """
+    found = []
+    for number, estimate in estimates.items():
+        simulated = simulated_motion(e, estimate.among(names), gain_update=gain_update)
+        if simulated.motion is not None:
+            worst = max((x for x in joint_tracking_percent(e, simulated.motion) if x is not None), default=0.0)
+            found.append((worst, number, estimate, simulated))
+    return min(found, key=lambda one: one[0])[1:] if found else None
 
 
 def _prior(signals: Signals, overrides: Overrides, plan: Plan, beta_ls: Vector) -> Vector:
@@ -150,7 +214,7 @@ def _prior(signals: Signals, overrides: Overrides, plan: Plan, beta_ls: Vector) 
 
     Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
     """
-    if not plan.smooth_ends:
+    if plan.filtered:
         return beta_ls
     cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
     try:

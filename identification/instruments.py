@@ -2,7 +2,7 @@
 
 What is simulated needs no more samples than its bandwidth asks for: instruments carry no noise. They are evaluated at 100
 times the bandwidth or more, or at the recording's rate where that is less, at instants that the decimated rows of W have
-too. Between the instants of a slower controller the robot is simulated in steps as fine.
+too. The robot is simulated in steps as fine as 100 times the bandwidth, whatever the rate of recording and controller.
 """
 
 import math
@@ -11,13 +11,16 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from . import IdentificationError
 from .base_parameters import BaseParameters
 from .dynamics import DirectModel, Dynamics, direct_model
 from .filtering import Decimation, Motion, differentiate, motion_between
 from .fit import InstrumentKind
+from .low_speed import measured_speed
 from .plan import Plan, rule_cutoff_hz
+from .plausibility import poses_of
 from .regression import decimated_regressor
 from .signals import Signals
 from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate_loop
@@ -25,9 +28,6 @@ from .simulation import Loop, has_controller, recorded_loop, simulate, surrogate
 Vector = NDArray[np.float64]
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
-POSES = 300  # positions of the trajectory at which M must be positive
-LOW_SPEED_PERCENT = 4.0  # of the simulated peak: slower joints stick and slip, which sign(dq) does not describe
-LOW_SPEED_DEVIATIONS = 4.0  # of the speed noise: rows slower than this are left out
 LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
 MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
@@ -45,7 +45,8 @@ class Experiment:
         poses: (P, n) positions at which M is checked.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
-        grid_s: (N,) instants of the instruments; `times_s`: (K,) of the controller, each with `substeps` simulated steps.
+        grid_s: (N,) instants of the instruments; `times_s`: (K,) of the controller, each with `substeps` simulated steps. A
+            surrogate has its instants at each step.
         decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
@@ -64,7 +65,6 @@ class Experiment:
     J_prior: Vector
     J_known: bool
     bandwidth_hz: float
-    rate_hz: float
     grid_s: Vector
     times_s: Vector
     substeps: int
@@ -116,9 +116,10 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     bandwidth_hz = robot.controller.bandwidth_hz
     m = _stride(fs, plan.decimation, bandwidth_hz)
     grid = np.arange((plan.stop - 1 - plan.start) % m + plan.start, plan.stop, m)
-    rate_hz = fs / m
-    period_s = loop.period_s if loop else 1.0 / rate_hz
-    substeps = max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9)) if loop else 1
+    period_s = loop.period_s if loop else m / fs
+    substeps = max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9))
+    if loop is None:  # a continuous law: it acts at every step
+        period_s, substeps = period_s / substeps, 1
     steps = (grid[-1] - grid[0]) / fs / period_s * substeps
     if steps > MOST_STEPS:
         raise IdentificationError(
@@ -145,7 +146,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     at = [_at(times_s, plan.start / fs, fs, x) for x in reference]
     q = measured.q[grid - plan.start]
     prior = direct_model(dynamics, base.representative(beta_ls))
-    J_prior = inertias(prior, _poses(q))
+    J_prior = inertias(prior, poses_of(q))
     J_known = bool((J_prior > 0).all())
     if not J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
         J_prior = loop.inertias(bandwidth_hz) if loop else np.ones(robot.n)
@@ -158,19 +159,18 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         ddq_ref=at[2],
         start=(measured.q[grid[0] - plan.start], measured.dq[grid[0] - plan.start]),
         q=q,
-        poses=_poses(q),
+        poses=poses_of(q),
         loop=loop,
         J_prior=J_prior,
         J_known=J_known,
         bandwidth_hz=bandwidth_hz,
-        rate_hz=rate_hz,
         grid_s=grid / fs,
         times_s=times_s,
         substeps=substeps,
-        decimation=Decimation(factor=plan.decimation // m, smooth_ends=plan.smooth_ends),
+        decimation=replace(plan.decimator, factor=plan.decimation // m),
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,
-        slip_noise=_speed_noise(signals, plan, measured, cutoff_hz) @ np.abs(prior.directions.T),
+        slip_noise=measured_speed(signals, plan)[1] @ np.abs(prior.directions.T),
     )
 
 
@@ -215,7 +215,8 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
         return SimulatedMotion(motion=None, reason=reason, gains=gains, tracking_percent=None)
     if e.loop is not None and e.loop.computed_torque and not e.J_known:
         gains = np.ones(len(J))  # nothing tells what its saturation was set for
-    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, e.rate_hz)
+    step_s = e.times_s[1] - e.times_s[0]
+    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / step_s)
     travel = np.ptp(e.q_ref, axis=0)
     bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
     done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound, substeps=e.substeps)
@@ -225,23 +226,6 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
     error = 100 * np.linalg.norm(q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
     motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
     return SimulatedMotion(motion=motion, reason=None, gains=gains, tracking_percent=float(error))
-
-
-def fast_rows(e: Experiment, z: Instruments, low_speed_percent: float | None) -> Vector:
-    """1 for the rows (r,) that count, 0 for those at low speed, where sign(dq) of a noisy velocity is biased.
-
-    Chosen by the SIMULATED speed of each direction of Coulomb friction that acts on the row's joint, which is exogenous.
-    Slow is below `low_speed_percent` of the simulated peak. By default it is below 4 % of it, where joints stick and slip,
-    or below 4 deviations of the noise that W's own velocity carries, which is none behind a filter at the rule's cut-off.
-    """
-    peak = np.abs(z.slip).max(axis=0)
-    if low_speed_percent is None:
-        threshold = np.maximum(0.01 * LOW_SPEED_PERCENT * peak, LOW_SPEED_DEVIATIONS * e.slip_noise)
-    else:
-        threshold = 0.01 * low_speed_percent * peak
-    slow = np.abs(z.slip) < threshold  # (rows, c)
-    acts = e.directions != 0  # (c, n)
-    return np.asarray(1.0 - (slow.astype(float) @ acts > 0).T.reshape(-1))
 
 
 def inertias(model: DirectModel, poses: Vector) -> Vector:
@@ -302,13 +286,12 @@ def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
 
 
 def _at(times_s: Vector, start_s: float, fs: float, x: Vector) -> Vector:
-    """x (N, n), sampled at fs from start_s on, at other times (K,), linear in between."""
-    own = start_s + np.arange(len(x)) / fs
-    return np.stack([np.interp(times_s, own, column) for column in x.T], axis=1)
-
-
-def _poses(q: Vector) -> Vector:
-    return q[:: max(1, len(q) // POSES)]
+    """x (N, n), sampled at fs from start_s on, at other times (K,): picked, or a cubic spline in between."""
+    at = (times_s - start_s) * fs
+    picks = np.rint(at).astype(np.intp)
+    if np.abs(at - picks).max() < 1e-6 and picks[-1] < len(x):
+        return x[picks]
+    return np.asarray(CubicSpline(np.arange(len(x)), x)(np.clip(at, 0, len(x) - 1)))
 
 
 def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> None:
@@ -323,21 +306,6 @@ def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> Non
                 f"{signals.recording}: reference of joint {joint.name}: {error:.3g} {joint.position_unit} rms off the "
                 f"measured position, which varies by {spread:.3g}; expected the reference of this recording"
             )
-
-
-def _speed_noise(signals: Signals, plan: Plan, smooth: Motion, cutoff_hz: float) -> Vector:
-    """Deviation (n,) of the speed that W is made of from the smooth one; zero behind the rule's filter or a lower one."""
-    if plan.cutoff_hz is not None and plan.cutoff_hz <= cutoff_hz * (1 + 1e-9):
-        return np.zeros(signals.robot.n)
-    used = motion_between(
-        signals.q,
-        signals.effort,
-        cutoff_hz=plan.cutoff_hz,
-        sample_rate_hz=signals.sample_rate_hz,
-        start=plan.start,
-        stop=plan.stop,
-    )
-    return np.asarray(np.std(used.dq - smooth.dq, axis=0))
 
 
 def _saturated_percent(signals: Signals, plan: Plan) -> float | None:

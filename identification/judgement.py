@@ -1,5 +1,7 @@
 """Sets beside an estimate what speaks for and against it, and says whether the iteration may be called converged."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,9 +15,11 @@ from .diagnostics import (
 )
 from .dynamics import Dynamics
 from .estimators import Estimate, Reduction
+from .filtering import Motion
 from .fit import DirectModelError, Fit, InstrumentEvidence, Method, Pass, Status
 from .instruments import Experiment, Instruments, SimulatedMotion
 from .plan import Plan
+from .plausibility import physical_doubts
 from .regression import Regression, torque_of_recording
 from .signals import Signals
 
@@ -45,16 +49,23 @@ def judged(
     *,
     status: Status = "solved",
     used: Vector | None = None,
+    weighted: Estimate | None = None,
     iv: InstrumentEvidence | None = None,
     warnings: tuple[str, ...] = (),
 ) -> Fit:
-    """A fit: the estimate with torque errors of all rows, robust deviations and warnings; `used` marks rows that counted."""
+    """A fit: the estimate with torque errors of all rows, robust deviations and warnings.
+
+    `used` (r,) marks the rows that counted; by default those of least squares. `weighted` is weighted least squares beside an
+    estimate whose rows all weigh alike, whose deviations drown what a joint of small torques says of its signs.
+    """
     predicted = predicted_rows(signals, plan, idm, observed, estimate)
-    sigma_hac = np.full(len(estimate.names), np.nan)
-    if not observed.reduced:
-        rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-        counted = rho if used is None else rho * used
-        sigma_hac = hac_sigma(estimate.Q, estimate.bread, counted, signals.robot.n, rows=estimate.rows)
+    used = observed.used if used is None else used
+    sigma_hac = _robust_sigma(observed, estimate, predicted, used)
+    doubts = physical_doubts(signals, plan, idm, observed.base, estimate, sigma_hac)
+    if weighted is not None and not any(doubt.severe for doubt in doubts):
+        hac = _robust_sigma(observed, weighted, predicted_rows(signals, plan, idm, observed, weighted), used)
+        found = physical_doubts(signals, plan, idm, observed.base, weighted, hac)
+        doubts = tuple(replace(d, text=f"by weighted least squares {d.text}") for d in found if d.severe) or doubts
     return Fit(
         method=method,
         status=status,
@@ -64,30 +75,48 @@ def judged(
         essential=reduction,
         sigma_hac=sigma_hac,
         errors=torque_errors(observed.tau, predicted, observed.speed, tuple(j.name for j in signals.robot.joints)),
-        warnings=(*plan.warnings, *gain_warnings(signals), *recording_warnings(signals), *warnings),
+        warnings=(
+            *(doubt.text for doubt in doubts),
+            *plan.warnings,
+            *gain_warnings(signals),
+            *recording_warnings(signals),
+            *warnings,
+        ),
+        doubts=doubts,
         iv=iv,
     )
+
+
+def _robust_sigma(observed: Regression, estimate: Estimate, predicted: Vector, used: Vector) -> Vector:
+    """HAC deviations (b,) from the rows that are `used` (r,); NaN where rows are reduced."""
+    if observed.reduced:
+        return np.full(len(estimate.names), np.nan)
+    rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
+    return hac_sigma(estimate.Q, estimate.bread, rho * used, observed.tau.shape[1], rows=estimate.rows)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def compared(
     estimate: Estimate,
     z: Instruments,
+    before: Vector,
     observed: Regression,
     used: Vector,
     tolerance_percent: float,
 ) -> Pass:
     """A pass that led from the parameters simulated to `estimate`, and whether it settled.
 
-    Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
+    Where the robot was simulated with other parameters than those asked for, the estimate is compared with the one `before`
+    (b,). Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
     half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves. Both norms are of
     the rows that this pass used.
     """
     tolerance = 0.01 * tolerance_percent
-    old = np.array([z.beta[observed.base.names.index(name)] for name in estimate.names])
+    start = before if z.kind == "stepped back" else z.beta
+    old = np.array([start[observed.base.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
     w = estimate.weights[observed.joint_of_row] * used
-    norm_before = float(np.linalg.norm(w * (observed.Y - observed.W @ z.beta)))
+    norm_before = float(np.linalg.norm(w * (observed.Y - observed.W @ start)))
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
@@ -118,11 +147,12 @@ def judged_iv(
     e: Experiment,
     final: SimulatedMotion,
     passes: tuple[Pass, ...],
+    returned: int,
     used: Vector,
     start: str,
     failure: str | None,
 ) -> Fit:
-    """A fit by instruments; `final` is the robot simulated with the estimate: the direct model's validation."""
+    """A fit by instruments: that of pass `returned`; `final` is the robot simulated with it: the direct model's validation."""
     w = estimate.weights[observed.joint_of_row] * used
     among = [observed.base.names.index(name) for name in estimate.names]
     W, Y = observed.W[:, among] * w[:, None], observed.Y * w
@@ -131,21 +161,24 @@ def judged_iv(
     direct: list[DirectModelError] = []
     if final.motion is not None:
         tau = e.decimation.filtered(final.motion.tau.T).T
+        tracking = joint_tracking_percent(e, final.motion)
         for j, joint in enumerate(signals.robot.joints):
-            off, q = final.motion.q[:, j] - e.q[:, j], e.q[:, j] - e.q[:, j].mean()
             direct.append(
                 DirectModelError(
                     name=joint.name,
-                    position_error_percent=relative_error_percent(q, off),
+                    position_error_percent=tracking[j],
                     torque_error_percent=relative_error_percent(observed.tau[:, j], observed.tau[:, j] - tau[:, j]),
                 )
             )
     status, reason = _verdict(passes, final.reason, final.tracking_percent, failure, direct, tests)
+    if reason is not None and returned != len(passes):
+        reason += f"; pass {returned} is returned, which tracks best"
     evidence = InstrumentEvidence(
         start=start,
         reference=e.reference,
         controller="surrogate" if e.loop is None else "described",
         passes=passes,
+        returned=returned,
         reason=reason,
         tests=tests,
         rows_used_percent=float(100 * used.mean()),
@@ -179,30 +212,45 @@ def _verdict(
 ) -> tuple[Status, str | None]:
     """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
 
-    Every joint has to track, not the robot on average: a joint of small travel would hide behind the others.
+    One that settled otherwise is `not_confirmed`. Every joint has to track, not the robot on average: a joint of small travel
+    would hide behind the others.
     """
     if failure is not None:
         return "diverged", failure
-    if final_reason is not None:
-        return "diverged", f"the final estimate cannot be simulated: {final_reason}"
-    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
-        return "diverged", "the simulated position does not follow the measured one"
-    for d in direct:
-        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
-            return "diverged", f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
     if not tests.first_stage_F >= 1.0:
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
-    last = passes[-1]
-    if last.settled and last.instruments != "simulated":
-        return "diverged", f"settled without simulated instruments: {last.reason}"
-    if not last.settled:
-        moving = []
-        if not last.parameters_settled:
-            moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
-        if not last.residual_settled:
-            moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
-        return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
-    return "converged", None
+    last, unconfirmed = passes[-1], _unconfirmed(final_reason, tracking_percent, direct)
+    if last.settled:
+        if unconfirmed is None and last.instruments != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.reason}"
+        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
+    if unconfirmed is not None:
+        return "diverged", unconfirmed
+    moving = []
+    if not last.parameters_settled:
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+    if not last.residual_settled:
+        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+    return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
+
+
+def _unconfirmed(
+    final_reason: str | None, tracking_percent: float | None, direct: list[DirectModelError]
+) -> str | None:
+    """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
+    if final_reason is not None:
+        return f"the final estimate cannot be simulated: {final_reason}"
+    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
+        return "the simulated position does not follow the measured one"
+    for d in direct:
+        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
+            return f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
+    return None
+
+
+def joint_tracking_percent(e: Experiment, simulated: Motion) -> list[float | None]:
+    """How far each simulated joint is off the measured one, in percent of its variation; None for one that stands."""
+    return [relative_error_percent(q - q.mean(), off) for q, off in zip(e.q.T, (simulated.q - e.q).T, strict=True)]
 
 
 def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:

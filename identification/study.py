@@ -144,7 +144,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     true = truth(idm, base)
     bandwidth_hz = robot.controller.bandwidth_hz
     n_d = robot.identification.decimation or decimation_rule(fs, bandwidth_hz)
-    overrides = Overrides(cutoff_hz=cutoff * bandwidth_hz, decimation=n_d)
+    overrides = Overrides(cutoff_hz=cutoff * bandwidth_hz, decimation=n_d, low_speed_percent=study.low_speed_percent)
     nan = np.full(base.b, np.nan)
     run = Run(
         number=number,
@@ -183,7 +183,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         iv = identify_iv(
             replace(signals, robot=_misinformed(robot, gain_error)),
             overrides,
-            Iteration(start=f"{start:g} x", values=lambda _: wrong, low_speed_percent=study.low_speed_percent),
+            Iteration(start=f"{start:g} x", values=lambda _: wrong),
         )
     except IdentificationError as error:
         return replace(run, reason=str(error))
