@@ -2,17 +2,18 @@
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from acquisition import AcquisitionError
+from acquisition import AcquisitionError, one_line
 from acquisition.command_line import STATUSES, run_command
 
 from . import IdentificationError
 from .options import (
     above_zero,
+    add_method_options,
     add_plan_options,
     add_simulation_options,
     cutoffs,
@@ -57,27 +58,7 @@ def _parser() -> argparse.ArgumentParser:
 
     fit = commands.add_parser("fit", help="base parameters from a recording")
     fit.add_argument("recording", type=Path, metavar="LOG.mcap")
-    fit.add_argument(
-        "--method",
-        choices=["ols", "wls", "iv"],
-        default="wls",
-        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
-    )
-    fit.add_argument(
-        "--start",
-        default="regular",
-        metavar="regular|ls|FIT.json",
-        help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
-    )
-    fit.add_argument("--tolerance-percent", type=above_zero, default=2.5, metavar="P", help="of iv (default 2.5)")
-    fit.add_argument("--max-iterations", type=positive, default=10, metavar="N", help="of iv (default 10)")
-    fit.add_argument(
-        "--low-speed-percent",
-        type=share,
-        metavar="P",
-        help="of iv: leave out rows slower than P %% of the simulated peak (default: 4, or 4 deviations of the speed's noise)",
-    )
-    fit.add_argument("--essential", action="store_true", help="keep only the parameters the recording determines well")
+    add_method_options(fit)
     add_plan_options(fit)
     fit.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
     fit.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
@@ -100,6 +81,9 @@ def _parser() -> argparse.ArgumentParser:
     validate.add_argument("recording", type=Path, metavar="LOG.mcap")
     add_plan_options(validate)
     validate.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    validate.add_argument(
+        "--max-error-percent", type=above_zero, metavar="P", help="above it, of all rows, the exit status is 3"
+    )
     validate.set_defaults(run=_validate)
 
     base = commands.add_parser("base", help="base parameters of a robot, with their expressions")
@@ -121,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         "--starts", type=factors, default=(0.05, 1.0, 20.0), metavar="A,B", help="x each joint's true inertia"
     )
     study.add_argument("--gain-errors", type=factors, default=(0.7, 1.0, 1.3), metavar="A,B", help="x true gains")
-    study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit --method iv")
+    study.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit")
     add_simulation_options(study, encoder_step=1e-5, effort_noise_percent=2.0)
     study.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     study.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
@@ -143,7 +127,10 @@ def _overrides(options: argparse.Namespace) -> "Overrides":
     from .plan import Overrides
 
     return Overrides(
-        cutoff_hz=options.cutoff_hz, decimation=options.decimate, span="all" if options.all_samples else None
+        cutoff_hz=options.cutoff_hz,
+        decimation=options.decimate,
+        span="all" if options.all_samples else None,
+        low_speed_percent=getattr(options, "low_speed_percent", None),  # only a fit has it
     )
 
 
@@ -155,8 +142,21 @@ def _load(options: argparse.Namespace) -> "Signals":
     return load_signals(options.recording, load_robot(options.robot) if options.robot else None)
 
 
-def _fit(options: argparse.Namespace) -> None:
-    inputs = [options.recording, options.robot, Path(options.start)]
+def _untrusted(reasons: Sequence[str]) -> int:
+    """The exit status of a result; one that is not to be trusted has a line on stderr that says why."""
+    if reasons:
+        print(one_line(f"robot-identify: not to be trusted: {'; '.join(reasons)}"), file=sys.stderr)
+    return 3 if reasons else 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    for name in ("start", "tolerance_percent", "max_iterations"):
+        if options.method != "iv" and getattr(options, name) is not None:
+            told = f"--{name.replace('_', '-')} {getattr(options, name)}"
+            raise IdentificationError(
+                f"{told}: does nothing with --method {options.method}: expected --method iv with it"
+            )
+    inputs = [options.recording, options.robot, Path(options.start or "regular")]
     refuse_clash(inputs, options.json)
     refuse_clash(inputs, options.json, options.rrd, folders=False)
     with _progress() as status:
@@ -180,6 +180,7 @@ def _fit(options: argparse.Namespace) -> None:
                 write_fit_rrd(options.rrd, signals, fit, beside=beside)
     finally:  # a file that cannot be written must not cost its fit
         _print(fit_tables(signals, fit))
+    return _untrusted(fit.distrust)
 
 
 def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
@@ -189,17 +190,16 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
     if options.method != "iv":
         return identify_ls(signals, _overrides(options), method=options.method, essential=options.essential, say=say)
     values = None
-    if options.start not in ("regular", "ls"):
-        stored = read_fit(Path(options.start))
+    start = options.start or "regular"
+    if start not in ("regular", "ls"):
+        stored = read_fit(Path(start))
 
         def values(base: "BaseParameters") -> "NDArray[np.float64]":
-            return stored.beta(base, options.start)
+            return stored.beta(base, start)
 
+    given = {name: getattr(options, name) for name in ("tolerance_percent", "max_iterations")}
     iteration = Iteration(
-        start=options.start,
-        values=values,
-        tolerance_percent=options.tolerance_percent,
-        max_iterations=options.max_iterations,
+        start=start, values=values, **{name: value for name, value in given.items() if value is not None}
     )
     return identify_iv(signals, _overrides(options), iteration, essential=options.essential, say=say)
 
@@ -218,16 +218,16 @@ def _view(options: argparse.Namespace) -> None:
 
 
 def _compare(options: argparse.Namespace) -> None:
-    from .comparison import difference_table, values_of_stored
+    from .comparison import difference_table, frame_lines, values_of_stored
     from .fit_file import doubts, read_fit
 
     refuse_clash([options.a, options.b], options.rrd)
-    labels = [options.a.stem, options.b.stem]
-    if labels[0] == labels[1]:
-        labels = [str(options.a), str(options.b)]
+    same = options.a.stem == options.b.stem
+    labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
     a, b = (values_of_stored(fit, label) for fit, label in zip(fits, labels, strict=True))
     told = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
+    told += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
     if options.rrd:
         from .viewer import write_comparison_rrd
 
@@ -235,23 +235,31 @@ def _compare(options: argparse.Namespace) -> None:
     _print(difference_table(a, b), *(f"warning: {text}" for text in told))
 
 
-def _validate(options: argparse.Namespace) -> None:
+def _validate(options: argparse.Namespace) -> int:
     refuse_clash([options.fit, options.recording, options.robot], options.json)
     with _progress() as status:
         from .fit_file import doubts, errors_json, plan_json, provenance, read_fit, write_json
         from .idim import validate
         from .report import errors_table, plan_lines
+        from .validation import as_fitted
 
         status.update("reading")
         stored, signals = read_fit(options.fit), _load(options)
+        signals, told = as_fitted(signals, options.recording, stored, str(options.fit), kept=options.robot is not None)
         status.update("predicting")
-        plan, errors = validate(signals, _overrides(options), lambda base: stored.beta(base, str(options.fit)))
+        overrides = _overrides(options).over(stored.settings(signals.sample_rate_hz))
+        plan, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
     units = signals.robot.effort_units
-    warnings = [*plan.warnings, *doubts(stored, str(options.fit))]
+    warnings = [*plan.warnings, *told, *doubts(stored, str(options.fit))]
     if options.json:
         content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
         write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
     _print(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
+    error, most = errors[-1].relative_error_percent, options.max_error_percent
+    if most is None or (error is not None and error <= most):
+        return 0
+    found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
+    return _untrusted([f"{options.fit} on {options.recording}: {found}: expected at most {most:g} %"])
 
 
 def _base(options: argparse.Namespace) -> None:

@@ -19,13 +19,17 @@ Vector = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """A parameter's value; `sigma` is 0 where it is known exactly, `sigma_hac` None where it is not known."""
+    """A parameter's value; `sigma` is 0 where it is known exactly, `sigma_hac` None where it is not known.
+
+    `expression` says what it stands for, None in a file of an earlier version.
+    """
 
     value: float
     sigma: float
     sigma_hac: float | None
     unit: str
     essential: bool
+    expression: str | None
 
     @property
     def spread(self) -> float:
@@ -60,7 +64,7 @@ class Difference:
 def values_of_fit(fit: Fit) -> Values:
     """The parameters a fit estimated."""
     e, essential = fit.estimate, set(fit.essential.estimate.names)
-    units = dict(zip(fit.base.names, fit.base.units, strict=True))
+    known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return Values(
         label={"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
@@ -68,8 +72,9 @@ def values_of_fit(fit: Fit) -> Values:
                 value=float(value),
                 sigma=float(sigma),
                 sigma_hac=float(hac) if math.isfinite(hac) else None,
-                unit=units[name],
+                unit=known[name][0],
                 essential=name in essential,
+                expression=known[name][1],
             )
             for name, value, sigma, hac in zip(e.names, e.beta, e.sigma, fit.sigma_hac, strict=True)
         },
@@ -81,8 +86,10 @@ def true_values(fit: Fit, truth: Vector) -> Values:
     return Values(
         label="true",
         parameters={
-            name: Value(value=float(value), sigma=0.0, sigma_hac=None, unit=unit, essential=False)
-            for name, value, unit in zip(fit.base.names, truth, fit.base.units, strict=True)
+            name: Value(value=float(x), sigma=0.0, sigma_hac=None, unit=unit, essential=False, expression=expression)
+            for name, x, unit, expression in zip(
+                fit.base.names, truth, fit.base.units, fit.base.expressions, strict=True
+            )
         },
     )
 
@@ -92,7 +99,14 @@ def values_of_stored(stored: StoredFit, label: str) -> Values:
     return Values(
         label=label,
         parameters={
-            p.name: Value(value=p.value, sigma=p.sigma, sigma_hac=p.sigma_hac, unit=p.unit, essential=p.essential)
+            p.name: Value(
+                value=p.value,
+                sigma=p.sigma,
+                sigma_hac=p.sigma_hac,
+                unit=p.unit,
+                essential=p.essential,
+                expression=p.expression,
+            )
             for p in stored.parameters
         },
     )
@@ -101,18 +115,20 @@ def values_of_stored(stored: StoredFit, label: str) -> Values:
 def differences(a: Values, b: Values) -> list[Difference]:
     """Parameter by parameter, those of `a` first, then those that only `b` has.
 
+    Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
+    what its parameters stand for, those of the same name.
     Raises `IdentificationError` where the two have nothing in common, or a parameter in different units.
     """
-    if not set(a.parameters) & set(b.parameters):
+    partners = _partners(a, b)
+    if not partners:
         raise IdentificationError(
             f"{a.label} and {b.label} have no parameter in common: expected two fits of one robot, or of like robots"
         )
     rows = []
-    for name in (*a.parameters, *(name for name in b.parameters if name not in a.parameters)):
-        x, y = a.parameters.get(name), b.parameters.get(name)
-        if x is None or y is None:
-            unit = x.unit if x else y.unit if y else ""
-            rows.append(Difference(name=name, unit=unit, a=x, b=y, off=None, off_percent=None, off_sigma=None))
+    for name, x in a.parameters.items():
+        y = b.parameters[partners[name]] if name in partners else None
+        if y is None:
+            rows.append(_alone(name, a=x))
             continue
         if x.unit != y.unit:
             raise IdentificationError(f"{name} is in {x.unit} in {a.label} and in {y.unit} in {b.label}")
@@ -128,13 +144,55 @@ def differences(a: Values, b: Values) -> list[Difference]:
                 off_sigma=off / sigma if sigma > 0 else None,
             )
         )
+    for name in b.parameters:
+        if name not in partners.values():
+            rows.append(_alone(f"{name} of {b.label}" if name in a.parameters else name, b=b.parameters[name]))
     return rows
+
+
+def _alone(name: str, *, a: Value | None = None, b: Value | None = None) -> Difference:
+    unit = a.unit if a else b.unit if b else ""
+    return Difference(name=name, unit=unit, a=a, b=b, off=None, off_percent=None, off_sigma=None)
+
+
+def _have_expressions(*sets: Values) -> bool:
+    return all(value.expression is not None for values in sets for value in values.parameters.values())
+
+
+def _partners(a: Values, b: Values) -> dict[str, str]:
+    """By name in `a`, the name in `b` of the parameter that stands for the same."""
+    if not _have_expressions(a, b):
+        return {name: name for name in a.parameters if name in b.parameters}
+    named = {value.expression: name for name, value in b.parameters.items()}
+    return {name: named[x.expression] for name, x in a.parameters.items() if x.expression in named}
+
+
+def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str]:
+    """A line where the link frames of two fits differ: equal names then stand for different quantities."""
+    robots = [fit.robot(label) for fit, label in zip((a, b), labels, strict=True)]
+    if any(robot is None for robot in robots):
+        return []
+    told = ["a URDF" if robot and robot.urdf is not None else "DH rows" for robot in robots]
+    frames = [(robot.urdf, tuple(joint.dh for joint in robot.joints)) for robot in robots if robot]
+    if frames[0] == frames[1]:
+        return []
+    which = f"{labels[0]} has {told[0]}, {labels[1]} {told[1]}" if told[0] != told[1] else f"two different {told[0]}"
+    if told[0] == told[1] == "a URDF":
+        which = "two different URDFs"
+    return [
+        f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"
+    ]
 
 
 def difference_lines(a: Values, b: Values, rows: list[Difference]) -> list[str]:
     """The comparison in words."""
+    named = (
+        []
+        if _have_expressions(a, b)
+        else ["parameters matched by name: a file of an earlier version has no expressions"]
+    )
     off = [abs(row.off_sigma) for row in rows if row.off_sigma is not None]
-    lines = []
+    lines = named
     if off:
         worst = max((row for row in rows if row.off_sigma is not None), key=lambda row: abs(row.off_sigma or 0.0))
         shares = ", ".join(f"{sum(x <= k for x in off)} within {k} sigma" for k in (1, 2, 3))

@@ -5,20 +5,22 @@ import math
 import platform
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import Edges, Robot, robot_from_files
 from acquisition.whole_file import whole_file
 
 from . import IdentificationError
 from .base_parameters import BaseParameters
 from .diagnostics import TorqueError
 from .filtering import forward_backward_3db_hz
-from .fit import Fit, InstrumentEvidence
-from .plan import Plan
+from .fit import NO_FIXED_POINT, Fit, InstrumentEvidence
+from .plan import Overrides, Plan, Span
+from .plausibility import Doubt
 from .signals import Signals
 
 FORMAT = 1
@@ -30,6 +32,7 @@ class StoredParameter(msgspec.Struct, frozen=True):
     name: str
     value: float
     unit: str
+    expression: str | None = None
     sigma: float = 0.0
     sigma_hac: float | None = None
     essential: bool = False
@@ -42,6 +45,37 @@ class StoredFit(msgspec.Struct, frozen=True):
     format: int = FORMAT
     method: str = "known"
     status: str = "known"
+    doubts: list[Doubt] = msgspec.field(default_factory=list)
+    description: dict[str, str] = msgspec.field(default_factory=dict)
+    sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    span_rule: Span | None = None
+    edges: Edges | None = None
+
+    def settings(self, sample_rate_hz: float) -> Overrides:
+        """The settings that the fit was made with, for a recording of that rate; known values have none."""
+        if self.sample_rate_hz is None:
+            return Overrides()
+        n_d = self.decimation and max(1, round(self.decimation * sample_rate_hz / self.sample_rate_hz))
+        return Overrides(cutoff_hz=self.cutoff_hz or 0.0, decimation=n_d, span=self.span_rule, edges=self.edges)
+
+    def robot(self, place: str) -> Robot | None:
+        """The robot as the fit's own description has it; None where the file holds none."""
+        return (
+            robot_from_files({k: v.encode() for k, v in self.description.items()}, place) if self.description else None
+        )
+
+    def other_meaning(self, base: BaseParameters) -> list[str]:
+        """Parameters that `base` does not have, or has in another unit or for another sum of standard parameters."""
+        known = {entry["name"]: entry for entry in base_json(base)}
+        return [
+            p.name
+            for p in self.parameters
+            if p.name not in known
+            or p.unit != known[p.name]["unit"]
+            or p.expression not in (None, known[p.name]["expression"])
+        ]
 
     def beta(self, base: BaseParameters, place: str) -> NDArray[np.float64]:
         """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""
@@ -61,7 +95,9 @@ class StoredFit(msgspec.Struct, frozen=True):
 
 def doubts(stored: StoredFit, place: str) -> list[str]:
     """What must be said wherever a fit is used that is not what it should be."""
-    return [f"{place}: its status is {stored.status}"] if stored.status in ("diverged", "max_iterations") else []
+    unsettled = stored.status in (*NO_FIXED_POINT, "not_confirmed")
+    told = [f"its status is {stored.status}"] if unsettled else []
+    return [f"{place}: {text}" for text in (*told, *(doubt.text for doubt in stored.doubts if doubt.severe))]
 
 
 def read_fit(path: Path) -> StoredFit:
@@ -103,6 +139,7 @@ def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
         "method": fit.method,
         "status": fit.status,
         "warnings": list(fit.warnings),
+        "doubts": [vars(doubt) for doubt in fit.doubts],
         **errors_json(fit.errors, signals.robot.effort_units),
         "condition_number": e.condition_number,
         "condition_number_scaled": e.condition_number_scaled,
@@ -130,6 +167,11 @@ def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
             "p_effective": _number(fit.essential.p_effective),
         },
         "provenance": provenance(signals),
+        "description": {
+            name: signals.robot.files[name].decode("utf-8", errors="replace")
+            for name in ("robot.toml", "robot.urdf")
+            if name in signals.robot.files
+        },
     }
 
 
@@ -137,6 +179,7 @@ def iv_json(iv: InstrumentEvidence) -> dict[str, Any]:
     """What the instrumental variable method adds: why it ended, pass by pass, tests of the instruments, direct model."""
     return {
         "reason": iv.reason,
+        "pass_returned": iv.returned,
         "start": iv.start,
         "reference": iv.reference,
         "controller": iv.controller,
@@ -181,7 +224,10 @@ def plan_json(signals: Signals, plan: Plan) -> dict[str, Any]:
         "cutoff_hz": plan.cutoff_hz,
         "cutoff_forward_backward_3db_hz": both,
         "decimation": plan.decimation,
+        "edges": plan.edges,
+        "low_speed_percent": {"ls": plan.low_speed.ls, "iv": plan.low_speed.iv},
         "span": plan.span,
+        "span_rule": plan.span_rule,
         "samples": [plan.start, plan.stop],
     }
 

@@ -11,7 +11,7 @@ from .curves import model_stride, thinning
 from .fit import Fit
 from .fit_file import fit_json
 from .plan import Plan
-from .report import iv_lines, plan_lines
+from .report import iv_lines, plan_lines, rows_told
 from .robot_drawing import pose_stride
 from .session_panels import health_line
 from .signals import Signals
@@ -31,7 +31,7 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
         f"- {fit.method.upper()}, {fit.status}{reason}: {len(parameters)} parameters, {len(kept['names'])} of them essential",
         *(f"- {own.label} and {values.label}: {line}" for values in others for line in _compared(own, values)),
         *(f"- {line}" for line in plan_lines(signals, fit.plan, used="fitted")),
-        f"- cond(W) {told['condition_number']:.4g}, scaled {told['condition_number_scaled']:.4g}; {told['rows']} rows",
+        f"- cond(W) {told['condition_number']:.4g}, scaled {told['condition_number_scaled']:.4g}; {rows_told(fit)}",
         *(f"- {line}" for line in (iv_lines(fit.iv) if fit.iv else [])),
         *([f"- {line}"] if (line := health_line(signals)) else []),
         "\n## Relative torque error, %",

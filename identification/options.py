@@ -48,6 +48,32 @@ def add_plan_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
 
 
+def add_method_options(parser: argparse.ArgumentParser) -> None:
+    """How a recording is fitted."""
+    parser.add_argument(
+        "--method",
+        choices=["ols", "wls", "iv"],
+        default="wls",
+        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="regular|ls|FIT.json",
+        help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
+    )
+    parser.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="of iv (default 2.5)")
+    parser.add_argument("--max-iterations", type=positive, metavar="N", help="of iv (default 10)")
+    parser.add_argument(
+        "--low-speed-percent",
+        type=share,
+        metavar="P",
+        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
+    )
+    parser.add_argument(
+        "--essential", action="store_true", help="keep only the parameters the recording determines well"
+    )
+
+
 def make_folder(out: Path) -> None:
     """A folder for results, if it is not there."""
     try:

@@ -1,7 +1,7 @@
 """What a fit does with a recording: which samples, which cut-off, which decimation; the rules of the method and overrides."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -34,6 +34,10 @@ class Overrides:
     span: Span | None = None
     edges: Edges | None = None
     low_speed_percent: float | LowSpeed | None = None
+
+    def over(self, others: "Overrides") -> "Overrides":
+        """These, and those of the others where these are silent."""
+        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -53,7 +53,7 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
             f"counted F = {reduction.F_effective:.2f}, p = {reduction.p_effective:.2g}"
         )
     condition = (
-        f"cond(W) {e.condition_number:.4f}, with columns of norm one {e.condition_number_scaled:.4f}; {e.rows} rows"
+        f"cond(W) {e.condition_number:.4f}, with columns of norm one {e.condition_number_scaled:.4f}; {rows_told(fit)}"
     )
     status = f"status: {fit.status}" + (f": {fit.iv.reason}" if fit.iv and fit.iv.reason else "")
     lines = [
@@ -70,6 +70,17 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
         *(Text(line) for line in lines),
         *_warnings(fit.warnings),
     )
+
+
+def rows_told(fit: Fit) -> str:
+    """How many rows counted, and which were left out."""
+    whole = fit.errors[-1]
+    percent = fit.plan.low_speed.iv if fit.iv else fit.plan.low_speed.ls
+    slow = (
+        "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
+    )
+    told = f"{fit.estimate.rows} of {whole.moving_rows + whole.standing_rows} rows"
+    return told if percent == 0 else f"{told}, those below {slow} left out"
 
 
 def iv_tables(iv: InstrumentEvidence) -> list[Table]:
@@ -225,7 +236,8 @@ def plan_lines(signals: Signals, plan: Plan, *, used: str = "judged on") -> list
         both = forward_backward_3db_hz(plan.cutoff_hz, fs)
         cutoff = f"low-pass {plan.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
     return [
-        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {plan.decimation}",
+        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {plan.decimation}"
+        + (" with MATLAB's edge rule" if plan.edges == "matlab" else ""),
         f"{used}: {plan.span}, {plan.start / fs:.3f} s to {plan.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
     ]
 

@@ -46,7 +46,7 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
         fit["joints"][0]
     )
     assert len(fit["provenance"]["sha256"]) == 64
-    assert f"{fit['parameters'][0]['value']:.3f}"[:4] in out
+    assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
 
 
 def test_options_change_the_fit(capsys, tmp_path):

@@ -88,10 +88,11 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
     signals = signals_of(tx40)
-    to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6, low_speed_percent=0.0)
-    coarse = identify_iv(signals, Overrides(), to_the_end)
+    to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6)
+    every_row = Overrides(low_speed_percent=0.0)
+    coarse = identify_iv(signals, every_row, to_the_end)
     monkeypatch.setattr("identification.instruments.RATE_PER_BANDWIDTH", 500.0)
-    fine = identify_iv(signals, Overrides(), to_the_end)
+    fine = identify_iv(signals, every_row, to_the_end)
     assert len(fine.iv.q) == pytest.approx(5 * len(coarse.iv.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()
 
@@ -168,7 +169,7 @@ def test_low_speed_rows_bias_friction_unless_left_out():
     for seed in range(4):
         signals = emps_like(20e-6, seed)
         for low in bias:
-            fit = identify_iv(signals, RAW, Iteration(start="ls", low_speed_percent=low))
+            fit = identify_iv(signals, Overrides(cutoff_hz=0, low_speed_percent=low), Iteration(start="ls"))
             bias[low].append(100 * (fit.beta[1:3] / np.array([203.5034, 20.3935]) - 1))
     with_all, without = np.mean(bias[0.0], axis=0), np.mean(bias[None], axis=0)
     assert with_all[0] < -15
