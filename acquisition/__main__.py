@@ -231,6 +231,8 @@ def _import(arguments: argparse.Namespace) -> None:
     reference = ", with reference" if result.has_reference else ""
     rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
     print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{reference}"))
+    for text in result.warnings:
+        print(one_line(f"warning: {text}"))
 
 
 def _import_log(arguments: argparse.Namespace) -> None:

@@ -13,6 +13,7 @@ from .bus import Frame, block_of
 from .can_logs import SUFFIXES, read_log
 from .decoding import Decoded, decode, written_by_master
 from .drives import resolve
+from .limits import held_against_limits
 from .recording import RecordingWriter, read_recording
 from .robot import Robot
 from .whole_file import whole_file
@@ -126,7 +127,10 @@ def export_csv(path: Path, out: Path) -> int:
 
 def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, str]:
     bus = resolve(robot, place, written_by_master(frames))
-    return decode(frames, robot, bus, name), bus.provenance
+    decoded = decode(frames, robot, bus, name)
+    samples = decoded.samples
+    told = held_against_limits(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
+    return replace(decoded, warnings=decoded.warnings + told), bus.provenance
 
 
 def _writer(

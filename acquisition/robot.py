@@ -104,7 +104,7 @@ class Controller(Table, frozen=True):
     position_gain: tuple[float, ...] | None = None
     velocity_gain: tuple[float, ...] | None = None
     integral_gain: tuple[float, ...] | None = None
-    velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] = "backward_difference"
+    velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] | None = None
 
 
 class LowSpeed(Table, frozen=True):
@@ -226,6 +226,7 @@ def load_robot(path: Path) -> Robot:
     except OSError as error:
         raise AcquisitionError(f"{path}: cannot be read: {error.strerror}") from error
     document = _parse(files["robot.toml"], str(path))
+    _refuse_idle_keys(document.controller, str(path))
     if document.urdf is not None:
         files["robot.urdf"] = _beside(path, "urdf", document.urdf)
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
@@ -233,6 +234,19 @@ def load_robot(path: Path) -> Robot:
             key = f"bus.drive[{i}].dictionary"
             files[dictionary_label(drive.dictionary)] = _beside(path, key, drive.dictionary)
     return robot_from_files(files, str(path))
+
+
+def _refuse_idle_keys(c: Controller, place: str) -> None:
+    """No key of a new description may do nothing; recordings made with one still open."""
+    law = ("sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
+    idle = law if c.structure is None else () if c.structure in ("cascade_p_pi", "pid") else ("integral_gain",)
+    for name in idle:
+        if getattr(c, name) is not None:
+            value, expected = getattr(c, name), "controller.structure with it"
+            if c.structure is not None:
+                expected = f"none, structure = {c.structure!r} has no integral"
+            value = list(value) if isinstance(value, tuple) else value
+            raise AcquisitionError(f"{place}: controller.{name} = {value!r}: does nothing: expected {expected}")
 
 
 def _beside(path: Path, key: str, name: str) -> bytes:

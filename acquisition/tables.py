@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from . import AcquisitionError
 from .blocks import LARGEST_STAMP_NS, Block, sample_dtype
 from .description import Positive, parse_toml
+from .limits import held_against_limits
 from .recording import RecordingWriter
 from .robot import Robot
 from .table_files import Matrix, read_columns
@@ -88,6 +89,7 @@ class Imported:
     effort_units: tuple[str, ...]
     effort_provenance: str
     has_reference: bool
+    warnings: tuple[str, ...] = ()
 
 
 def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
@@ -111,6 +113,9 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
     stamps, rate_hz = _stamps(table_map, tables, len(q), place)
     samples = np.empty(len(q), sample_dtype(robot.n, reference="reference" in parts))
     samples["stamp_ns"] = stamps
+    warnings = held_against_limits(
+        robot, (stamps - stamps[0]) * np.float64(1e-9), q, ", ".join(table.name for table in tables)
+    )
     for key, part in parts.items():
         samples[key] = part
     _write(samples, robot, tables, rate_hz, provenance, out)
@@ -122,6 +127,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
         effort_units=robot.effort_units,
         effort_provenance=provenance,
         has_reference="reference" in parts,
+        warnings=warnings,
     )
 
 
@@ -168,6 +174,13 @@ def _position(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, 
         if not (np.array_equal(robot.R, np.eye(robot.n)) and not robot.zero.any()):
             raise AcquisitionError(f"{place}: {key}.side is not there: expected 'motor' or 'joint'")
         side = "joint"
+    if side == "joint" and robot.zero.any():
+        joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
+        name = "zero_deg" if joint.type == "revolute" else "zero_m"
+        raise AcquisitionError(
+            f"{place}: {key}.side = 'joint': {name} of joint {joint.name} in robot.toml would do nothing, joint positions are "
+            f"taken as they are: expected 'motor', or no {name}"
+        )
     for i, (joint, (unit, _)) in enumerate(zip(robot.joints, units, strict=True)):
         # A motor turns whatever its joint does; a motor that slides drives a joint that slides.
         if unit != joint.position_unit and not (side == "motor" and unit == "rad"):

@@ -221,6 +221,7 @@ def plan_json(signals: Signals, plan: Plan) -> dict[str, Any]:
     both = forward_backward_3db_hz(plan.cutoff_hz, signals.sample_rate_hz) if plan.cutoff_hz else None
     return {
         "sample_rate_hz": signals.sample_rate_hz,
+        "off_grid_periods": signals.off_grid,
         "cutoff_hz": plan.cutoff_hz,
         "cutoff_forward_backward_3db_hz": both,
         "decimation": plan.decimation,

@@ -7,6 +7,7 @@ measured speed behind the low-pass; instrumental variables go by the simulated o
 import numpy as np
 from numpy.typing import NDArray
 
+from . import IdentificationError
 from .dynamics import Dynamics
 from .filtering import motion_between
 from .plan import Plan, rule_cutoff_hz
@@ -65,4 +66,11 @@ def measured_fast_rows(signals: Signals, plan: Plan, dynamics: Dynamics) -> NDAr
     """Which rows (rows, n) count for least squares: by the measured speed."""
     directions = dynamics.coulomb_directions
     speed, noise = measured_speed(signals, plan)
-    return fast_rows(speed @ directions.T, noise @ np.abs(directions.T), directions, plan.low_speed.ls)
+    fast = fast_rows(speed @ directions.T, noise @ np.abs(directions.T), directions, plan.low_speed.ls)
+    for j, joint in enumerate(signals.robot.joints):
+        if not fast[:, j].any():
+            raise IdentificationError(
+                f"{signals.recording}: joint {joint.name} is never faster than the noise of its speed: expected a lower "
+                "--cutoff-hz, or --low-speed-percent"
+            )
+    return fast

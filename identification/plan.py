@@ -6,6 +6,8 @@ from typing import Literal
 
 import numpy as np
 
+from acquisition import AcquisitionError
+from acquisition.limits import held_against_limits
 from acquisition.robot import Edges, LowSpeed, low_speed_by_method
 
 from . import IdentificationError
@@ -80,8 +82,11 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
     the recording.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
+    try:
+        warnings = list(held_against_limits(signals.robot, signals.t_s, signals.q, signals.recording))
+    except AcquisitionError as error:
+        raise IdentificationError(str(error)) from error
     bandwidth_hz = signals.robot.controller.bandwidth_hz
-    warnings = []
     cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
         cutoff_hz = cutoff_hz if choice is None else choice

@@ -15,7 +15,7 @@ from .filtering import forward_backward_3db_hz
 from .fit import Fit, InstrumentEvidence
 from .fit_file import base_json
 from .plan import Plan
-from .signals import Signals
+from .signals import ON_GRID, Signals
 from .study import FALSE_ERROR, Run, Study, summaries
 
 
@@ -235,9 +235,15 @@ def plan_lines(signals: Signals, plan: Plan, *, used: str = "judged on") -> list
     else:
         both = forward_backward_3db_hz(plan.cutoff_hz, fs)
         cutoff = f"low-pass {plan.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
+    timing = (
+        f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
+        if signals.off_grid > ON_GRID
+        else ""
+    )
     return [
         f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {plan.decimation}"
-        + (" with MATLAB's edge rule" if plan.edges == "matlab" else ""),
+        + (" with MATLAB's edge rule" if plan.edges == "matlab" else "")
+        + timing,
         f"{used}: {plan.span}, {plan.start / fs:.3f} s to {plan.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
     ]
 

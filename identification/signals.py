@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
 
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Robot
@@ -13,6 +14,9 @@ from acquisition.robot import Robot
 from . import IdentificationError
 
 Vector = NDArray[np.float64]
+
+ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
+LONGEST_GAP = 3.0  # periods between two samples
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,6 +44,7 @@ class Signals:
         sha256: digest of the recording.
         events: what happened, in the order of the recording.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
+        off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
     t_s: Vector
@@ -53,6 +58,7 @@ class Signals:
     sha256: str
     events: tuple[Happening, ...] = ()
     health: Mapping[str, tuple[Vector, Vector]] = field(default_factory=dict)
+    off_grid: float = 0.0
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
@@ -88,10 +94,9 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
             f"{path}: holds no joint samples; expected the channel /samples (`robot-acquire decode` makes it of frames)"
         )
     stamps = samples["stamp_ns"]
-    rate_hz = _uniform_rate(stamps, path)
-    q, effort, reference = samples["position"], samples["effort"], None
-    if "reference" in (samples.dtype.names or ()):
-        reference = samples["reference"]
+    grid, rate_hz, off_grid = _grid(stamps, path)
+    q, effort = (_at(grid, stamps, samples[name]) for name in ("position", "effort"))
+    reference = _at(grid, stamps, samples["reference"]) if "reference" in (samples.dtype.names or ()) else None
     if robot is not None and robot.n == recording.robot.n:
         # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
         was = recording.robot
@@ -99,12 +104,12 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
         q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
         reference = None if reference is None else robot.joint_position(was.motor_position(reference))
     return Signals(
-        t_s=(stamps - stamps[0]) * 1e-9,
+        t_s=grid * 1e-9,
         q=q,
         q_ref=reference,
         effort=effort,
         sample_rate_hz=rate_hz,
-        track=_phase(recording, "track", stamps),
+        track=_phase(recording, "track", grid, int(stamps[0])),
         robot=robot or recording.robot,
         recording=path.name,
         sha256=recording.sha256,
@@ -113,6 +118,7 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
             for event in recording.events
         ),
         health=_health(recording, int(stamps[0])),
+        off_grid=off_grid,
     )
 
 
@@ -129,21 +135,41 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
                 )
 
 
-def _uniform_rate(stamps: NDArray[np.int64], path: Path) -> float:
-    """Rate of the grid in Hz; refuses gaps, duplicates and time that runs backwards."""
+def _grid(stamps: NDArray[np.int64], path: Path) -> tuple[Vector, float, float]:
+    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
+
+    The grid is the stamps themselves where they lie on one. Refuses gaps over three periods and time that does not grow.
+    """
     if len(stamps) < 2:
         raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
     steps = np.diff(stamps)
-    period_ns = float(np.median(steps))
-    bad = np.flatnonzero(np.abs(steps - period_ns) > 0.5 * period_ns) if period_ns > 0 else np.flatnonzero(steps <= 0)
+    period = float(np.median(steps))
+    bad = np.flatnonzero((steps <= 0) | (steps > LONGEST_GAP * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
         raise IdentificationError(
             f"{path}: {bad.size} gap(s) in the samples, the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of "
-            f"{steps[k] * 1e-6:.3f} ms; expected {period_ns * 1e-6:.3f} ms throughout"
+            f"{steps[k] * 1e-6:.3f} ms; expected {period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that"
         )
-    rate_hz = 1e9 * (len(stamps) - 1) / float(stamps[-1] - stamps[0])
-    return round(rate_hz, 6)
+    since: Vector = (stamps - stamps[0]).astype(np.float64)
+    whole = steps.max() <= 1.5 * period or len(stamps) < 3
+    period = since[-1] / (len(stamps) - 1) if whole else float(steps[steps <= 1.5 * period].mean())
+    at = since / period
+    nearest = np.arange(len(stamps)) if whole else np.rint(at)
+    off = at - nearest
+    off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
+    if whole and off_grid <= ON_GRID:
+        return since, round(1e9 / period, 6), off_grid
+    grid: Vector = period * np.arange(int(at[-1] + 1e-9) + 1)
+    return grid, round(1e9 / period, 6), off_grid
+
+
+def _at(grid: Vector, stamps: NDArray[np.int64], x: Vector) -> Vector:
+    """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
+    since = (stamps - stamps[0]).astype(float)
+    if len(grid) == len(since) and (grid == since).all():
+        return x
+    return np.asarray(CubicSpline(since, x)(grid))
 
 
 def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vector]]:
@@ -157,12 +183,12 @@ def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vect
     return found
 
 
-def _phase(recording: Recording, name: str, stamps: NDArray[np.int64]) -> tuple[int, int] | None:
+def _phase(recording: Recording, name: str, grid: Vector, first_ns: int) -> tuple[int, int] | None:
     """Sample range of a session phase: from the event that begins it to the next phase's event."""
     phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
     for k, (begin_ns, phase) in enumerate(phases):
         if phase == name:
-            end_ns = phases[k + 1][0] if k + 1 < len(phases) else int(stamps[-1]) + 1
-            start, stop = np.searchsorted(stamps, [begin_ns, end_ns])
+            end_ns = phases[k + 1][0] if k + 1 < len(phases) else first_ns + int(grid[-1]) + 1
+            start, stop = np.searchsorted(grid, [begin_ns - first_ns, end_ns - first_ns])
             return (int(start), int(stop)) if stop > start else None
     return None

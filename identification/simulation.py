@@ -116,14 +116,14 @@ def recorded_loop(robot: Robot) -> Loop:
         position_share=kp if cascade else np.ones(n),
         feedforward=0.0 if cascade or c.structure == "pd" else 1.0,
         saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
-        velocity_estimate=c.velocity_estimate,
+        velocity_estimate=c.velocity_estimate or "backward_difference",
         computed_torque=c.structure == "computed_torque",
     )
 
 
 def has_controller(controller: Controller) -> bool:
     """Whether a description states a control law, if only in part."""
-    keys = ("structure", "position_gain", "velocity_gain", "integral_gain")
+    keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain")
     return any(getattr(controller, key) is not None for key in keys)
 
 
