@@ -69,10 +69,11 @@ def _speed(joint: Joint, stamp_s: Vector, step_s: Vector, x: Vector, place: str)
     stated = joint.si("speed")
     most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
-    if len(step) < 2:
+    if len(step) < 4:
         return []
-    # White noise of deviation d has second differences of deviation sqrt(6) d, and their median is 0.67 of that.
-    noise = float(np.median(np.abs(np.diff(x, n=2)))) / (0.6745 * math.sqrt(6))
+    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; of motion
+    # next to nothing is left in them.
+    noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))
     beyond = np.maximum(step - NOISE_DEVIATIONS * noise, 0.0) / step_s
     k = int(np.argmax(beyond))
     speed = f"{_shown(joint, step[k] / step_s[k])}/s"

@@ -16,7 +16,7 @@ from . import IdentificationError
 Vector = NDArray[np.float64]
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
-LONGEST_GAP = 3.0  # periods between two samples
+LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -144,23 +144,23 @@ def _grid(stamps: NDArray[np.int64], path: Path) -> tuple[Vector, float, float]:
         raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
     steps = np.diff(stamps)
     period = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (steps > LONGEST_GAP * max(period, 1.0)))
+    bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
         raise IdentificationError(
             f"{path}: {bad.size} gap(s) in the samples, the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of "
             f"{steps[k] * 1e-6:.3f} ms; expected {period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that"
         )
-    since: Vector = (stamps - stamps[0]).astype(np.float64)
+    since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3
-    period = since[-1] / (len(stamps) - 1) if whole else float(steps[steps <= 1.5 * period].mean())
+    period = since[-1] / (len(stamps) - 1 if whole else np.rint(steps / period).sum())
     at = since / period
     nearest = np.arange(len(stamps)) if whole else np.rint(at)
     off = at - nearest
     off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
     if whole and off_grid <= ON_GRID:
         return since, round(1e9 / period, 6), off_grid
-    grid: Vector = period * np.arange(int(at[-1] + 1e-9) + 1)
+    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
     return grid, round(1e9 / period, 6), off_grid
 
 

@@ -67,7 +67,7 @@ def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     assert (fit.iv.reference, fit.iv.controller, fit.iv.start) == ("surrogate", "surrogate", "regular")
     assert any("not strictly exogenous" in text for text in fit.warnings)
     inertial = [i for i, name in enumerate(fit.base.names) if not name.startswith(("Fv", "Fc", "Off"))]
-    assert (np.abs(fit.beta - ls.beta)[inertial] < 2 * ls.estimate.sigma[inertial]).all()
+    assert (np.abs(fit.beta - ls.beta)[inertial] < 3 * np.fmax(ls.estimate.sigma, ls.sigma_hac)[inertial]).all()
     assert fit.iv.tests.first_stage_F > 10
 
 
@@ -109,7 +109,8 @@ def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
 
 def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
     signals, true = tx40_signals(Noise(encoder_step=1e-5, position=1.7e-5, effort_percent=3.0))
-    fit, ls = identify_iv(signals, RAW, Iteration()), identify_ls(signals, RAW)
+    fit = identify_iv(signals, RAW, Iteration())
+    ls = identify_ls(signals, dataclasses.replace(RAW, low_speed_percent=0.0))  # of all rows
     assert (fit.status, fit.iv.reference) == ("converged", "recorded")
     off = np.abs(fit.beta - true) / np.maximum(fit.sigma_hac, fit.estimate.sigma)
     assert (off < 3).mean() >= 58 / 60

@@ -95,9 +95,16 @@ def test_motor_side_goes_through_the_robots_rule(tmp_path: Path, two: Robot) -> 
 
 
 def test_joint_side_stands_as_it_is(tmp_path: Path, two: Robot) -> None:
+    """Where a joint has a zero, which would do nothing, it is refused."""
     table_map = MAP.replace("motor", "joint").replace("mA", "mN m") + '[reference]\ncolumns = ["p2", "p1"]\n'
     table_map += 'unit = ["deg", "rad"]\nside = "joint"\n'
-    result = run(tmp_path, two, table_map, csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT))
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    with pytest.raises(
+        AcquisitionError, match=r"position.side = 'joint': zero_deg of joint first in robot.toml would do nothing"
+    ):
+        run(tmp_path, two, table_map, table)
+    plain = robot_from_files({"robot.toml": ROBOT.replace("zero_deg = 90\n", "").encode()}, "plain.toml")
+    result = run(tmp_path, plain, table_map, table)
     samples = read_recording(result.out).samples
     assert samples is not None
     assert samples["position"] == pytest.approx(np.deg2rad(Q))

@@ -1,0 +1,121 @@
+"""Positions held against the description's limits: at import, at the decoding of logs, and at a fit."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from conftest import REPLAY, needs_data, robot_named
+
+from acquisition import AcquisitionError
+from acquisition.limits import held_against_limits
+from acquisition.robot import load_robot
+from acquisition.tables import import_tables
+from identification import IdentificationError
+from identification.idim import identify_ls
+from identification.plan import Overrides
+from identification.signals import Signals, load_signals
+
+T = np.arange(4000) / 1000
+ROBOT = robot_named("scara")
+TX40 = robot_named("tx40")
+
+
+def moving(n: int = 6) -> np.ndarray:
+    """All joints within their limits."""
+    return 0.5 * np.sin(2 * np.pi * 0.5 * T)[:, None] * np.ones(n)
+
+
+def refusal(q: np.ndarray, robot=TX40, t=T) -> str:
+    with pytest.raises(AcquisitionError) as caught:
+        held_against_limits(robot, t, q, "log")
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_what_a_robot_does_passes():
+    assert held_against_limits(TX40, T, moving(), "log") == ()
+    noisy = moving() + 5e-4 * np.random.default_rng(1).standard_normal(moving().shape)
+    assert held_against_limits(TX40, T, noisy, "log") == ()
+
+
+@pytest.mark.parametrize("speed_limit", [True, False])
+def test_a_jump_of_72_degrees_in_one_sample_is_refused(speed_limit):
+    robot = TX40
+    if not speed_limit:
+        joints = tuple(
+            type(j)(**{f: getattr(j, f) for f in j.__struct_fields__ if f != "speed_deg_s"}) for j in robot.joints
+        )
+        robot = dataclasses.replace(robot, joints=joints)
+    q = moving()
+    q[2000:, 2] += math.radians(72)
+    told = refusal(q, robot)
+    assert told.startswith("log: joint joint_3 jumps by ")
+    assert "2.000 s" in told
+    assert ("limit 430 deg/s" in told) == speed_limit
+    assert "a counter that wrapped" in told
+
+
+def test_degrees_read_as_radians_are_refused():
+    told = refusal(np.degrees(moving()))
+    assert "joint joint_1 at " in told
+    assert "limits -180 deg and 180 deg" in told
+    assert "degrees read as radians" in told
+    # A motion so small that it stays within the limits is too fast.
+    told = refusal(np.degrees(0.04 * np.sin(2 * np.pi * 2 * T)[:, None] * np.ones(6)))
+    assert "speed" in told
+    assert "degrees read as radians" in told
+
+
+@pytest.mark.parametrize(("over", "refused"), [(0.005, False), (0.1, False), (0.49, False), (0.51, True)])
+def test_a_position_beyond_its_limits_is_told_and_far_beyond_refused(over, refused):
+    low, high = TX40.joints[4].si("position")
+    q = moving()
+    q[:, 4] += high - 0.5 + over * (high - low)
+    if refused:
+        assert "joint joint_5 at" in refusal(q)
+    else:
+        told = held_against_limits(TX40, T, q, "log")
+        assert [text.split(" at ")[0] for text in told] == (["joint joint_5"] if over > 0.01 else [])
+
+
+@pytest.mark.parametrize(("factor", "told"), [(0.9, None), (1.5, "warned"), (2.9, "warned"), (3.2, "refused")])
+def test_a_speed_beyond_its_limit_is_told_and_far_beyond_refused(factor, told):
+    w, limit = 2 * np.pi * 4, TX40.joints[0].si("speed")
+    q = moving()
+    q[:, 0] = factor * limit / w * np.sin(w * T)
+    if told == "refused":
+        assert "joint joint_1 at" in refusal(q)
+    else:
+        assert bool(held_against_limits(TX40, T, q, "log")) == (told == "warned")
+
+
+def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    q = np.array(signals.q)
+    q[6000:, 0] += math.radians(72)
+    with pytest.raises(IdentificationError, match=r"session.mcap: joint shoulder jumps by 71.94 deg"):
+        identify_ls(dataclasses.replace(signals, q=q), Overrides())
+    limits = signals.robot.joints[0].si("position")
+    shifted: Signals = dataclasses.replace(
+        signals, q=signals.q + np.array([limits[1] + 0.2 - signals.q[:, 0].max(), 0])
+    )
+    assert any("joint shoulder at" in text and "limits" in text for text in identify_ls(shifted, Overrides()).warnings)
+
+
+def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps, tx40):
+    for path in (emps, tx40):
+        signals = load_signals(path)
+        held_against_limits(signals.robot, signals.t_s, signals.q, path.name)
+    folder, out = REPLAY / "emps", tmp_path / "out.mcap"
+    table_map = tmp_path / "map.toml"
+    text = (folder / "map.toml").read_text()
+    table_map.write_text(text.replace('unit = "m"', 'side = "motor"\nunit = "rad"'))
+    import_tables([needs_data("emps", "DATA_EMPS.mat")], load_robot(folder / "robot.toml"), table_map, out)
+    out.unlink()
+    wide = load_robot(folder / "robot.toml")
+    motor = type(wide.motors[0])(name="m", drive_gain=35.0, drive_gain_unit="N/V")
+    fast = dataclasses.replace(wide, motors=(motor,), R=np.array([[0.1]]))
+    with pytest.raises(AcquisitionError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
+        import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
+    assert not out.exists()
