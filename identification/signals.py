@@ -94,7 +94,7 @@ def load_signals(path: Path, robot: Robot | None = None) -> Signals:
             f"{path}: holds no joint samples; expected the channel /samples (`robot-acquire decode` makes it of frames)"
         )
     stamps = samples["stamp_ns"]
-    grid, rate_hz, off_grid = _grid(stamps, path)
+    grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     q, effort = (_at(grid, stamps, samples[name]) for name in ("position", "effort"))
     reference = _at(grid, stamps, samples["reference"]) if "reference" in (samples.dtype.names or ()) else None
     if robot is not None and robot.n == recording.robot.n:
@@ -135,10 +135,11 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
                 )
 
 
-def _grid(stamps: NDArray[np.int64], path: Path) -> tuple[Vector, float, float]:
+def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Vector, float, float]:
     """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
 
-    The grid is the stamps themselves where they lie on one. Refuses gaps over three periods and time that does not grow.
+    The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
+    theirs within 10 %. Refuses gaps over three periods and time that does not grow.
     """
     if len(stamps) < 2:
         raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
@@ -153,7 +154,10 @@ def _grid(stamps: NDArray[np.int64], path: Path) -> tuple[Vector, float, float]:
         )
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3
-    period = since[-1] / (len(stamps) - 1 if whole else np.rint(steps / period).sum())
+    if whole:
+        period = float(since[-1]) / (len(stamps) - 1)
+    else:
+        period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
     at = since / period
     nearest = np.arange(len(stamps)) if whole else np.rint(at)
     off = at - nearest
