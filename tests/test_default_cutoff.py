@@ -78,7 +78,6 @@ FIGURES = {("scara", "ls"): 0.03, ("scara", "iv"): 0.03, ("tx40", "ls"): 0.02, (
 QUICK = {("tx40", "iv"): 2, ("scara", "iv"): 6}
 
 
-@pytest.mark.xfail(strict=False, reason="MATLAB's edge rule at the default cut-off; slow rows in least squares")
 @pytest.mark.parametrize(("name", "method"), FIGURES)
 def test_the_default_cutoff_is_as_good_as_the_next(name, method, request):
     whole = request.config.getoption("--benchmark-enable")
