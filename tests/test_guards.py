@@ -1,0 +1,351 @@
+"""Each guard provoked in motion on both sides of its limit, and every fault in every phase."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from dry_sessions import Outcome, Through, dry_session
+from made_up_buses import bus_text, robot_of
+
+import acquisition.pacing as pacing
+from acquisition.cia402 import State
+from acquisition.drive_reports import error_words, status_words
+from acquisition.guards import SPEED_MARGIN
+from acquisition.session import Ending, Plan, Stop
+from acquisition.simulated_drives import SimulatedFault
+from acquisition.simulated_node import SimulatedNode
+
+REST = Plan(reference=np.zeros((151, 2)))  # 0.3 s
+PERIOD_S = 0.002
+LIMIT = np.radians(200)  # rad/s
+BEGIN_S = 0.25  # after the brakes opened: in the track phase
+
+
+class Scripted:
+    """Joint 1 goes where it likes once the brakes are open, whatever its drive does: `where(t)` rad after BEGIN_S."""
+
+    def __init__(self, where: Callable[[float], float]) -> None:
+        self.where, self.t = where, 0.0
+
+    def state(self):
+        q = self.where(self.t - BEGIN_S) if self.t > BEGIN_S else 0.0
+        return np.array([q, 0.0]), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        self.t += 0.0 if held.any() else duration_s
+
+
+def there_and_back(height: float, speed: float) -> Callable[[float], float]:
+    """Up to a height at a speed, and at the same speed back to 0."""
+    top_s = abs(height / speed)
+    return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
+
+
+def run(path, where, *, text: str = "") -> Outcome:
+    text = text or bus_text(2)
+    return dry_session(path, REST, robot=robot_of(text), plant=Scripted(where))
+
+
+def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
+    return (
+        bus_text(2)
+        .replace("position_deg = [-150, 150]", f"position_deg = {position}", 1)
+        .replace("following_error_deg = 5", f"following_error_deg = {following}", 1)
+    )
+
+
+def outcome_of(tmp_path, where, text) -> str:
+    outcome = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
+    assert outcome.drives.all_disabled
+    assert outcome.ending.all_disabled
+    assert outcome.ending.fault is (outcome.ending.reason != "finished")
+    return outcome.ending.reason
+
+
+def test_over_speed_in_both_directions(tmp_path):
+    text = with_limits()
+    within, beyond = 0.99 * SPEED_MARGIN * LIMIT, 1.01 * SPEED_MARGIN * LIMIT
+    assert SPEED_MARGIN == 1.2
+    # There and back: both directions.
+    assert outcome_of(tmp_path, there_and_back(0.1, within), text) == "finished"
+    told = "joint_1: speed 4.231 rad/s: expected 3.491 at most"
+    assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == told
+    assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == told
+
+
+def test_both_ends_of_the_range(tmp_path):
+    text = with_limits(position="[-10, 20]")
+    low, high = np.radians([-10, 20])
+    up, down = there_and_back(0.999 * high, 3.0), there_and_back(0.999 * low, 3.0)
+    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.24 else down(t - 0.24), text) == "finished"
+    for beyond in (high, low):
+        reason = outcome_of(tmp_path, there_and_back(1.05 * beyond, 3.0), text)
+        value = float(reason.removeprefix("joint_1: position ").split()[0])
+        assert 1.0 < value / beyond < 1.05
+        assert reason.endswith("rad: expected -0.1745 to 0.3491")
+
+
+def test_following_errors_of_both_signs(tmp_path):
+    text = with_limits(following=1.0)
+    largest = np.radians(1.0)
+    up, down = there_and_back(0.99 * largest, 1.0), there_and_back(-0.99 * largest, 1.0)
+    assert outcome_of(tmp_path, lambda t: up(t) if t < 0.04 else down(t - 0.04), text) == "finished"
+    for sign in (1, -1):
+        reason = outcome_of(tmp_path, there_and_back(sign * 1.15 * largest, 1.0), text)
+        assert reason.startswith("joint_1: following error 0.01")
+        assert reason.endswith("rad: expected 0.01745 at most")
+
+
+@pytest.mark.parametrize("bit", [0x0200, 0x1000])
+def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
+    words = {0x0200: "does not obey the bus (statusword bit 9, remote, is 0)", 0x1000: "(statusword bit 12 is 0)"}
+
+    def with_clear(sync: int, count: int) -> str:
+        fault = SimulatedFault(kind="clear", node=2, sync=sync, count=count, bits=bit)
+        outcome = dry_session(tmp_path / f"{sync}_{count}.mcap", REST, faults=[fault])
+        assert outcome.drives.all_disabled
+        return outcome.ending.reason
+
+    assert with_clear(60, 2) == "finished"
+    reason = with_clear(60, 3)
+    assert reason.startswith("node 2 (motor_2): does not")
+    assert reason.endswith(f"{words[bit]} for 3 SYNC")
+    assert with_clear(1, 10_000) == "finished"  # a drive that never sets it does not know it
+
+
+def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
+    plain = SimulatedNode.statusword.fget
+    monkeypatch.setattr(SimulatedNode, "statusword", property(lambda node: plain(node) | (node.drive.node == 2) << 11))
+    outcome = dry_session(tmp_path / "a.mcap", REST)
+    assert outcome.ending.reason == "finished"
+    assert outcome.events("mark") == ["node 2 (motor_2): internal limit active"]
+
+
+def test_the_bits_of_a_statusword_in_words():
+    """Bits by CiA 402-2, 6041h."""
+    assert status_words(0x0237) == "operation enabled"
+    assert status_words(0x0237 | 1 << 7) == "operation enabled, warning"
+    assert status_words(0x0237 | 1 << 11) == "operation enabled, internal limit active"
+    assert status_words(0x0237 | 1 << 13) == "operation enabled, following error"
+    assert status_words(0x0037) == "operation enabled, not remote: the controlword is ignored"
+    assert status_words(0x0227) == "operation enabled, no voltage on the power stage"
+    assert status_words(0x0218) == "fault"
+    assert status_words(0x0216) == "statusword 0x0216, no state of CiA 402"
+
+
+def test_error_codes_by_name():
+    """CiA 301, table of emergency error codes; CiA 402-2."""
+    assert error_words(0x2310) == "0x2310 (continuous over current)"
+    assert error_words(0x8611) == "0x8611 (following error)"
+    assert error_words(0x8130) == "0x8130 (lost heartbeat or life guard)"
+    assert error_words(0x4299) == "0x4299 (device temperature)"
+    assert error_words(0xFF01) == "0xFF01 (device specific)"
+    assert error_words(0x0000) == "0x0000"
+
+
+@dataclass(kw_only=True)
+class Deaf(Through):
+    """Heartbeats of node 1 do not arrive for a while."""
+
+    lost: int = 0
+    count: int = 0
+
+    def receive(self, until_ns):
+        while True:
+            frame = super().receive(until_ns)
+            if frame is None or frame.can_id != 0x701 or frame.data != b"\x05":
+                return frame
+            self.count += 1
+            if not 2 <= self.count < 2 + self.lost:
+                return frame
+
+
+@pytest.mark.parametrize(("lost", "fault"), [(1, False), (3, True)])
+def test_a_heartbeat_is_lost_after_three_periods(tmp_path, lost, fault):
+    """Every 0.1 s: 0.2 s without one are none, 0.3 s are one, at once."""
+
+    @dataclass(kw_only=True)
+    class Here(Deaf):
+        def __post_init__(self):
+            self.lost = lost
+
+    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=np.zeros((301, 2))), through=Here)
+    assert outcome.ending.fault is fault
+    assert outcome.drives.all_disabled
+    if fault:
+        assert outcome.ending.reason == "node 1 (motor_1): heartbeat lost for 0.30 s"
+
+
+@pytest.mark.parametrize(("count", "fault"), [(2, False), (3, True)])
+def test_three_syncs_in_a_row_may_not_stay_unanswered(tmp_path, count, fault):
+    gone = SimulatedFault(kind="missing", node=1, sync=60, count=count)
+    outcome = dry_session(tmp_path / "a.mcap", REST, faults=[gone])
+    assert outcome.ending.fault is fault
+    assert outcome.drives.all_disabled
+
+
+@dataclass(kw_only=True)
+class Counting(Through):
+    """Counts the SYNCs that the session sends."""
+
+    syncs: int = 0
+
+    def send(self, can_id, data):
+        self.syncs += can_id == 0x80
+        super().send(can_id, data)
+
+
+def stalling(at_sync: int, for_s: float) -> type[Through]:
+    @dataclass(kw_only=True)
+    class Stalling(Counting):
+        """The session does not run for a while; simulated time goes on."""
+
+        done: bool = False
+
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            if not self.done and self.syncs == at_sync and frame is None:  # the next SYNC is due now
+                self.done = True
+                self.link._time_ns = until_ns + round(for_s * 1e9)
+            return frame
+
+    return Stalling
+
+
+@pytest.mark.parametrize(
+    ("extra", "for_s", "fault"),
+    [
+        ("", 0.018, False),
+        ("", 0.022, True),
+        ("", 2.0, True),
+        ("late_sync_s = 0.005", 0.0035, False),
+        ("late_sync_s = 0.005", 0.0065, True),
+    ],
+)
+def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
+    robot = robot_of(bus_text(2, extra=extra))
+    outcome = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
+    assert outcome.ending.fault is fault
+    assert outcome.drives.all_disabled
+    assert outcome.ending.all_disabled
+    frames = outcome.recording.frames["test"]
+    longest_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]).max() * 1e-9
+    assert for_s - 0.003 < longest_s < for_s + 0.006  # the gap stands in the recording
+    if fault:
+        assert outcome.ending.reason.startswith("SYNC ")
+        assert "late in motion: expected 0.0" in outcome.ending.reason
+    if for_s == 2.0:
+        assert outcome.ending.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
+
+
+def test_a_slow_sync_may_be_three_periods_late():
+    """With SYNC every 10 ms the bound is 30 ms."""
+    from acquisition.master import Master
+    from acquisition.pacing import Pace
+
+    class Bare:
+        t = 0
+
+        def now_ns(self):
+            return self.t
+
+        def send(self, can_id, data):
+            pass
+
+        def receive(self, until_ns):
+            self.t = max(self.t, until_ns)
+
+    from made_up_buses import bus_of
+
+    link = Bare()
+    pace = Pace(Master(link, bus_of(robot_of(bus_text(1, period_s=0.01)))))
+    pace.start()
+    for late_ms, refused in ((0, False), (29, False), (31, True)):
+        link.t = pace.next_ns + late_ms * 1_000_000
+        if refused:
+            with pytest.raises(Exception, match=r"SYNC 0.031 s late in motion: expected 0.03 s at most"):
+                pace.sync(in_motion=True)
+            pace.sync(in_motion=False)
+        else:
+            pace.sync(in_motion=True)
+
+
+def test_a_clock_that_is_set_is_called_that(tmp_path, monkeypatch):
+    real = pacing.time.time_ns
+    shift = [0]
+
+    class Clocked:
+        time_ns = staticmethod(lambda: real() + shift[0])
+        monotonic_ns = staticmethod(pacing.time.monotonic_ns)
+
+    monkeypatch.setattr(pacing, "time", Clocked)
+
+    @dataclass(kw_only=True)
+    class Setting(Counting):
+        def receive(self, until_ns):
+            if self.syncs > 170:
+                shift[0] = -3_600_000_000_000
+            return super().receive(until_ns)
+
+    outcome = dry_session(tmp_path / "a.mcap", REST, through=Setting)
+    assert outcome.ending.reason == "finished"
+    assert [t for t in outcome.events("warning") if "clock" in t] == [
+        "this computer's clock was set by -3.6e+03 s: the receive times of frames jump by that"
+    ]
+
+
+def test_ctrl_c_again_is_a_quick_stop(tmp_path):
+    stop = Stop()
+
+    @dataclass(kw_only=True)
+    class Impatient(Counting):
+        def receive(self, until_ns):
+            if self.syncs > 170:
+                stop.reason = "stopped by SIGINT"
+            if self.syncs > 190:
+                stop.at_once = True
+            return super().receive(until_ns)
+
+    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
+    assert outcome.ending.fault
+    assert outcome.ending.reason == "stopped by SIGINT, then told again: quick stop"
+    assert outcome.ending.all_disabled
+    assert outcome.drives.all_disabled
+
+
+PHASES = ("enable", "approach", "track", "stop", "disable")
+SHORT = Plan(reference=np.zeros((51, 2)))  # 0.1 s
+
+
+@pytest.fixture(scope="module")
+def sync_of(tmp_path_factory) -> dict[str, int]:
+    """A SYNC early in each phase, counted from 1."""
+    outcome = dry_session(tmp_path_factory.mktemp("phases") / "a.mcap", SHORT)
+    frames = outcome.recording.frames["test"]
+    syncs = frames["time_ns"][frames["can_id"] == 0x80]
+    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
+    return {phase: int(np.sum(syncs < stamps[phase])) + 2 for phase in PHASES}
+
+
+@pytest.mark.parametrize("phase", PHASES)
+@pytest.mark.parametrize("kind", ["emergency", "silent", "reset", "deaf"])
+def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):
+    fault = SimulatedFault(kind=kind, node=1, sync=sync_of[phase], count=10_000 if kind == "deaf" else 1)
+    outcome = dry_session(tmp_path / "a.mcap", SHORT, faults=[fault])
+    assert outcome.events("phase")[-1] == phase
+    assert outcome.drives.all_disabled
+    ending = outcome.ending
+    assert ending.fault
+    assert outcome.events("fault") == [ending.reason]
+    assert ending.unconfirmed == ((1,) if kind == "silent" else ())
+    assert [isinstance(told, Ending) for told in outcome.announced] == [True]
+    assert outcome.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
+    if kind == "emergency":
+        report = "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 (continuous over current)"
+        assert ending.reports[0].startswith(report)
+        assert outcome.events("mark") == list(ending.reports)
+    assert outcome.drives.states[1] is not State.OPERATION_ENABLED
