@@ -7,11 +7,13 @@ The flow::
     tables, CAN logs ──tables, conversions────────────────────────┘
 
 - what is there: ``description`` (TOML), ``robot``, ``bus_description``; ``drives`` resolves it with ``object_dictionary``
+  and ``extra_objects``
 - protocol without I/O: ``cia402`` (states, raw integers to SI), ``sdo``, ``pdo``, ``error_frames``
 - the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``;
   ``listening`` tells who is there before anything is sent
 - the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
-  ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs;
+  ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs
+  and ``sync_times``;
   ``overview`` sums up
 - without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
 - from elsewhere and to elsewhere: ``tables`` with ``table_files`` and ``mat_files``, ``conversions`` with ``can_logs``;

@@ -150,6 +150,8 @@ def _record(arguments: argparse.Namespace) -> None:
         raise AcquisitionError(f"{arguments.output}: ended by a fault: {ending.reason}")
     if ending.alarm:
         raise AcquisitionError(f"{arguments.output}: {ending.alarm}")
+    if recorded.no_samples:
+        raise AcquisitionError(f"no samples, the frames are kept: {recorded.no_samples}")
 
 
 def _announce(ending: "Ending") -> None:

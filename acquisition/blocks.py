@@ -29,10 +29,14 @@ class Gap:
     missing: int
 
 
-def sample_dtype(n: int, *, reference: bool) -> np.dtype[np.void]:
-    """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,)."""
+def sample_dtype(n: int, *, reference: bool, extra: int = 0) -> np.dtype[np.void]:
+    """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
+
+    `extra` further values of drives stand in the field `extra` (extra,), named by `extra_objects.extra_columns`.
+    """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
-    return np.dtype(fields + ([("reference", "<f8", (n,))] if reference else []))
+    fields += [("reference", "<f8", (n,))] if reference else []
+    return np.dtype(fields + ([("extra", "<f8", (extra,))] if extra else []))
 
 
 def gaps(samples: Block, sample_rate_hz: float) -> tuple[Gap, ...]:

@@ -3,6 +3,7 @@
 `drives` resolves it with the object dictionaries. The README explains every key.
 """
 
+import math
 import re
 from typing import Annotated, Literal
 
@@ -29,6 +30,15 @@ class PdoFile(Table, frozen=True):
     number: PdoNumber | None = None
 
 
+class ExtraFile(Table, frozen=True):
+    """A further object in the samples; `scale` (per raw unit) and `unit` where the standard's are not meant."""
+
+    object: ObjectName
+    name: Word | None = None
+    scale: float | None = None
+    unit: Annotated[str, msgspec.Meta(max_length=16)] | None = None
+
+
 class DriveFile(Table, frozen=True):
     """One `[[bus.drive]]`, in the order of the motors.
 
@@ -44,6 +54,7 @@ class DriveFile(Table, frozen=True):
         sign, effort_sign: -1 where the drive counts against the motor of the description; the second follows the first.
         mapping: where the PDOs stand: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
         tpdo, rpdo: PDOs from and to the drive; status, position, effort and control, target where left out.
+        extra: further objects in the samples, such as `606C`.
     """
 
     node: Node
@@ -70,6 +81,7 @@ class DriveFile(Table, frozen=True):
     mapping: Literal["table", "dictionary", "traffic"] = "table"
     tpdo: tuple[PdoFile, ...] = ()
     rpdo: tuple[PdoFile, ...] = ()
+    extra: tuple[ObjectName | ExtraFile, ...] = ()
 
 
 class BusFile(Table, frozen=True):
@@ -141,6 +153,11 @@ def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
         for word in ("rated_current_unit", "rated_torque_unit"):
             if getattr(drive, word) not in RATED_UNITS:
                 refuse(f"{key}.{word}", getattr(drive, word), f"one of {', '.join(RATED_UNITS)}")
+        for k, extra in enumerate(drive.extra):
+            if isinstance(extra, ExtraFile) and extra.scale is not None and not 0 < abs(extra.scale) < math.inf:
+                refuse(f"{key}.extra[{k}].scale", extra.scale, "a number other than 0")
+            if isinstance(extra, ExtraFile) and extra.unit is not None and extra.scale is None:
+                refuse(f"{key}.extra[{k}].unit", extra.unit, "a scale beside it")
         if (drive.counts_per_turn is None) == (drive.counts_per_m is None):
             refuse(f"{key}.counts_per_turn", drive.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
         if drive.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", drive.dictionary):

@@ -13,6 +13,7 @@ from .bus import Frame, block_of
 from .can_logs import SUFFIXES, read_log
 from .decoding import Decoded, decode, written_by_master
 from .drives import resolve
+from .extra_objects import extra_columns
 from .limits import held_against_limits
 from .recording import RecordingWriter, read_recording
 from .robot import Robot
@@ -106,7 +107,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
 
 
 def export_csv(path: Path, out: Path) -> int:
-    """Joint samples of a recording as CSV: `time_s`, then position, effort and reference of each joint; rows written."""
+    """Joint samples of a recording as CSV: `time_s`, then position, effort, reference of each joint, and extra objects."""
     recording = read_recording(path)
     samples, robot = recording.samples, recording.robot
     if samples is None:
@@ -115,11 +116,16 @@ def export_csv(path: Path, out: Path) -> int:
         )
     columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
     names = ["time_s"]
-    for field in (samples.dtype.names or ())[1:]:
+    fields = samples.dtype.names or ()
+    for field in (field for field in fields if field not in ("stamp_ns", "extra")):
         for i, joint in enumerate(robot.joints):
             unit = robot.effort_units[i] if field == "effort" else joint.position_unit
             names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
             columns.append(samples[field][:, i])
+    if "extra" in fields:
+        for k, column in enumerate(extra_columns(robot)):
+            names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
+            columns.append(samples["extra"][:, k])
     with whole_file(out) as partial:
         np.savetxt(partial, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.17g")
     return len(samples)

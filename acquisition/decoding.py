@@ -1,7 +1,7 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC, whenever its PDO arrives. SYNC frames are counted; a sample's time is its SYNC's index times the
-period, laid through the receive times of all SYNCs. `association` tells which PDO answers which SYNC.
+A drive samples at SYNC, whenever its PDO arrives, so a sample's time is that of its SYNC: `sync_times` has it, and
+`association` tells which PDO answers which SYNC.
 """
 
 from collections.abc import Mapping
@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 
 from . import AcquisitionError
 from .association import answers, sync_steps
-from .blocks import ERROR, EXTENDED, FRAME, REMOTE, Block, sample_dtype
+from .blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block, sample_dtype
 from .cia402 import ObjectEntry
 from .drives import Bus
 from .pdo import PARAMETERS, Pdo
 from .robot import Robot
 from .sdo import REQUEST, request_of
+from .sync_times import SyncTimes, sync_times
 
 Ints = NDArray[np.int64]
 
 _DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
+LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
+FEWEST_SYNCS = 10  # with fewer nothing is said of their period
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
 
@@ -45,8 +48,8 @@ class Decoded:
         samples: rows of `sample_dtype`; SYNCs that a drive did not answer are left out.
         raw: (N, n, 2) position counts and effort integers of the same rows, as the drives sent them.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that drives answered but that were not recorded.
-        period_s: between SYNCs, fitted to their receive times.
-        jitter_s: standard deviation and worst deviation of the receive times from the fit.
+        period_s: between SYNCs, pauses left out.
+        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
         warnings: what a user should look at.
     """
 
@@ -74,7 +77,8 @@ class Decoded:
 def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     """Joint samples out of the frames of one channel, in the order in which they were received.
 
-    Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, or too few samples remain.
+    Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, too few samples remain, or
+    SYNC came at another period than the description's.
     """
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
     ids = np.where(plain, frames["can_id"], 0xFFFFFFFF).astype(np.uint32)
@@ -97,10 +101,14 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
                 f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
                 "expected the drive's answers to SYNC; is it mapped and started?"
             )
-    times = frames["time_ns"][sync_rows]
-    steps = sync_steps(frames[sync_rows], times, list(rows.values()), before, frames)
+    syncs, times = frames[sync_rows], frames["time_ns"][sync_rows]
+    steps = sync_steps(syncs, times, list(rows.values()), before, frames)
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])  # grid index of each SYNC frame
     grid = int(index_of[-1]) + int(steps[-1])
+    ours = bool((syncs["flags"] & SENT).all())
+    clock = sync_times(times, index_of, grid, ours=ours, nominal_ns=bus.period_ns)
+    if len(times) >= FEWEST_SYNCS:
+        _refuse_period(clock.period_s, bus, place)
 
     slots, counts = {}, []
     for pdo, name in carriers.items():
@@ -135,7 +143,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
             raw[k, i] = _integers(frames, slot if everywhere else slot[answered], carrier, entry)
         counts_on[i], wraps = unwrapped(raw[0, i], drive.position.bits)
         if len(wraps):
-            first_s = (answered[wraps[0]] - answered[0]) * bus.file.sync_period_s
+            first_s = (clock.stamps[answered[wraps[0]]] - clock.stamps[answered[0]]) * 1e-9
             wrapped.append(
                 f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
                 "positions go on from there"
@@ -143,9 +151,13 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         motor[0, :, i], motor[1, :, i] = drive.position_codec.si(counts_on[i]), drive.effort.si(raw[1, i])
     q, effort = robot.joint_position(motor[0]), robot.joint_effort(motor[1])
     reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q, counts_on)
-    stamps, period_s, jitter_s = _clock(times, index_of, bus.period_ns)
-    samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None))
-    samples["stamp_ns"] = stamps + answered * bus.period_ns
+    extras = [(drive, extra) for drive in bus.drives for extra in drive.extras]
+    samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None, extra=len(extras)))
+    samples["stamp_ns"] = clock.stamps[answered]
+    for k, (drive, extra) in enumerate(extras):
+        carrier = drive.carrier(extra.entry, "tpdo")
+        assert carrier is not None
+        samples["extra"][:, k] = extra.si(_integers(frames, slots[carrier.can_id][answered], carrier, extra.entry))
     samples["position"], samples["effort"] = q, effort
     if reference is not None:
         samples["reference"] = reference
@@ -156,17 +168,17 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         pdos=tuple(counts),
         syncs=len(sync_rows),
         syncs_lost=lost,
-        period_s=period_s,
-        jitter_s=jitter_s,
-        warnings=(*bus.warnings, *wrapped, *_warnings(counts, lost, period_s, jitter_s, bus, len(answered), answered)),
+        period_s=clock.period_s,
+        jitter_s=clock.jitter_s,
+        warnings=(*bus.warnings, *wrapped, *_warnings(counts, lost, clock, bus, answered)),
     )
 
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
-    """PDOs that hold positions and efforts, and whose they are."""
+    """PDOs that hold positions, efforts and extra objects, and whose they are."""
     found = {}
     for drive in bus.drives:
-        for entry in (drive.position, drive.effort.entry):
+        for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
             pdo = drive.carrier(entry, "tpdo")
             if pdo is not None:
                 found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
@@ -236,47 +248,41 @@ def _reference(
     return np.where(known[:, None], robot.joint_position(motors), q) if known.any() else None
 
 
-def _clock(times: Ints, index_of: Ints, period_ns: int) -> tuple[int, float, tuple[float, float]]:
-    """Time in ns of the grid's first SYNC, fitted period in s, and jitter about the fit in s."""
-    since = (times - times[0]).astype(np.float64)
-    k = index_of - index_of.mean()
-    slope = float(k @ since / (k @ k))
-    deviation = since - since.mean() - slope * k
-    measured = abs(slope / period_ns - 1) < 0.01
-    # A clock that is plainly another one (slow simulation) says nothing about where the grid begins.
-    offset = float(np.mean(since - index_of * period_ns)) if measured else 0.0
-    return (
-        int(times[0]) + round(max(offset, -float(times[0]))),
-        slope * 1e-9,
-        (
-            float(deviation.std()) * 1e-9,
-            float(np.abs(deviation).max()) * 1e-9,
-        ),
-    )
+def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
+    """Refuse a SYNC period that is not the described one: every rate and filter would follow the description."""
+    stated_s = bus.file.sync_period_s
+    if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
+        raise AcquisitionError(
+            f"{place}: SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml: expected "
+            f"{measured_s:.3g}; `robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap` makes samples of "
+            "recorded frames"
+        )
 
 
-def _warnings(
-    counts: list[PdoCount],
-    lost: int,
-    period_s: float,
-    jitter_s: tuple[float, float],
-    bus: Bus,
-    samples: int,
-    answered: Ints,
-) -> list[str]:
+def _warnings(counts: list[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Ints) -> list[str]:
     found = []
     nominal_s = bus.file.sync_period_s
-    if abs(period_s / nominal_s - 1) > 0.01:
-        found.append(f"SYNC came every {period_s * 1e3:.4g} ms: expected {nominal_s * 1e3:g} ms as robot.toml says")
-    elif jitter_s[1] > 0.5 * nominal_s:
+    at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
+    for k, by_s in clock.set_back:
+        found.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: times go on as if it had not been")
+    if abs(clock.period_s / nominal_s - 1) > 0.01:
+        expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
+        found.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
+    if len(clock.pauses):
+        longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
         found.append(
-            f"a SYNC came {jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
+            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
+            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
+        )
+    elif clock.jitter_s[1] > 0.5 * nominal_s:
+        found.append(
+            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
         )
     if lost:
         found.append(f"{lost} SYNC were answered but not recorded")
-    gaps = int(answered[-1] - answered[0] + 1 - samples)
-    if gaps:
-        found.append(f"{gaps} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+    missing = int(answered[-1] - answered[0] + 1 - len(answered))
+    if missing:
+        found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
     for count in counts:
         told = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
         if told:

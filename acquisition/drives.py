@@ -20,6 +20,7 @@ from .cia402 import (
     ObjectEntry,
     PositionCodec,
 )
+from .extra_objects import ExtraObject, extra_object
 from .object_dictionary import ObjectDictionary, load_dictionary
 from .pdo import HIGHEST_CAN_ID, LOWEST_CAN_ID, Pdo, bus_load, pdos_of, usual_can_id
 from .robot import Motor, Robot
@@ -42,6 +43,7 @@ class Drive:
         effort: codec of what samples hold: the reference, or the actual value where no reference is described.
         rated: raw values that objects of the drive must have, by index.
         tpdos, rpdos: from the drive, to the drive.
+        extras: further objects in the samples.
         dictionary: None where objects are written out.
         speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
             None where one of them states none.
@@ -58,6 +60,7 @@ class Drive:
     rated: Mapping[int, int]
     tpdos: tuple[Pdo, ...]
     rpdos: tuple[Pdo, ...]
+    extras: tuple[ExtraObject, ...]
     dictionary: ObjectDictionary | None
     speed_limit: float | None = None
     acceleration_limit: float | None = None
@@ -116,13 +119,17 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     _refuse_pdos(bus, place)
     for i in range(robot.n):
         _refuse_counts(robot, i, robot.bus.drive[i], f"{place}: bus.drive[{i}]")
+    return bus
+
+
+def refuse_load(bus: Bus, place: str) -> None:
+    """Refuse PDOs in both directions that do not fit between two SYNCs; for sessions that send, not for listeners."""
     if bus.load > LARGEST_LOAD:
-        fastest_s = bus.load * robot.bus.sync_period_s / LARGEST_LOAD
+        fastest_s = bus.load * bus.file.sync_period_s / LARGEST_LOAD
         raise AcquisitionError(
-            f"{place}: bus.sync_period_s = {robot.bus.sync_period_s:g}: {bus.load:.0%} of {robot.bus.bitrate} bit/s: "
+            f"{place}: bus.sync_period_s = {bus.file.sync_period_s:g}: {bus.load:.0%} of {bus.file.bitrate} bit/s: "
             f"expected {LARGEST_LOAD:.0%} at most: {fastest_s:.2g} s or longer, or fewer PDOs"
         )
-    return bus
 
 
 def refuse_out_of_range(path: NDArray[np.float64], robot: Robot, bus: Bus, place: str) -> None:
@@ -237,8 +244,13 @@ def _drive(
     for key, found in (("position", position), ("target", target)):
         if found.type != POSITION_TYPE:
             raise AcquisitionError(f"{place}.{key} = {getattr(file, key)!r}: is {found.type}: expected {POSITION_TYPE}")
+    extras = tuple(
+        extra_object(e, entry(f"extra[{k}]", e if isinstance(e, str) else e.object), file, motor, place)
+        for k, e in enumerate(file.extra)
+    )
     if file.mapping == "table":
-        default = {"tpdo": (status, position, effort.entry), "rpdo": (control, target)}
+        measured = dict.fromkeys((status, position, effort.entry, *(extra.entry for extra in extras)))
+        default = {"tpdo": tuple(measured), "rpdo": (control, target)}
         pdos = {way: _pdos(way, getattr(file, way), default[way], file.node, entry, place) for way in default}
     else:
         source: Values = {}
@@ -263,9 +275,10 @@ def _drive(
         rated=_rated(file),
         tpdos=pdos["tpdo"],
         rpdos=pdos["rpdo"],
+        extras=extras,
         dictionary=dictionary,
     )
-    for needed in (position, effort.entry):
+    for needed in (position, effort.entry, *(extra.entry for extra in extras)):
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
             raise AcquisitionError(
                 f"{place}.mapping: no PDO from the drive carries {needed}: expected one ({file.mapping})"

@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.segment import Segment
 from rich.table import Table
@@ -11,6 +12,7 @@ from rich.text import Text
 
 from . import one_line
 from .blocks import SENT, Gap, gaps
+from .extra_objects import extra_columns
 from .recording import Event, Health, Recording
 
 _SHOWN = 20  # gaps and events in the tables; the JSON has all
@@ -28,6 +30,16 @@ class JointRange:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ExtraRange:
+    """Lowest and highest value of an extra object of a motor's drive; an empty `unit` is that of raw integers."""
+
+    motor: str
+    name: str
+    unit: str
+    value: tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
 class FrameCount:
     """Frames on one CAN channel, those of them sent by us, and the seconds they span."""
 
@@ -41,6 +53,7 @@ class FrameCount:
 class Overview:
     """What `robot-acquire info` tells; plain data. Stamps are the recording's; tables tell them from `first_ns` on.
 
+    `step_jitter_s` is the standard deviation and the worst deviation of the steps between samples, gaps left out.
     `first_ns` is the stamp of the first sample, of the first frame where there are no samples, None without either.
     """
 
@@ -55,6 +68,8 @@ class Overview:
     first_ns: int | None
     has_reference: bool
     joints: tuple[JointRange, ...]
+    extras: tuple[ExtraRange, ...]
+    step_jitter_s: tuple[float, float]
     effort_provenance: str
     gaps: tuple[Gap, ...]
     frames: tuple[FrameCount, ...]
@@ -94,6 +109,8 @@ def overview(recording: Recording) -> Overview:
         first_ns=min(firsts, default=None),
         has_reference=samples is not None and "reference" in (samples.dtype.names or ()),
         joints=tuple(joints),
+        extras=_extras(recording),
+        step_jitter_s=(0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         effort_provenance=recording.metadata.get("effort_provenance", ""),
         gaps=() if samples is None else gaps(samples, recording.sample_rate_hz),
         frames=tuple(
@@ -112,6 +129,26 @@ def overview(recording: Recording) -> Overview:
     )
 
 
+def _extras(recording: Recording) -> tuple[ExtraRange, ...]:
+    samples = recording.samples
+    if samples is None or "extra" not in (samples.dtype.names or ()):
+        return ()
+    return tuple(
+        ExtraRange(motor=c.motor, name=c.name, unit=c.unit, value=(float(column.min()), float(column.max())))
+        for c, column in zip(extra_columns(recording.robot), samples["extra"].T, strict=True)
+    )
+
+
+def _step_jitter(stamps: NDArray[np.int64]) -> tuple[float, float]:
+    """Standard deviation and worst deviation of the steps between samples from the usual one, gaps left out; s."""
+    steps = np.diff(stamps).astype(np.float64)
+    if not len(steps):
+        return 0.0, 0.0
+    off = steps - np.median(steps)
+    off = off[np.abs(off) <= 0.5 * np.median(steps)]
+    return float(np.sqrt(np.mean(off**2))) * 1e-9, float(np.abs(off).max()) * 1e-9
+
+
 def as_tables(found: Overview) -> Group:
     """The overview for a terminal. Texts from the file are shown as plain text, without control characters."""
     facts = _table()
@@ -124,6 +161,11 @@ def as_tables(found: Overview) -> Group:
             low_high = [f"{value:.5g}" for value in (*j.position, *j.effort)]
             joints.add_row(_plain(j.name), *low_high[:2], j.position_unit, *low_high[2:], j.effort_unit)
         parts.append(joints)
+    if found.extras:
+        extras = _table("motor", "object", "value", "", "unit")
+        for e in found.extras:
+            extras.add_row(_plain(e.motor), _plain(e.name), *(f"{v:.5g}" for v in e.value), _plain(e.unit))
+        parts.append(extras)
     since = "at, s" if found.first_ns is None else f"s from the first {'sample' if found.samples else 'frame'}"
     if found.gaps:
         holes = _table("gap after row", since, "samples missing")
@@ -168,6 +210,8 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
         yield "samples", f"{found.samples} at {found.sample_rate_hz:g} Hz, {found.duration_s:g} s, {reference}"
         missing = sum(gap.missing for gap in found.gaps)
         yield "gaps", f"{len(found.gaps)}, {missing} samples missing" if found.gaps else "none"
+        sd, worst = (1e3 * value for value in found.step_jitter_s)
+        yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms beside gaps"
     yield "effort", found.effort_provenance
     for count in found.frames:
         yield f"CAN {count.channel}", f"{count.frames} frames, {count.sent} of them sent, {count.duration_s:g} s"

@@ -10,7 +10,7 @@ from types import FrameType
 
 from . import AcquisitionError
 from .bus import SHARED, Link, open_link
-from .drives import resolve
+from .drives import refuse_load, resolve
 from .dry_run import DryRun, dry_run
 from .master import Master
 from .mechanism import mechanism_of
@@ -68,6 +68,7 @@ def record(
     if wanted.passive:
         return _listen(robot, place, out, plan, told, stop)
     bus = resolve(robot, place)
+    refuse_load(bus, place)
     simulated: DryRun | None = None
     link: Link
     log: InlineLog | ProcessLog

@@ -46,11 +46,12 @@ class Status:
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What a session left: samples and what a user should look at."""
+    """What a session left: samples, or why there are none, and what a user should look at."""
 
     frames: int
     samples: int
     warnings: tuple[str, ...]
+    no_samples: str = ""
 
 
 @dataclass(kw_only=True)
@@ -86,7 +87,7 @@ class Recorder:
                     "bus": f"{file.interface} {file.channel}",
                     "bitrate": str(file.bitrate),
                     "sync_period_s": repr(file.sync_period_s),
-                    "clock": "receive times of the recorder; samples by SYNC index",
+                    "clock": "receive times of the recorder; samples at the times of their SYNCs",
                     **(_table(self._bus) if self._bus else {}),
                 },
             )
@@ -158,8 +159,8 @@ class Recorder:
         self._writer.flush()
         recording = read_recording(self._path)
         frames = recording.frames.get(self.channel, np.zeros(0, FRAME))
-        warnings: tuple[str, ...]
-        count = 0
+        warnings: tuple[str, ...] = ()
+        count, no_samples = 0, ""
         try:
             traffic = written_by_master(frames) if self._by_traffic else None
             bus = resolve(self._robot, self._place, traffic)
@@ -168,11 +169,11 @@ class Recorder:
             self._writer.health(stamp_ns, decoded.counters)
             count, warnings = len(decoded.samples), decoded.warnings
         except AcquisitionError as error:
-            warnings = (f"no samples: {error}",)
-        for text in warnings:
+            no_samples = str(error)
+        for text in (*warnings, *([f"no samples: {no_samples}"] if no_samples else [])):
             self._writer.event(stamp_ns, "warning", text)
         self._writer.close()
-        return Recorded(frames=len(frames), samples=count, warnings=warnings)
+        return Recorded(frames=len(frames), samples=count, warnings=warnings, no_samples=no_samples)
 
     def close(self) -> None:
         """End the file as it is."""

@@ -26,6 +26,7 @@ from .master_heartbeat import HEARTBEAT_ID
 from .recorder import Recorded, Recorder, Status
 from .robot import Robot, robot_from_files
 from .sdo import REQUEST
+from .wall_clock import WallClock, words_of_step
 
 BLOCK_S = 0.1
 START_S = 20.0  # for the process to come up
@@ -245,6 +246,7 @@ def _record(
         thread.start()
     connection.send(("ready", None))
     stop_ns, gone, told = None, False, False
+    clock = WallClock()
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
@@ -283,6 +285,8 @@ def _record(
             if receiver.error is not None:
                 recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
                 raise AcquisitionError(f"bus: cannot be read: {receiver.error}")
+        if step_ns := clock.step_ns():
+            recorder.event(time.time_ns(), "mark", words_of_step(step_ns))
         status = recorder.tick(time.time_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
         if status is not None:
             try:

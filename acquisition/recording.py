@@ -3,7 +3,7 @@
 | channel | content |
 |---|---|
 | `/can/<channel>/frames` | blocks of raw CAN frames, both directions: `FRAME` rows |
-| `/samples` | blocks of joint samples in SI: `sample_dtype` rows |
+| `/samples` | blocks of joint samples in SI, and extra objects: `sample_dtype` rows |
 | `/joint_states/measured`, `.../reference` | sensor_msgs/msg/JointState in CDR, at most 100 Hz, for viewers only |
 | `/events` | JSON `{kind, text}`: session phases, errors of drives, marks |
 | `/health` | JSON counters: kernel drops, late and missing messages |
@@ -32,6 +32,7 @@ from mcap.writer import Writer
 
 from . import AcquisitionError
 from .blocks import FRAME, Block, check_frames, check_samples, sample_dtype
+from .extra_objects import extra_columns
 from .mcap_content import Messages, read_content
 from .robot import Robot, robot_from_files
 from .whole_file import whole_file
@@ -153,7 +154,7 @@ class RecordingWriter:
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
         n, place = self._robot.n, f"{self._place}: /samples"
-        if block.dtype not in (sample_dtype(n, reference=False), sample_dtype(n, reference=True)):
+        if block.dtype not in _layouts(self._robot):
             raise AcquisitionError(f"{place}: rows of {block.dtype}: expected sample_dtype of {n} joints")
         if self._layout not in (None, block.dtype):
             raise AcquisitionError(f"{place}: rows of {block.dtype}: expected {self._layout} as in the block before")
@@ -255,13 +256,12 @@ def read_recording(path: Path) -> Recording:
     if metadata.get("effort_unit") != json.dumps(robot.effort_units):
         expected = json.dumps(robot.effort_units)
         raise AcquisitionError(f"{place}: effort_unit = {metadata.get('effort_unit')}: expected {expected}")
-    layouts = [sample_dtype(robot.n, reference=reference) for reference in (False, True)]
     samples, frames = None, {}
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:
             continue
         if topic == "/samples":
-            samples = _rows(blocks, layouts, f"{place}: {topic}")
+            samples = _rows(blocks, _layouts(robot), f"{place}: {topic}")
             check_samples(samples, -1, f"{place}: {topic}")
         elif match := _FRAMES_TOPIC.fullmatch(topic):
             frames[match[1]] = _rows(blocks, [FRAME], f"{place}: {topic}")
@@ -316,6 +316,12 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
     return recording
+
+
+def _layouts(robot: Robot) -> list[np.dtype[np.void]]:
+    """Rows that samples of a robot may have."""
+    counts = dict.fromkeys((len(extra_columns(robot)), 0))
+    return [sample_dtype(robot.n, reference=reference, extra=m) for m in counts for reference in (False, True)]
 
 
 def _parts(block: Block) -> Iterator[Block]:

@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from .cia402 import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State
+from .cia402 import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
 from .drives import Bus
 from .plants import Plant
 from .robot import Robot
@@ -314,11 +314,16 @@ class SimulatedDrives:
 
     def _sample(self) -> None:
         """Write position and effort into the dictionaries."""
-        q, _ = self.plant.state()
+        q, dq = self.plant.state()
         counts = self._counts(q)
+        speed = self._robot.R @ dq
         prescribed = self.plant.prescribed_effort()
         motor = self._robot.motor_effort((self._memory.demand if prescribed is None else prescribed)[None])[0]
         for i, node in enumerate(self.nodes):
             drive = node.drive
             node.values[drive.position.index, drive.position.sub] = int(counts[i])
             node.values[drive.effort.entry.index, drive.effort.entry.sub] = int(drive.effort.raw(motor[i]))
+            for extra in drive.extras:
+                if extra.column.unit in ("rad/s", "m/s"):
+                    raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
+                    node.values[extra.entry.index, extra.entry.sub] = int(raw)

@@ -206,7 +206,14 @@ def simulated_node(drive: Drive) -> SimulatedNode:
             if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:
-        used = (drive.status, drive.control, drive.position, drive.target, drive.effort.entry)
+        used = (
+            drive.status,
+            drive.control,
+            drive.position,
+            drive.target,
+            drive.effort.entry,
+            *(e.entry for e in drive.extras),
+        )
         types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
         types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition import AcquisitionError
-from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE
+from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
 from acquisition.decoding import Decoded, decode, unwrapped, written_by_master
 from acquisition.drives import resolve
 
@@ -133,26 +133,39 @@ def test_a_target_is_held_until_the_next():
     assert reference[10] == reference[9] != reference[11]
 
 
-def test_jitter_and_a_clock_that_is_another():
+def test_jitter_of_sync():
     intervals = session()
     for k, rows in enumerate(intervals):
-        rows[0] = frame(rows[0][0] + (k % 2) * 40_000 - 20_000, 0x80)
+        rows[0] = frame(rows[0][0] + (k % 2) * 40_000 - 20_000, 0x80, flags=SENT)
     found = decoded(intervals)
     assert found.jitter_s[0] == pytest.approx(20e-6, rel=0.01)
-    assert np.diff(found.samples["stamp_ns"]).tolist() == [2_000_000] * 49
-    slow = decode(flat(session(period_ns=30_000_000)), ROBOT, BUS, "log")
-    assert "SYNC came every 30 ms: expected 2 ms as robot.toml says" in slow.warnings
+    assert np.diff(found.samples["stamp_ns"]).tolist() == [2_040_000, 1_960_000] * 24 + [2_040_000]
 
 
-@pytest.mark.parametrize("early", [1, -1])
-def test_the_grid_begins_where_all_syncs_together_put_it(early):
-    """The first SYNC was read 40 µs off its time, the 49 others on it: the grid is 1/50 of that off, not all of it."""
-    intervals = session()
-    t_ns = intervals[0][0][0]
-    intervals[0][0] = frame(t_ns - early * 40_000, 0x80)
-    stamps = decoded(intervals).samples["stamp_ns"]
-    assert stamps[0] - t_ns == -early * 800
-    assert np.diff(stamps).tolist() == [2_000_000] * 49
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_period_that_is_not_the_described_one_is_refused(way):
+    """By more than 5 %, and warned of by more than 1 %."""
+    warned = decode(flat(session(period_ns=2_000_000 + way * 98_000)), ROBOT, BUS, "log")
+    assert warned.warnings[0].endswith("ms: expected 2 ms as robot.toml says")
+    off_ns = 2_000_000 + way * 102_000
+    with pytest.raises(AcquisitionError) as caught:
+        decode(flat(session(period_ns=off_ns)), ROBOT, BUS, "log")
+    told, expected = str(caught.value), f"expected {off_ns * 1e-9:.3g};"
+    assert told.startswith(
+        f"log: SYNC came every {off_ns * 1e-6:.4g} ms; bus.sync_period_s = 0.002 in robot.toml: {expected}"
+    )
+
+
+def test_a_pause_of_sync_is_no_other_period():
+    """Half of the session's time is one pause: its samples show a gap, and their rate is what it was."""
+    intervals = [[frame(f[0] + 100_000_000 * (k >= 25), *f[1:2], f[4].tobytes()[: f[2]], f[3]) for f in rows]
+                 for k, rows in enumerate(session())]  # fmt: skip
+    found = decoded(intervals)
+    assert found.period_s == pytest.approx(0.002, rel=1e-9)
+    assert found.jitter_s == pytest.approx((0, 0), abs=1e-9)
+    (gap,) = gaps(found.samples, 500.0)
+    assert (gap.row, gap.missing) == (24, 50)
+    assert found.warnings == ("SYNC paused 1 times for more than 1.5 periods, the longest 102 ms at 0.048 s",)
 
 
 def test_of_two_answers_to_a_sync_the_first_is_the_sample():
@@ -241,7 +254,7 @@ def third_party_log() -> np.ndarray:
 def test_traffic_of_a_third_party_is_decoded_exactly():
     """Mapping out of the master's SDO writes; three PDOs came after the next SYNC; the motion is known."""
     frames = third_party_log()
-    text = bus_text(2, period_s=0.001, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
+    text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
     robot = robot_of(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
     found = decode(frames, robot, resolve(robot, "robot.toml", written_by_master(frames)), "log")
     k = np.arange(1, 300)

@@ -1,0 +1,129 @@
+"""When each SYNC was: its own time where we sent it, the time freed of delays of reception where another one did.
+
+Drives sample at SYNC. A SYNC that we send is as uneven as it leaves, and its time is that of sending. That of another
+producer comes from a controller's timer; what is uneven in its receive times is delay of reception, which is never
+negative and passes. So a SYNC was at the latest where the ones after it say, counted back by whole periods. What lasts,
+a pause of the producer, stays in the times as the gap it is.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Ints = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
+_MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs say nothing of the period
+_LOOKED_AHEAD = (15, 127)  # SYNCs that free one of its delay, pass by pass
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SyncTimes:
+    """The grid of SYNC in time.
+
+    Attributes:
+        stamps: (grid,) time of each SYNC in ns, strictly growing; SYNCs that were not recorded stand between their
+            neighbours.
+        period_s: between SYNCs, pauses left out.
+        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
+        pauses: grid indices after which a pause of more than 1.5 periods follows.
+        set_back: grid index and seconds of each time that the clock was set back; times go on by one period there.
+    """
+
+    stamps: Ints
+    period_s: float
+    jitter_s: tuple[float, float]
+    pauses: Ints
+    set_back: tuple[tuple[int, float], ...]
+
+
+def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
+    """The grid's times out of those of the recorded SYNCs.
+
+    Args:
+        times: (k,) time of each recorded SYNC, ns.
+        index_of: (k,) its index on the grid.
+        grid: SYNCs in all, those not recorded included.
+        ours: whether we sent them.
+        nominal_ns: the period that the description states; tells which of two measures of the period is disturbed.
+    """
+    index = index_of.astype(np.float64)
+    times, set_back = _without_set_back(times, index_of)
+    since = (times - times[0]).astype(np.float64)
+    freed, run, within = _even(index, since)
+    overall = _slope(index, since, np.zeros_like(run))
+    # Pauses lengthen the second, delays may disturb the first; a wrong description is neither.
+    period = min((within, overall), key=lambda p: abs(p - nominal_ns))
+    deviation = since - index * within
+    deviation -= _means(deviation, run)[run]
+    if not ours:
+        since = freed
+    at = np.rint(np.interp(np.arange(grid), index, since)).astype(np.int64)
+    beyond = np.arange(grid) > index_of[-1]
+    at[beyond] = at[index_of[-1]] + np.rint((np.arange(grid)[beyond] - index_of[-1]) * period).astype(np.int64)
+    stamps = int(times[0]) + at
+    k = np.arange(grid)
+    stamps = np.maximum.accumulate(np.maximum(stamps, 0) - k) + k
+    return SyncTimes(
+        stamps=stamps,
+        period_s=period * 1e-9,
+        jitter_s=(float(deviation.std()) * 1e-9, float(np.abs(deviation).max()) * 1e-9),
+        pauses=np.flatnonzero(np.diff(stamps) > PAUSE * period),
+        set_back=set_back,
+    )
+
+
+def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
+    """Times that go on by one period where they went back."""
+    steps = np.diff(times)
+    back = np.flatnonzero(steps < 0)
+    if not len(back):
+        return times, ()
+    usual = int(np.median(steps[steps >= 0])) if (steps >= 0).any() else 1
+    jumps = np.zeros(len(times), np.int64)
+    jumps[back + 1] = usual - steps[back]
+    found = tuple((int(index_of[k + 1]), float(usual - steps[k]) * 1e-9) for k in back)
+    return times + np.cumsum(jumps), found
+
+
+def _even(index: Floats, since: Floats) -> tuple[Floats, Ints, float]:
+    """Times without delays, the run between pauses that each SYNC belongs to, and the period within runs.
+
+    A delay passes: what the next SYNCs do not make up for is a pause.
+    """
+    period = float(np.median(np.diff(since) / np.diff(index)))
+    ahead, run = 0, np.zeros(len(since), np.int64)
+    for ahead in _LOOKED_AHEAD:  # the better the period is known, the farther
+        freed = _without_delay(since - index * period, ahead) + index * period
+        paused = np.diff(freed) - np.diff(index) * period > (PAUSE - 1) * period
+        run = np.concatenate([[0], np.cumsum(paused)])
+        delay = since - freed
+        usual = delay <= _MUCH_DELAYED * np.median(delay)
+        if np.count_nonzero(usual) >= 2:
+            period = _slope(index[usual], since[usual], run[usual])
+    return _without_delay(since - index * period, ahead) + index * period, run, period
+
+
+def _means(values: Floats, run: Ints) -> Floats:
+    """Mean of `values` in each run."""
+    found: Floats = np.bincount(run, values) / np.maximum(np.bincount(run), 1)
+    return found
+
+
+def _slope(index: Floats, since: Floats, run: Ints) -> float:
+    """Least-squares slope over the index, one for all runs, each with an offset of its own."""
+    k = index - _means(index, run)[run]
+    square = float(k @ k)
+    return float(k @ (since - _means(since, run)[run])) / square if square > 0 else float(np.median(np.diff(since)))
+
+
+def _without_delay(lateness: Floats, ahead: int) -> Floats:
+    """Least of each value and those of the next `ahead` SYNCs, a power of two less one."""
+    least = lateness.copy()
+    step = 1
+    while step <= ahead:
+        least[:-step] = np.minimum(least[:-step], least[step:])
+        step *= 2
+    return least
