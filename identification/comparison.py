@@ -29,7 +29,7 @@ class Value:
     sigma_hac: float | None
     unit: str
     essential: bool
-    expression: str | None
+    expression: str | None = None
 
     @property
     def spread(self) -> float:

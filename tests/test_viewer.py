@@ -220,7 +220,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
 
 def test_a_robot_that_cannot_be_simulated_has_passes_and_no_ghost(written):
     fit = fitted_iv(made_up())
-    assert (fit.status, fit.iv.simulated) == ("diverged", None)
+    assert (fit.status, fit.iv.simulated) == ("not_confirmed", None)
     file = written(made_up(), fit)
     assert file.is_complete()
     assert "/passes" in file.views
