@@ -131,8 +131,8 @@ def test_the_rank_counts_in_the_weights():
 # A surrogate at a low rate
 
 
-def test_a_recording_at_100_hz_converges_under_a_surrogate_of_10_hz():
-    """The same motion, below 1 Hz, at 1 kHz and at 100 Hz: within one interval of each other, and of the truth."""
+def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
+    """The same motion, below 1 Hz, at 1 kHz, 100 and 50 Hz: within one interval. A PD of 10 Hz held for 20 ms is not stable."""
     robot = robot_named("scara")
     bare = msgspec.structs.replace(
         robot.controller,
@@ -142,12 +142,13 @@ def test_a_recording_at_100_hz_converges_under_a_surrogate_of_10_hz():
     robot = dataclasses.replace(robot, controller=bare)
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=4)
     fine = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=2e-6, effort_percent=1.0), seed=4)
-    arrays = {name: getattr(fine, name)[::10] for name in ("t_s", "q", "q_ref", "effort")}
-    coarse = dataclasses.replace(fine, **arrays, sample_rate_hz=100.0)
-    fits = [identify_iv(s, Overrides(), Iteration()) for s in (fine, coarse)]
-    assert [fit.status for fit in fits] == ["converged", "converged"]
-    width = 1.96 * np.max([np.fmax(fit.sigma_hac, fit.estimate.sigma) for fit in fits], axis=0)
-    assert (np.abs(fits[1].beta - fits[0].beta) < width).all()
+    fit = identify_iv(fine, Overrides(), Iteration())
+    for step in (10, 20):
+        arrays = {name: getattr(fine, name)[::step] for name in ("t_s", "q", "q_ref", "effort")}
+        slow = identify_iv(dataclasses.replace(fine, **arrays, sample_rate_hz=1000.0 / step), Overrides(), Iteration())
+        assert (fit.status, slow.status) == ("converged", "converged")
+        width = 1.96 * np.max([np.fmax(f.sigma_hac, f.estimate.sigma) for f in (fit, slow)], axis=0)
+        assert (np.abs(slow.beta - fit.beta) < width).all()
 
 
 # Wrong signs
