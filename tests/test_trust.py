@@ -132,7 +132,7 @@ def test_the_rank_counts_in_the_weights():
 
 
 def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
-    """The same motion, below 1 Hz, at 1 kHz, and at 100 Hz: within one interval. Held for the 20 ms of 50 Hz that PD is not stable."""
+    """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms that PD is not stable."""
     robot = robot_named("scara")
     bare = msgspec.structs.replace(
         robot.controller,
