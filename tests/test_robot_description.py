@@ -321,3 +321,25 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None
         with pytest.raises(AcquisitionError, match="is an input too"):
             refuse_input(out, [tmp_path / "missing", tmp_path / "in"])
     refuse_input(tmp_path / "out", [tmp_path / "in"])
+
+
+@pytest.mark.parametrize(
+    ("key", "told"),
+    [
+        ("sample_rate_hz = 1000.0", "controller.sample_rate_hz = 1000.0: does nothing: expected controller.structure"),
+        ("position_gain = [1.0, 1.0]", "controller.position_gain = [1.0, 1.0]: does nothing"),
+        ('velocity_estimate = "exact"', "controller.velocity_estimate = 'exact': does nothing"),
+        ('structure = "pd"\nintegral_gain = [1.0, 1.0]', "expected none, structure = 'pd' has no integral"),
+    ],
+)
+def test_controller_keys_that_would_do_nothing_are_refused(tmp_path, key, told):
+    """In a description; a recording that was made with one still opens."""
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    before, after = text.split("[controller]")
+    rest = after[after.index("\n[") :]
+    path = tmp_path / "robot.toml"
+    path.write_text(f"{before}[controller]\nbandwidth_hz = 5.0\n{key}\n{rest}")
+    with pytest.raises(AcquisitionError) as caught:
+        load_robot(path)
+    assert told in str(caught.value)
+    assert robot_from_files({"robot.toml": path.read_bytes()}, "log.mcap").n == 2
