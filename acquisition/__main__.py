@@ -5,8 +5,8 @@ Parse, one library call, print. Libraries are imported by the commands that use 
 
 import argparse
 import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from .conversions import Converted
     from .record import Told
     from .robot import Robot
-    from .session import Ending
+    from .session import Ending, Stop
+
+
+Line = Callable[[], AbstractContextManager[None]]
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -48,6 +51,12 @@ def _parser() -> argparse.ArgumentParser:
     command.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
     command.add_argument(
         "--track", type=Path, metavar="REFERENCE.csv", help="MOVES THE ROBOT along time_s and each joint's rad or m"
+    )
+    command.add_argument(
+        "--speed", type=float, default=1.0, metavar="X", help="--track slower: more than 0 to 1, the default"
+    )
+    command.add_argument(
+        "--yes", action="store_true", help="--track without asking whether the joint positions are right"
     )
     command.add_argument("--dry-run", action="store_true", help="all of it on simulated drives, without any bus")
     command.set_defaults(run=_record)
@@ -136,11 +145,19 @@ def _record(arguments: argparse.Namespace) -> None:
         raise AcquisitionError(
             f"{arguments.robot}: bus is not there: expected a [bus] section with one drive per motor"
         )
-    wanted = Wanted(
-        passive=arguments.passive, dry_run=arguments.dry_run, duration_s=arguments.duration, track=arguments.track
-    )
+    moves = arguments.track is not None and not arguments.dry_run
+    if moves and not arguments.yes and not sys.stdin.isatty():
+        raise AcquisitionError("--track: nobody is here to confirm the joint positions: expected a terminal, or --yes")
     stop = Stop()
-    with stop_on_signals(stop), _live_line(robot) as told:
+    with stop_on_signals(stop), _live_line(robot) as (told, line):
+        wanted = Wanted(
+            passive=arguments.passive,
+            dry_run=arguments.dry_run,
+            duration_s=arguments.duration,
+            track=arguments.track,
+            speed=arguments.speed,
+            confirm=lambda words: arguments.yes or _agreed(words, stop, line),
+        )
         ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop, _announce)
     for text in () if ending.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
@@ -160,6 +177,21 @@ def _announce(ending: "Ending") -> None:
     with suppress(OSError):  # a terminal that is gone
         for text in filter(None, (ending.alarm, reason, *ending.reports)):
             print(one_line(text), file=sys.stderr, flush=True)
+
+
+def _agreed(words: list[str], stop: "Stop", line: "Line") -> bool:
+    """Show joint positions, and wait until somebody says yes or something else; a stop asked for is no."""
+    import select
+
+    with line():
+        for text in words:
+            print(one_line(text), file=sys.stderr)
+        print("Does the robot stand like that, and may it move? yes or no: ", end="", file=sys.stderr, flush=True)
+        while not stop.reason:
+            if select.select([sys.stdin], [], [], 0.1)[0]:
+                return sys.stdin.readline().strip().lower() in ("yes", "y")
+        print(file=sys.stderr)
+    return False
 
 
 def _disable(arguments: argparse.Namespace) -> int:
@@ -328,17 +360,26 @@ def _recover(arguments: argparse.Namespace) -> None:
 
 
 @contextmanager
-def _live_line(robot: "Robot") -> Iterator["Told"]:
-    """Show on a terminal how a session goes; the line is told anew twice a second."""
+def _live_line(robot: "Robot") -> Iterator[tuple["Told", "Line"]]:
+    """Show on a terminal how a session goes; the line is told anew twice a second. The second clears it for a while."""
     if not sys.stderr.isatty():
-        yield lambda status, left_s: None
+        yield lambda status, left_s: None, nullcontext
         return
     from rich.console import Console
 
     from .live_line import live_line
 
     with Console(stderr=True).status("starting") as shown:
-        yield lambda status, left_s: shown.update(live_line(robot, status, left_s))
+
+        @contextmanager
+        def cleared() -> Iterator[None]:
+            shown.stop()
+            try:
+                yield
+            finally:
+                shown.start()
+
+        yield lambda status, left_s: shown.update(live_line(robot, status, left_s)), cleared
 
 
 @contextmanager

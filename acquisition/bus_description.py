@@ -17,6 +17,7 @@ Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
 PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
 ObjectName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z")]
+HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
@@ -52,6 +53,7 @@ class DriveFile(Table, frozen=True):
         rated_current_unit, rated_torque_unit: units of those objects in this drive (an EPOS4 has uN m).
         counts_per_turn, counts_per_m: position counts per motor revolution, or per metre of a motor that slides.
         sign, effort_sign: -1 where the drive counts against the motor of the description; the second follows the first.
+        homed: object that is not 0, `2000:1`, or bit that is set, `6041.8`, when the drive is homed.
         mapping: where the PDOs stand: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
         tpdo, rpdo: PDOs from and to the drive; status, position, effort and control, target where left out.
         extra: further objects in the samples, such as `606C`.
@@ -78,6 +80,7 @@ class DriveFile(Table, frozen=True):
     sign: Literal[1, -1] = 1
     effort_sign: Literal[1, -1] | None = None
     zero_counts: Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)] = 0
+    homed: HomedName | None = None
     mapping: Literal["table", "dictionary", "traffic"] = "table"
     tpdo: tuple[PdoFile, ...] = ()
     rpdo: tuple[PdoFile, ...] = ()
@@ -117,6 +120,12 @@ def parse_object(name: str) -> tuple[int, int]:
     """Index and sub-index of `6064` or `6064:0`."""
     index, _, sub = name.partition(":")
     return int(index, 16), int(sub or "0")
+
+
+def parse_homed(name: str) -> tuple[int, int, int | None]:
+    """Index, sub-index and bit of `6041.8`; no bit where the whole object counts."""
+    entry, _, bit = name.partition(".")
+    return *parse_object(entry), int(bit) if bit else None
 
 
 def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:

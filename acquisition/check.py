@@ -11,14 +11,16 @@ from . import AcquisitionError
 from .bus import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 from .cia402 import State
 from .drives import LARGEST_LOAD, Bus, Drive
+from .homing import homed, joint_positions, position_words
 from .listening import other_master
 from .master import Master, Wire
 from .pdo import NOT_VALID, PARAMETERS, frame_bits
 from .robot import Robot
+from .scheduling import DEVIATIONS, steady, sync_jitter
 from .supervision import second_stop, supervision_of
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
-JITTER_SYNCS = 200
+ANOTHER = "another master"
 LARGEST_OFF = 0.01  # share of SYNCs that may come more than half a period off their time
 
 
@@ -48,7 +50,12 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
                     ok=granted >= QUEUE_BYTES // 10,
                 )
             )
-        return findings + look(link, bus)
+        with steady() as scheduling:
+            findings.append(Finding(subject="scheduling", found=scheduling.words, ok=True))
+            found = look(link, bus)
+        if all(finding.ok for finding in found if finding.subject == ANOTHER or finding.subject.startswith("node ")):
+            found += _stand(robot, Master(link, bus))
+        return findings + found
     finally:
         link.close()
 
@@ -62,7 +69,7 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
             f"{sign}: nothing was sent, so nothing is known of states, PDOs, supervision, scales, identity, rated values "
             "and SYNC; `robot-acquire record --passive` records beside it"
         )
-        return [Finding(subject="another master", found=told, ok=False)]
+        return [Finding(subject=ANOTHER, found=told, ok=False)]
     findings = []
     everyone = True
     for drive in bus.drives:
@@ -92,7 +99,7 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
         findings += [Finding(subject="description", found=text, ok=False) for text in differences]
         if not differences:
             findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
-    findings.append(_jitter(link, master))
+    findings.append(_jitter(master))
     return findings
 
 
@@ -152,23 +159,33 @@ def _load(bus: Bus) -> Finding:
     return Finding(subject="bus load", found=told, ok=bus.load <= LARGEST_LOAD)
 
 
-def _jitter(link: Wire, master: Master) -> Finding:
+def _jitter(master: Master) -> Finding:
     """How evenly SYNC is sent from here, or arrives from its producer."""
-    period_ns = master.bus.period_ns
-    times = []
-    if master.bus.file.sync_producer == "recorder":
-        next_ns = link.now_ns() + period_ns
-        for _ in range(JITTER_SYNCS):
-            master.wait(next_ns)
-            times.append(link.now_ns())
-            next_ns += period_ns
-    else:
-        for _ in range(JITTER_SYNCS):
-            if not master.wait_for_sync(link.now_ns() + 50 * period_ns):
-                return Finding(subject="SYNC", found="none in 50 periods: expected the other producer's", ok=False)
-        times = master.sync_times
-    deviation = np.abs(np.diff(times) - period_ns)
-    worst = float(deviation.max())
-    off = float(np.mean(deviation > period_ns / 2))
-    told = f"jitter sd {np.diff(times).std() * 1e-6:.3f} ms, worst {worst * 1e-6:.3f} ms of a period of {period_ns * 1e-6:g} ms"
-    return Finding(subject="SYNC", found=f"{told}; {off:.1%} off by more than half a period", ok=off <= LARGEST_OFF)
+    try:
+        found = sync_jitter(master)
+    except AcquisitionError as error:
+        return Finding(subject="SYNC", found=str(error), ok=False)
+    period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, found.sd_s * 1e3, found.worst_s * 1e3
+    told = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
+    if not found.fit_for_motion:
+        told += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
+    ok = found.off <= LARGEST_OFF and found.fit_for_motion
+    return Finding(subject="SYNC", found=f"{told}; {found.off:.1%} off by more than half a period", ok=ok)
+
+
+def _stand(robot: Robot, master: Master) -> list[Finding]:
+    """Where the drives say that the robot stands, and whether they are homed."""
+    findings = []
+    try:
+        words = position_words(robot, joint_positions(robot, master))
+        told = f"{', '.join(words)}: see that the robot stands like that"
+        findings.append(Finding(subject="joint positions", found=told, ok=True))
+        for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
+            is_homed = homed(master, drive, file)
+            told = "not described: the drive's zero may be where it was switched on"
+            if is_homed is not None:
+                told = f"{'yes' if is_homed else 'NO'} ({file.homed})"
+            findings.append(Finding(subject=f"node {drive.node} homed", found=told, ok=is_homed is not False))
+    except AcquisitionError as error:
+        findings.append(Finding(subject="joint positions", found=str(error), ok=False))
+    return findings

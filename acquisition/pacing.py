@@ -3,6 +3,7 @@
 import time
 
 from . import AcquisitionError
+from .bus_description import BusFile
 from .master import Master
 
 LATE_PERIODS, LATE_S = (
@@ -14,6 +15,11 @@ ANSWER_SHARE = 0.7  # of a period, in which drives answer SYNC
 CLOCK_STEP_S = 0.05  # a clock that is slewed drifts by less from SYNC to SYNC
 
 
+def largest_delay_s(file: BusFile) -> float:
+    """How late SYNC may be in motion."""
+    return max(LATE_PERIODS * file.sync_period_s, LATE_S) if file.late_sync_s is None else file.late_sync_s
+
+
 class Pace:
     """SYNC after SYNC, each with the answers to it."""
 
@@ -21,8 +27,7 @@ class Pace:
         file = master.bus.file
         self._master, self._link, self._period_ns = master, master.link, master.bus.period_ns
         self._ours = file.sync_producer == "recorder"
-        latest_s = max(LATE_PERIODS * file.sync_period_s, LATE_S) if file.late_sync_s is None else file.late_sync_s
-        self._latest_ns = round(latest_s * 1e9)
+        self._latest_ns = round(largest_delay_s(file) * 1e9)
         self.next_ns = 0
 
     def start(self) -> None:

@@ -3,8 +3,8 @@
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import FrameType
 
@@ -12,13 +12,16 @@ from . import AcquisitionError
 from .bus import SHARED, Link, open_link
 from .drives import refuse_load, resolve
 from .dry_run import DryRun, dry_run
+from .homing import Confirm, confirm_positions
 from .master import Master
 from .mechanism import mechanism_of
 from .recorder import Recorded, Recorder, Status
 from .recorder_process import STOPPING, InlineLog, ProcessLog
 from .reference import check_limits, table_reference
 from .robot import Robot
+from .scheduling import refuse_jitter, steady
 from .session import Ending, Plan, Stop, run_active
+from .supervision import second_stop
 
 STOPPED = "stopped by"
 Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left
@@ -26,12 +29,14 @@ Told = Callable[[Status, float | None], None]  # status of the recorder, seconds
 
 @dataclass(frozen=True, kw_only=True)
 class Wanted:
-    """What `robot-acquire record` was asked for."""
+    """What `robot-acquire record` was asked for; `confirm` shows joint positions to somebody before anything moves."""
 
     passive: bool = False
     dry_run: bool = False
     duration_s: float | None = None
     track: Path | None = None
+    speed: float = 1.0
+    confirm: Confirm = lambda _: False
 
 
 def record(
@@ -58,11 +63,17 @@ def record(
         )
     if wanted.track is not None and wanted.duration_s is not None:
         raise AcquisitionError("--track: lasts as long as its reference: expected it without --duration")
+    if wanted.track is None and wanted.speed != 1.0:
+        raise AcquisitionError(f"--speed {wanted.speed:g}: is that of a reference: expected it with --track")
+    if not 0 < wanted.speed <= 1:
+        raise AcquisitionError(f"--speed {wanted.speed:g}: expected more than 0, and 1 at most")
     plan = Plan(duration_s=wanted.duration_s)
     if wanted.track is not None:
-        reference = table_reference(wanted.track, robot, robot.bus.sync_period_s)
+        reference = table_reference(wanted.track, robot, robot.bus.sync_period_s, wanted.speed)
         check_limits(reference, robot, robot.bus.sync_period_s, str(wanted.track))  # before there is a file
         plan = Plan(reference=reference, place=str(wanted.track))
+        if not wanted.dry_run:
+            plan = replace(plan, before_motion=lambda master: _before_motion(robot, master, wanted))
     if not by_traffic:
         resolve(robot, place)  # what can be refused is refused before anything is opened
     if wanted.passive:
@@ -96,7 +107,11 @@ def record(
         watched = _Told(
             log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
         )
-        ending = run_active(robot, Master(link, bus), watched, plan, stop, announce)
+        with nullcontext() if simulated is not None else steady() as granted:  # after the recorder has started
+            if granted is not None and isinstance(log, ProcessLog):
+                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
+                log.granted(granted.counters)
+            ending = run_active(robot, Master(link, bus), watched, plan, stop, announce)
         try:
             return ending, log.finish(link.now_ns())
         except AcquisitionError as error:
@@ -107,6 +122,18 @@ def record(
             simulated.close()
         else:
             link.close()
+
+
+def _before_motion(robot: Robot, master: Master, wanted: Wanted) -> list[str]:
+    """What is looked at before a real robot moves, in words for `/events`."""
+    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, wanted.confirm))}"]
+    jitter = refuse_jitter(master)
+    marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
+    if wanted.speed != 1:
+        marks.append(f"{wanted.track} at {wanted.speed:g} of its speed")
+    if master.bus.file.interface not in SHARED:
+        marks.append(f"second stop: {second_stop(master.bus.file)}")
+    return marks
 
 
 def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: Stop) -> tuple[Ending, Recorded]:

@@ -95,6 +95,7 @@ class Recorder:
             raise AcquisitionError(f"{path}: cannot be written: {error.strerror or error}") from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
         self._watch = _Watch()
+        self.granted: dict[str, float] = {}  # counters of what does not change, for every line of `/health`
         self._flushed_ns: int | None = None
 
     def add(self, block: Block) -> None:
@@ -121,7 +122,7 @@ class Recorder:
         status = self._summed_up(recent, elapsed_s, drops)
         self._watch.status = status
         counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
-        self._writer.health(stamp_ns, counters | {"duplicate": status.duplicate, "short": status.short})
+        self._writer.health(stamp_ns, self.granted | counters | {"duplicate": status.duplicate, "short": status.short})
         self._writer.flush()
         self._flushed_ns = stamp_ns
         return status

@@ -114,6 +114,10 @@ class ProcessLog:
         """Note what happened."""
         self._send(("event", stamp_ns, kind, text))
 
+    def granted(self, counters: dict[str, float]) -> None:
+        """What the session's process was granted, for `/health`."""
+        self._send(("granted", counters))
+
     def poll(self, stamp_ns: int) -> Status | None:
         """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs.
 
@@ -255,6 +259,8 @@ def _record(
                     recorder.event(*message[1:])
                 elif message[0] == "frames":
                     recorder.add(np.frombuffer(message[1], FRAME))
+                elif message[0] == "granted":
+                    recorder.granted = message[1]
                 elif message[0] == "stop":
                     stop_ns = message[1]
         except (EOFError, OSError):

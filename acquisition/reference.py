@@ -79,10 +79,11 @@ LONGEST_S = 24 * 3600.0  # of a table
 LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
 
 
-def table_reference(path: Path, robot: Robot, period_s: float) -> Vector:
+def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Vector:
     """Joint positions (N, n) every `period_s` through a CSV table: `time_s`, then each joint by name, in rad or m.
 
-    Cubic splines between rows. Raises `AcquisitionError` when the table cannot be read, its time does not grow, it is
+    Cubic splines between rows. `speed`, in (0, 1], runs along the same path slower: speeds are multiplied by it,
+    accelerations by its square. Raises `AcquisitionError` when the table cannot be read, its time does not grow, it is
     longer than a day or than memory may hold, or its numbers are beyond what a spline can be laid through.
     """
     from scipy.interpolate import CubicSpline
@@ -92,12 +93,13 @@ def table_reference(path: Path, robot: Robot, period_s: float) -> Vector:
     with np.errstate(all="ignore"):  # what overflows is refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
             raise AcquisitionError(f"{path}: time_s: expected two rows or more, with growing times")
-        length_s = float(time_s[-1] - time_s[0])
+        length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
         if length_s > longest_s:
-            told = f"{path}: time_s: {length_s:.6g} s from first to last"
+            slower = f" at {speed:g} of its speed" if speed != 1 else ""
+            told = f"{path}: time_s: {length_s:.6g} s from first to last{slower}"
             raise AcquisitionError(f"{told}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
-        times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * period_s
+        times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Vector = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
         except ValueError as error:  # rows so close, or numbers so large, that its equations overflow

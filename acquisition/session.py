@@ -4,7 +4,7 @@ Nothing moves unless a plan has a reference. Whatever ends a session that touche
 every one of them and to write down which ones confirmed it.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -57,11 +57,16 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC."""
+    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC.
+
+    `before_motion` looks at the drives before anything is written to them; it returns what is to be noted, and raises
+    `AcquisitionError` where nothing may move.
+    """
 
     duration_s: float | None = None
     reference: Vector | None = None
     place: str = "reference"
+    before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -160,6 +165,10 @@ class _Session:
         reset = "; it is reset" if self._plan.reference is not None else ""
         for node in refuse_enabled(self._master):  # by reading alone: who else holds a drive keeps it as it is
             self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
+        if self._plan.reference is not None:
+            for text in self._plan.before_motion(self._master):
+                self._log.event(self._link.now_ns(), "mark", text)
+            self._master.wait(self._link.now_ns())  # what came while somebody was asked
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()

@@ -105,6 +105,9 @@ class SimulatedDrives:
         supervised: bool = True,
     ) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
+        for node, file in zip(self.nodes, bus.file.drive, strict=True):
+            if file.homed is not None:
+                node.home(file.homed)
         if not supervised:
             for node in self.nodes:
                 leave_unsupervised(node)

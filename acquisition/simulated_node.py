@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from .bus_description import parse_homed
 from .cia402 import (
     ABORT_CONNECTION,
     AUTOMATIC,
@@ -59,6 +60,7 @@ class SimulatedNode:
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
     cleared: int = 0
+    more_status: int = 0  # bits of the statusword beside those of the state
 
     def boot(self) -> Sent:
         """Back to the values of the start; the boot-up message."""
@@ -129,9 +131,21 @@ class SimulatedNode:
 
     @property
     def statusword(self) -> int:
-        """Bits of the state, voltage present, remote; enabled it follows its target. Less what is `cleared`."""
+        """Bits of the state, voltage present, remote; enabled it follows its target; homed. Less what is `cleared`."""
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
-        return (self.state.value[1] | 0x0210 | follows) & ~self.cleared
+        return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
+
+    def home(self, name: str) -> None:
+        """Be homed, as the description says that the drive tells it."""
+        index, sub, bit = parse_homed(name)
+        told = 1 if bit is None else 1 << bit
+        if (index, sub) == (self.drive.status.index, self.drive.status.sub):
+            self.more_status |= told
+            self.initial[index, sub] = self.statusword
+        else:
+            self.types.setdefault((index, sub), "U32")
+            self.values[index, sub] = self.initial[index, sub] = self.values.get((index, sub), 0) | told
+        self.tick()
 
     def _set(self, key: Key, value: int) -> None:
         was = self.values.get(key, 0)

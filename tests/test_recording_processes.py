@@ -167,7 +167,9 @@ def syncs_tracked(recording: Recording) -> int:
 @contextmanager
 def tracking(folder: Path, out: Path) -> Iterator["subprocess.Popen[str]"]:
     """A session that follows the reference, with `SEEN_SYNCS` of that on the disk."""
-    session = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"))
+    session = acquire(
+        folder, "record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv")
+    )
     try:
         wait_for(out, lambda recording: syncs_tracked(recording) >= SEEN_SYNCS, session)
         yield session
@@ -305,7 +307,7 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
         session = acquire(
-            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--track", str(folder / "ref.csv"),
+            folder, "record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"),
             preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (LARGEST_FILE, LARGEST_FILE)),
         )  # fmt: skip
         assert "cannot be written: File too large" in failure_of(session)
@@ -324,7 +326,7 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
     (folder / "passive.toml").write_text(text.replace("node = 2", 'mapping = "traffic"\nnode = 2'))
     out, active, alone = (folder / f"{name}.mcap" for name in ("passive", "active", "alone"))
     ours_ids = (0x80, 0x181, 0x182, 0x201, 0x202)
-    command = ("record", str(folder / "robot.toml"), "--track", str(folder / "ref.csv"), "-o")
+    command = ("record", str(folder / "robot.toml"), "--yes", "--track", str(folder / "ref.csv"), "-o")
     assert acquire(folder, *command, str(alone), "--dry-run").wait(60) == 0
     with drives(folder), listening(folder, "passive.toml", out) as listener:
         session = acquire(folder, *command, str(active))

@@ -1,0 +1,184 @@
+"""What is asked before anything moves: homed, joint positions agreed, SYNC in step; and the same path slowly."""
+
+import dataclasses
+import gc
+import os
+import resource
+
+import numpy as np
+import pytest
+from conftest import robot_named
+from dry_sessions import Through, dry_session, swing
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition import AcquisitionError, scheduling
+from acquisition.__main__ import main
+from acquisition.blocks import SENT
+from acquisition.dry_run import dry_run
+from acquisition.homing import confirm_positions, position_words
+from acquisition.master import Master
+from acquisition.pacing import largest_delay_s
+from acquisition.record import Wanted, record
+from acquisition.reference import table_reference
+from acquisition.scheduling import refuse_jitter, steady
+from acquisition.session import Plan, Stop
+
+
+def drives_of(text: str, **values: int) -> tuple[object, Master]:
+    """A dry run of a description, with positions of the drives in counts."""
+    robot = robot_of(text)
+    run = dry_run(robot, bus_of(robot))
+    for node in run.drives.nodes:
+        node.values[0x6064, 0] = values.get(f"node_{node.drive.node}", 0)
+    return run, Master(run.link, bus_of(robot))
+
+
+def test_joint_positions_in_words_by_hand():
+    """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of the motor, 45 degrees."""
+    run, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
+    shown: list[list[str]] = []
+    robot = robot_of(bus_text(2))
+    words = confirm_positions(robot, master, lambda words: not shown.append(words))
+    assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
+    with pytest.raises(AcquisitionError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
+        confirm_positions(robot, master, lambda words: False)
+    run.close()
+
+
+def test_a_joint_that_slides_is_told_in_metres():
+    (name,) = position_words(robot_named("emps"), np.array([0.25]))
+    assert name.endswith(" = 0.25000 m")
+
+
+@pytest.mark.parametrize("name", ["6041.8", "2000:1", "6041.15", "2000.3"])
+def test_a_drive_that_is_not_homed_moves_nothing(name):
+    text = bus_text(2, drive=f'homed = "{name}"')
+    run, master = drives_of(text)
+    robot = robot_of(text)
+    assert confirm_positions(robot, master, lambda _: True)  # a simulated drive is homed
+    node = run.drives.nodes[1]
+    node.more_status = 0
+    node.values |= dict.fromkeys([key for key in node.values if key[0] == 0x2000], 0)
+    node.tick()
+    with pytest.raises(AcquisitionError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set"):
+        confirm_positions(robot, master, lambda _: True)
+    run.close()
+
+
+@pytest.mark.parametrize("name", ["6041.32", "604", "6041.", "6041.8.1"])
+def test_a_homed_that_is_no_bit_of_an_object(name):
+    with pytest.raises(AcquisitionError, match="homed"):
+        robot_of(bus_text(1, drive=f'homed = "{name}"'))
+
+
+def test_nothing_is_written_before_somebody_agrees(tmp_path):
+    def refuse(master):
+        raise AcquisitionError("joint angles not confirmed")
+
+    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=swing(2), before_motion=refuse))
+    assert (outcome.ending.fault, outcome.ending.reason) == (True, "joint angles not confirmed")
+    frames = next(iter(outcome.recording.frames.values()))
+    sent = frames[(frames["flags"] & SENT) != 0]
+    assert set(sent["can_id"].tolist()) == {0x601, 0x602}
+    assert set(sent["data"][:, 0].tolist()) == {0x40}  # reads
+    agreed = dry_session(tmp_path / "b.mcap", Plan(reference=swing(2), before_motion=lambda _: ["confirmed: all"]))
+    assert agreed.ending.reason == "finished"
+    assert "confirmed: all" in agreed.events("mark")
+
+
+def test_without_a_terminal_and_without_yes_nothing_begins(tmp_path, capsys, monkeypatch):
+    (tmp_path / "robot.toml").write_text(bus_text(2, interface="socketcan", channel="none0"))
+    reference = tmp_path / "ref.csv"
+    reference.write_text("time_s,joint_1,joint_2\n0,0,0\n1,0,0\n")
+    command = ["record", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "a.mcap"), "--track", str(reference)]
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
+    assert main(command) == 1
+    assert "nobody is here to confirm the joint positions: expected a terminal, or --yes" in capsys.readouterr().err
+    assert main([*command, "--yes"]) == 1  # it gets as far as the bus
+    assert "none0: cannot be opened" in capsys.readouterr().err
+    assert not (tmp_path / "a.mcap").exists()
+    assert main([*command, "--dry-run"]) == 0
+    capsys.readouterr()
+
+
+def test_the_same_path_slowly(tmp_path):
+    """q = 0.3 (1 - cos w t): at 0.2 of its speed five times as long, speeds times 0.2, accelerations times 0.04."""
+    path, t = tmp_path / "ref.csv", np.linspace(0, 2, 401)
+    q = 0.3 * (1 - np.cos(np.pi * t))
+    np.savetxt(path, np.column_stack([t, q]), delimiter=",", header="time_s,joint_1", comments="")
+    robot = robot_of(bus_text(1))
+    fast, slow = table_reference(path, robot, 0.002), table_reference(path, robot, 0.002, 0.2)
+    assert (len(fast), len(slow)) == (1001, 5001)
+    assert np.abs(slow[:, 0] - 0.3 * (1 - np.cos(np.pi * 0.2 * np.arange(5001) * 0.002))).max() < 1e-6
+    assert slow[::5] == pytest.approx(fast, abs=1e-12)
+    speed = [np.abs(np.diff(path[:, 0])).max() / 0.002 for path in (fast, slow)]
+    assert speed[1] / speed[0] == pytest.approx(0.2, rel=1e-4)
+
+
+@pytest.mark.parametrize("speed", [0.0, -0.5, 1.5, float("nan")])
+def test_speeds_that_are_none(tmp_path, speed):
+    robot = robot_of(bus_text(1))
+    path = tmp_path / "ref.csv"
+    path.write_text("time_s,joint_1\n0,0\n1,0\n")
+    for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected it with --track")):
+        with pytest.raises(AcquisitionError, match=expected):
+            record(
+                robot, "robot.toml", tmp_path / "a.mcap", Wanted(track=track, speed=speed, dry_run=True),
+                lambda status, left_s: None, Stop(),
+            )  # fmt: skip
+    assert not (tmp_path / "a.mcap").exists()
+
+
+def test_what_is_granted_is_given_back(monkeypatch):
+    calls = []
+    monkeypatch.setattr(os, "sched_setscheduler", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr(resource, "getrlimit", lambda _: (65536, resource.RLIM_INFINITY))
+    before = os.sched_getscheduler(0)
+    with steady() as granted:
+        assert not gc.isenabled()
+        assert (granted.fifo, granted.locked) == (True, False)  # memory is locked only where the limit is unlimited
+        assert calls[0][1] == os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+    assert gc.isenabled()
+    assert calls[1][1] == before
+
+    def denied(*_):
+        raise PermissionError
+
+    monkeypatch.setattr(os, "sched_setscheduler", denied)
+    with steady() as granted:
+        assert granted.counters == {"sched_fifo": 0.0, "memory_locked": 0.0}
+        assert "SCHED_FIFO is not permitted" in granted.words
+
+
+@dataclasses.dataclass(kw_only=True)
+class Late(Through):
+    """A machine that wakes up late by turns: 0 and `late_ns`."""
+
+    late_ns: int = 0
+    turn: bool = False
+
+    def receive(self, until_ns):
+        self.turn = not self.turn
+        return super().receive(until_ns + (self.late_ns if self.turn else 0))
+
+
+@pytest.mark.parametrize(("bound_s", "refused"), [(0.0121, False), (0.0119, True)])
+def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s, refused):
+    """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
+    robot = robot_of(bus_text(1, period_s=0.005))
+    run = dry_run(robot, bus_of(robot))
+    master = Master(Late(link=run.link, late_ns=4_000_000), bus_of(robot))
+    monkeypatch.setattr(scheduling, "largest_delay_s", lambda _: bound_s)
+    if refused:
+        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd 4.000 ms: 3 of it are more than 11.9 ms"):
+            refuse_jitter(master)
+    else:
+        found = refuse_jitter(master)
+        assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
+        assert found.off == 1.0
+    run.close()
+
+
+def test_the_largest_delay():
+    assert largest_delay_s(bus_of(robot_of(bus_text(1))).file) == 0.02
+    assert largest_delay_s(bus_of(robot_of(bus_text(1, period_s=0.01))).file) == pytest.approx(0.03)
