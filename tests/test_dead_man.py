@@ -103,7 +103,6 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
             _, errors = session.communicate(timeout=60)
             assert session.returncode != 0
             if number is signal.SIGSTOP:
-                assert errors.count("\n") == 1
                 assert "fault" in errors
         recording = wait_for(out, lambda r: not r.cut)
         assert last_target_ns(recording) == last_ns  # who wakes up enables nothing
