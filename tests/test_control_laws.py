@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from acquisition.robot import load_robot, robot_from_files
 from identification.base_parameters import base_parameters
 from identification.dynamics import Dynamics, direct_model
-from identification.simulation import Loop, recorded_loop, simulate
+from identification.instruments import inertias
+from identification.simulation import Loop, _Control, recorded_loop, simulate
 from identification.synthetic import truth
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
@@ -105,7 +106,7 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
 
 
-@pytest.mark.parametrize("structure", ["cascade_p_pi", "pid"])
+@pytest.mark.parametrize("structure", LAWS)
 def test_the_gain_update_leaves_the_motion_as_it_was(structure):
     """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
     robot = axis(structure, "backward_difference", 3.0)
@@ -163,3 +164,55 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         law = replace(loop, velocity_estimate=estimate)
         done = simulate(model, law, reference, zero, zero, start=(np.zeros(2), np.zeros(2)), bound=np.ones(2))
         np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
+    # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G Kp R on the diagonal.
+    w2 = (2 * np.pi * 5.0) ** 2
+    np.testing.assert_allclose(loop.inertias(5.0), np.array([4 * 70.0 + 9 * 55.0, 16 * 55.0]) / w2)
+    np.testing.assert_array_equal(replace(loop, computed_torque=True).inertias(5.0), 1.0)
+
+
+@pytest.mark.parametrize("estimate", ESTIMATES)
+def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
+    robot = axis("pd_velocity_feedforward", estimate, np.inf)
+    dynamics = Dynamics(robot)
+    model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
+    path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
+    start = (path[0], speed[0])
+    done = simulate(model, recorded_loop(robot), path, speed, 0 * speed, start=start, bound=np.ones(1))
+    np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
+    np.testing.assert_allclose(done.q, path, atol=1e-12)
+
+
+def test_an_integral_starts_within_the_limit():
+    """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than that is in the integral."""
+    for limit, effort in ((np.inf, 0.4), (0.3, 0.3)):
+        robot = axis("pid", "exact", limit)
+        dynamics = Dynamics(robot)
+        model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
+        pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
+        control = _Control(pushed, recorded_loop(robot), zero, zero, zero, zero[0], zero[0])
+        assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
+
+
+@pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])
+def test_friction_by_direction_holds_by_direction(force, moves):
+    """15 N hold against a push in the positive direction, 25 N against one in the negative direction."""
+    dynamics = Dynamics(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
+    model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
+    one, zero = np.ones(1), np.zeros((TICKS, 1))
+    loop = Loop(
+        period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
+        saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
+    )  # fmt: skip
+    pushed = replace(model, offset=np.array([-force]))
+    done = simulate(pushed, loop, zero, zero + 0.1, zero, start=(zero[0], zero[0]), bound=one)
+    assert (abs(done.dq[-1, 0]) > 2e-3) == moves
+
+
+def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
+    """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
+    dynamics = Dynamics(load_robot(REPLAY / "scara" / "robot.toml"))
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
+    np.testing.assert_allclose(inertias(model, poses), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)

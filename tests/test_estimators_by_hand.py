@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from identification import IdentificationError
 from identification.diagnostics import instrument_tests
 from identification.estimators import (
     essential_parameters,
@@ -127,3 +128,31 @@ def test_the_durbin_wu_hausman_test_is_the_regression_on_what_instruments_leave(
     first = (fitted.T @ fitted).item() / (((w - fitted).T @ (w - fitted)).item() / 29)
     one = instrument_tests(z / np.linalg.norm(z), w, Y, 30, 0.0)
     assert one.first_stage_F == pytest.approx(first)
+
+
+def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
+    W = np.random.default_rng(3).normal(size=(12, 2))
+    Y = np.r_[np.zeros(6), np.arange(6.0) ** 2]
+    weights = joint_weights(W, Y, np.repeat([0, 1], 6), np.array([6, 6]))
+    assert weights[0] / weights[1] == pytest.approx(1e6)
+
+
+@pytest.mark.parametrize(("ratio", "kept"), [(30.0, ("a", "b")), (10.0, ("a",))])
+def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
+    """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1) does not keep the second."""
+    Q = np.linalg.qr(np.random.default_rng(8).normal(size=(40, 3)))[0]
+    W, Y = Q[:, :2], Q @ np.array([20.0, 1.5, np.sqrt(39.0)])
+    problem = (W, Y, np.zeros(40, dtype=int), np.array([40]))
+    full = ordinary_least_squares(*problem, ("a", "b"))
+    np.testing.assert_allclose(full.sigma_percent, [5.0, 100 / 1.5])
+    reduced = essential_parameters(*problem, full, correlation=0.0, ratio=ratio)
+    assert reduced.estimate.names == kept
+    if len(kept) == 1:
+        assert pytest.approx(1.5**2 * 38 / 39) == reduced.F
+
+
+def test_a_column_of_rounding_alone_is_not_excited():
+    rng = np.random.default_rng(5)
+    W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
+    with pytest.raises(IdentificationError, match="does not excite b: no torque depends on them"):
+        ordinary_least_squares(W, rng.normal(size=30), np.zeros(30, dtype=int), np.array([30]), tuple("abc"))
