@@ -53,11 +53,11 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
     times, set_back = _without_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
     freed, run, within = _even(index, since)
-    overall = _slope(index, since, np.zeros_like(run))
+    overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
     # Pauses lengthen the second, delays may disturb the first; a wrong description is neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
     deviation = since - index * within
-    deviation -= _means(deviation, run)[run]
+    deviation -= _mean_of_run(deviation, run)
     if not ours:
         since = freed
     at = np.rint(np.interp(np.arange(grid), index, since)).astype(np.int64)
@@ -106,17 +106,19 @@ def _even(index: Floats, since: Floats) -> tuple[Floats, Ints, float]:
     return _without_delay(since - index * period, ahead) + index * period, run, period
 
 
-def _means(values: Floats, run: Ints) -> Floats:
-    """Mean of `values` in each run."""
-    found: Floats = np.bincount(run, values) / np.maximum(np.bincount(run), 1)
+def _mean_of_run(values: Floats, run: Ints) -> Floats | float:
+    """For each value the mean of its run."""
+    if not run[-1]:
+        return float(values.mean())
+    found: Floats = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
     return found
 
 
 def _slope(index: Floats, since: Floats, run: Ints) -> float:
     """Least-squares slope over the index, one for all runs, each with an offset of its own."""
-    k = index - _means(index, run)[run]
+    k = index - _mean_of_run(index, run)
     square = float(k @ k)
-    return float(k @ (since - _means(since, run)[run])) / square if square > 0 else float(np.median(np.diff(since)))
+    return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
 
 
 def _without_delay(lateness: Floats, ahead: int) -> Floats:
