@@ -112,8 +112,10 @@ def _paired(rows: Ints, at: Ints, count: Ints, frames: Block) -> tuple[NDArray[n
 
 
 def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tuple[int, bool, int | None]]:
-    """For each frame beyond the first of its interval: its place in `rows`, whether it repeats the one before, and the
-    empty interval that it makes up, the nearest one before; None where there is none near enough.
+    """Frames beyond one for each interval, as (place in `rows`, no sign of a lost SYNC, empty interval made up).
+
+    A frame is no sign of a lost SYNC where it repeats the one before or is too late. The interval that it makes up is the
+    nearest empty one before; None where there is none near enough.
     """
     found: list[tuple[int, bool, int | None]] = []
     crowded = np.flatnonzero(count >= 2).tolist()
@@ -125,11 +127,22 @@ def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tup
     for k, begin in zip(crowded, np.searchsorted(at, crowded).tolist(), strict=True):
         until = bisect_left(empty, k)
         waiting.extend(empty[max(seen, until - LONGEST_LATE) : until])
+        too_late = until - seen > LONGEST_LATE
         seen = until
-        for place in range(begin + 1, begin + int(count[k])):  # of duplicates the first stays
-            repeats = _repeats(frames, rows, place)
-            near = not repeats and bool(waiting) and k - waiting[-1] <= LONGEST_RUN
-            found.append((place, repeats, waiting.pop() if near else None))
+        places = range(begin, begin + int(count[k]))
+        repeats = [place for place in places[1:] if _repeats(frames, rows, place)]
+        found += [(place, True, None) for place in repeats]
+        single = [place for place in places if place not in repeats]
+        made_up: list[int] = []
+        while len(made_up) < len(single) - 1 and waiting and k - waiting[-1] <= LONGEST_RUN:
+            made_up.append(waiting.pop())
+        # Of duplicates the first stays; after a silence too long to be made up the last ones do.
+        spare = len(single) - 1 - len(made_up)
+        kept = len(single) - spare
+        surplus = single[:spare] if too_late else single[kept:]
+        found += [(place, too_late, None) for place in surplus]
+        beyond_first = (single[spare:] if too_late else single[:kept])[1:]
+        found += [(place, False, slot) for place, slot in zip(beyond_first, made_up, strict=True)]
     return found
 
 

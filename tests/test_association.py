@@ -63,6 +63,8 @@ FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
         ("S 1:5 2:5 2:6 S+2 1:6 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
         ("S 2:5 S 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [[6, 6], [55, 55], [60, 60]], 1),
         ("S 1:5 2:5 1:6 2:6 1:55 2:55 S+3 1:60 2:60", [[5, 5], [6, 6], [55, 55], [60, 60]], 2),
+        # Time for one more SYNC only: of two further answers the second is a duplicate.
+        ("S 1:5 2:5 1:6 2:6 1:55 2:55 S+2 1:60 2:60", [[5, 5], [6, 6], [60, 60]], 1),
         # Two answers of each drive, but no time for two: duplicates. Of duplicates the first counts.
         ("S 1:5 2:5 1:55 2:55 S 1:6 2:6", [[5, 5], [6, 6]], 0),
         # Two answers of one drive alone are no lost SYNC, however long the interval.
@@ -74,7 +76,12 @@ FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
         ("S 2:5 S 1:5 2:6 1:6", [[5, 5], [6, 6]], 0),
         # Late by three, and by four, which is too much: the oldest counts as missing.
         ("S 2:5 S 2:6 S 2:61 S 2:62 1:5 1:6 1:61 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
-        ("S 2:5 S 2:6 S 2:61 S 2:62 S 2:63 1:6 1:61 1:62 1:63", [[6, 6], [61, 61], [62, 62], [63, 63]], 0),
+        ("S 2:5 S 2:6 S 2:61 S 2:62 S 2:63 1:5 1:6 1:61 1:62 1:63", [[6, 6], [61, 61], [62, 62], [63, 63]], 0),
+        (
+            "S S S S S 1:5 1:6 1:61 1:62 1:63 2:5 2:6 2:61 2:62 2:63 S+2 1:60 2:60",
+            [[6, 6], [61, 61], [62, 62], [63, 63], [60, 60]],
+            0,
+        ),
         # A drive late by one for a while.
         ("S 2:5 S 1:5 2:6 S 1:6 2:61 S 1:61 2:62 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
     ],

@@ -75,6 +75,8 @@ def test_a_drive_that_slides_has_metres_and_its_second_axis_the_same_names():
     text = text.replace("rated_torque_nm = 0.42", 'rated_force_n = 100\nreference_rule = "per mille of rated force"')
     (column,) = extra_columns(robot_of(text))
     assert (column.name, column.unit) == ("velocity", "m/s")
+    (other,) = extra_columns(robot_of(text.replace("686C", "646C")))
+    assert (other.name, other.unit) == ("646C:0", "")
 
 
 @pytest.mark.parametrize(
