@@ -6,10 +6,8 @@ from . import AcquisitionError
 from .bus_description import BusFile
 from .master import Master
 
-LATE_PERIODS, LATE_S = (
-    3,
-    0.02,
-)  # in motion SYNC may be late by the larger of both, where `[bus] late_sync_s` is not stated
+# In motion SYNC may be late by the larger of both, where `[bus] late_sync_s` is not stated.
+LATE_PERIODS, LATE_S = 3, 0.02
 ABSENT_PERIODS = 50  # without another producer's SYNC, at rest
 ANSWER_SHARE = 0.7  # of a period, in which drives answer SYNC
 CLOCK_STEP_S = 0.05  # a clock that is slewed drifts by less from SYNC to SYNC

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pytest
@@ -9,8 +10,11 @@ from dry_sessions import Outcome, Through, dry_session
 from made_up_buses import bus_text, robot_of
 
 import acquisition.pacing as pacing
+import acquisition.record as record_module
+from acquisition.__main__ import main
 from acquisition.cia402 import State
 from acquisition.drive_reports import error_words, status_words
+from acquisition.dry_run import dry_run
 from acquisition.guards import SPEED_MARGIN
 from acquisition.session import Ending, Plan, Stop
 from acquisition.simulated_drives import SimulatedFault
@@ -349,3 +353,22 @@ def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind
         assert ending.reports[0].startswith(report)
         assert outcome.events("mark") == list(ending.reports)
     assert outcome.drives.states[1] is not State.OPERATION_ENABLED
+
+
+@pytest.mark.parametrize("kind", ["silent", "emergency"])
+def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(tmp_path, monkeypatch, capsys, kind):
+    faults = [SimulatedFault(kind=kind, node=1, sync=130)]
+    monkeypatch.setattr(record_module, "dry_run", partial(dry_run, faults=faults))
+    robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"
+    robot.write_text(bus_text(2))
+    table.write_text("time_s,joint_1,joint_2\n0,0,0\n0.3,0,0\n")
+    status = main(["record", str(robot), "-o", str(tmp_path / "a.mcap"), "--track", str(table), "--dry-run"])
+    lines = capsys.readouterr().err.splitlines()
+    assert status == 1
+    if kind == "silent":
+        assert lines.pop(0) == "NOT DISABLED: nodes 1: EMERGENCY STOP"
+        assert lines[0] == "fault: node 1 (motor_1): 3 SYNC not answered"
+    else:
+        assert lines[0] == "fault: node 1 (motor_1): emergency 0x2310 (continuous over current)"
+        assert lines[1].startswith("node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310")
+    assert lines[-1].startswith(f"robot-acquire: {tmp_path / 'a.mcap'}: ended by a fault: node 1")
