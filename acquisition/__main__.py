@@ -6,7 +6,7 @@ Parse, one library call, print. Libraries are imported by the commands that use 
 import argparse
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,7 +133,7 @@ def _check(arguments: argparse.Namespace) -> None:
     print("go")
 
 
-def _record(arguments: argparse.Namespace) -> None:
+def _record(arguments: argparse.Namespace) -> int:
     from .record import Wanted, record, stop_on_signals
     from .robot import load_robot
     from .session import Stop
@@ -159,24 +159,26 @@ def _record(arguments: argparse.Namespace) -> None:
             confirm=lambda words: arguments.yes or _agreed(words, stop, line),
         )
         ending, recorded = record(robot, str(arguments.robot), arguments.output, wanted, told, stop, _announce)
+    if ending.fault:  # the reason comes before what was recorded
+        reason = "; ".join((ending.reason, *ending.reports))
+        print(one_line(f"robot-acquire: {arguments.output}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
     for text in () if ending.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
     print(one_line(f"{arguments.output}: {robot.name}, {held}; {ending.reason}"))
     if ending.fault:
-        raise AcquisitionError(f"{arguments.output}: ended by a fault: {ending.reason}")
+        return 1
     if ending.alarm:
         raise AcquisitionError(f"{arguments.output}: {ending.alarm}")
     if recorded.no_samples:
         raise AcquisitionError(f"no samples, the frames are kept: {recorded.no_samples}")
+    return 0
 
 
 def _announce(ending: "Ending") -> None:
-    """What is said of a session's end before its recording is closed: drives that may still be enabled before all else."""
-    reason = f"fault: {ending.reason}" if ending.fault else ""
-    with suppress(OSError):  # a terminal that is gone
-        for text in filter(None, (ending.alarm, reason, *ending.reports)):
-            print(one_line(text), file=sys.stderr, flush=True)
+    """Say at once which drives may still be enabled: before the recording is closed, and before all else."""
+    if ending.alarm:
+        print(one_line(ending.alarm), file=sys.stderr, flush=True)
 
 
 def _agreed(words: list[str], stop: "Stop", line: "Line") -> bool:
