@@ -3,6 +3,7 @@
 Network interfaces stay on this machine unless the description tells otherwise.
 """
 
+import logging
 import socket
 import struct
 import time
@@ -26,6 +27,10 @@ _SO_RCVBUFFORCE = 33
 _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
 _TIMESPEC_BYTES = 16
 DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
+
+
+# What python-can warns of would stand among our own lines; what matters is raised, and told in one of them.
+logging.getLogger("can").addHandler(logging.NullHandler())
 
 
 class Frame(NamedTuple):

@@ -205,7 +205,7 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
 
 
 def _view(options: argparse.Namespace) -> None:
-    out = options.out or options.recording.with_suffix(".rrd")
+    out = options.out or Path(str(options.recording).removesuffix(options.recording.suffix) + ".rrd")
     refuse_clash([options.recording, options.robot], out)
     with _progress() as status:
         from .viewer import write_recording_rrd

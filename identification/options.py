@@ -1,6 +1,7 @@
 """Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise."""
 
 import argparse
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -87,15 +88,15 @@ def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None, folders: 
 
     Without `folders` these are not looked for: a picture that cannot be written must not cost its fit.
     """
-    seen = {path.resolve() for path in inputs if path is not None}
+    seen = {os.path.realpath(path) for path in inputs if path is not None}  # of a loop of links too
     for output in outputs:
         if output is None:
             continue
-        if output.resolve() in seen:
+        if os.path.realpath(output) in seen:
             raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
         if folders and not output.absolute().parent.is_dir():
             raise IdentificationError(f"{output}: no folder {output.parent}")
-        seen.add(output.resolve())
+        seen.add(os.path.realpath(output))
 
 
 def not_negative(text: str) -> float:

@@ -83,8 +83,14 @@ def test_closed_streams_are_as_good_as_none(tmp_path):
     assert (tmp_path / "a.csv").read_text().startswith("time_s")
     done = in_shell("ACQ info none.mcap 2>&-", tmp_path)
     assert (done.returncode, done.stdout) == (1, ""), "an error is not a result"
-    done = in_shell("ACQ info a.mcap >&- 2>&- <&-", tmp_path)
+    (tmp_path / "number.py").write_text(
+        "from acquisition.command_line import run_command\n"
+        "def command():\n    with open('number', 'w') as file:\n        file.write(str(file.fileno()))\n"
+        "raise SystemExit(run_command('p', (), command))\n"
+    )
+    done = in_shell(f"{sys.executable} number.py >&- 2>&- <&-", tmp_path)
     assert done.returncode == 0
+    assert int((tmp_path / "number").read_text()) > 2
     if Path("/dev/full").exists():
         assert in_shell("ACQ info a.mcap 2>/dev/full", tmp_path).stdout.count("SCARA") >= 1
         assert in_shell("ACQ info none.mcap 2>/dev/full", tmp_path).returncode == 1
@@ -146,3 +152,29 @@ def test_statuses_stand_in_the_help_and_in_the_readme(package, capsys):
     for status in ("0", "1", "2", "3", "130"):
         assert f"| {status} |" in readme
         assert f" {status} " in STATUSES
+
+
+def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("loop").symlink_to("loop")
+    for command in (
+        ["fit", "loop"],
+        ["base", "loop"],
+        ["compare", "loop", str(FIT)],
+        ["view", ""],
+        ["view", "."],
+    ):
+        assert identify(command) == 1
+        told = capsys.readouterr()
+        assert told.err.startswith("robot-identify: ")
+        assert told.err.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["loop"]
+
+
+def test_a_bus_that_cannot_be_opened_is_one_line(tmp_path):
+    """python-can warns of the half-opened bus when it is thrown away."""
+    text = SCARA.read_text().replace('interface = "virtual"', 'interface = "udp_multicast"')
+    (tmp_path / "robot.toml").write_text(text.replace('channel = "scara"', 'channel = "nowhere"'))
+    done = in_shell("ACQ check robot.toml", tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "bus: udp_multicast nowhere: cannot be opened" in done.stderr
