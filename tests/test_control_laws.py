@@ -189,7 +189,9 @@ def test_an_integral_starts_within_the_limit():
         dynamics = Dynamics(robot)
         model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
         pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
-        control = _Control(pushed, recorded_loop(robot), zero, zero, zero, zero[0], zero[0])
+        loop = recorded_loop(robot)
+        control = _Control(pushed, loop, zero, zero, zero, zero[0], zero[0])
+        assert loop.Ki * control._integral == pytest.approx(effort)
         assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
 
