@@ -186,7 +186,9 @@ class SimulatedDrives:
         sent = self._agenda.due(now_ns)
         for i, node in enumerate(self.nodes):
             every_ns = self._heartbeat_ns(i)
-            if every_ns and now_ns >= self._next_heartbeat[i]:
+            if node.boot_up_counts:
+                node.boot_up_counts, self._next_heartbeat[i] = False, now_ns + every_ns
+            elif every_ns and now_ns >= self._next_heartbeat[i]:
                 self._next_heartbeat[i] = now_ns + every_ns
                 sent += [] if i in self._silent else node.heartbeat()
         for i, supervision in enumerate(self._supervisions):

@@ -10,6 +10,7 @@ from .cia402 import (
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
     FOLLOWING_ERROR_WINDOW,
+    HEARTBEAT_TIME,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     STANDARD,
@@ -61,12 +62,14 @@ class SimulatedNode:
     rpdos: tuple[Pdo, ...] = ()
     cleared: int = 0
     more_status: int = 0  # bits of the statusword beside those of the state
+    boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next one comes a heartbeat time later
 
     def boot(self) -> Sent:
         """Back to the values of the start; the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
         self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
+        self.boot_up_counts = bool(self.values.get((HEARTBEAT_TIME, 0)))
         self._map()
         return [(0x700 + self.drive.node, b"\0")]
 
