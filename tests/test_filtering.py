@@ -110,8 +110,8 @@ def test_smooth_ends_keep_a_single_sample_small_in_the_end_rows(factor):
     first = np.zeros(49 * factor + 1)  # the last sample is kept, so this length keeps the first one too
     first[0] = 1.0
     for x, row in ((last, -1), (first, 0)):
-        assert decimate(x, factor)[row] > 0.5
-        assert abs(decimate(x, factor, smooth_ends=True)[row]) < 0.35
+        assert decimate(x, factor, smooth_ends=False)[row] > 0.5
+        assert abs(decimate(x, factor)[row]) < 0.35
     line = 3.0 + 0.02 * np.arange(50 * factor)
     ripple = 10 ** (-2 * 0.05 / 20)  # a filter of even order is at the foot of its ripple at 0 Hz, in both directions
     found = decimate(line, factor, smooth_ends=True)
