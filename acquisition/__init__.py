@@ -10,12 +10,14 @@ The flow::
   and ``extra_objects``
 - protocol without I/O: ``cia402`` (states, raw integers to SI), ``sdo``, ``pdo``, ``error_frames``
 - the bus: ``bus`` (the only one that talks to it), ``master``, ``guards``, ``session`` (the only loop), ``record``, ``check``;
-  ``listening`` tells who is there before anything is sent
+  ``listening`` tells who is there before anything is sent, ``homing`` and ``scheduling`` what must hold before motion
+- when something is wrong: ``safe_stop`` is the one stop, of the session, of the ``dead_man`` in the recorder's process and
+  of ``disabling``; drives supervise the ``master_heartbeat``, and ``supervision`` tells what else they supervise
 - the recording: ``recording`` owns the format with ``blocks`` and ``mcap_content``; ``recorder`` writes frames, in
   ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs
   and ``sync_times``;
   ``overview`` sums up
-- without hardware: ``simulated_node``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
+- without hardware: ``simulated_node``, ``simulated_supervision``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
 - from elsewhere and to elsewhere: ``tables`` with ``table_files`` and ``mat_files``, ``conversions`` with ``can_logs``;
   ``reference`` has trajectories
 - ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows
