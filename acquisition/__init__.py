@@ -17,7 +17,8 @@ The flow::
   ``recorder_process`` beside the session; ``decoding`` makes samples of frames, by the ``association`` of PDOs with SYNCs
   and ``sync_times``;
   ``overview`` sums up
-- without hardware: ``simulated_node``, ``simulated_supervision``, ``simulated_drives``, ``plants``, ``mechanism``, ``dry_run``, ``replay``
+- without hardware: ``simulated_node``, ``simulated_supervision``, ``simulated_drives``,
+  ``plants``, ``mechanism``, ``dry_run``, ``replay``
 - from elsewhere and to elsewhere: ``tables`` with ``table_files`` and ``mat_files``, ``conversions`` with ``can_logs``;
   ``reference`` has trajectories
 - ``whole_file`` keeps output files from being half written; ``live_line`` is what a session shows
