@@ -254,8 +254,8 @@ def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
         raise AcquisitionError(
             f"{place}: SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml: expected "
-            f"{measured_s:.3g}; `robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap` makes samples of "
-            "recorded frames"
+            f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
+            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
         )
 
 

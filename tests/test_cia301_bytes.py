@@ -381,7 +381,7 @@ def test_mapping_is_refused_where_cia_301_refuses_it(node):
 
 
 def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
-    """Voltage present and remote (bits 4 and 9) beside the state's own bits."""
+    """Beside the state's own bits: voltage present (4), remote (9), and, enabled in CSP, following the command (12)."""
     written(node, *MAPPED)
     assert node.receive(0x205, data("06 00 00 00 00 00")) == []  # not operational: no PDO is taken
     node.apply()
@@ -391,10 +391,10 @@ def test_a_node_is_enabled_stopped_quickly_and_reset_by_its_bits(node):
     assert commanded(node, "0f 00") == "50 02"  # illegal there
     assert commanded(node, "06 00") == "31 02"
     assert commanded(node, "07 00") == "33 02"
-    assert commanded(node, "0f 00") == "37 02"
+    assert commanded(node, "0f 00") == "37 12"
     assert commanded(node, "02 00") == "17 02"  # quick stop active
     assert commanded(node, "02 00") == "17 02"  # and it stays so
-    assert commanded(node, "0f 00") == "37 02"
+    assert commanded(node, "0f 00") == "37 12"
     assert commanded(node, "02 00") == "17 02"
     assert commanded(node, "00 00") == "50 02"
     assert node.emergency(0x8700) == [(0x085, data("00 87 01 00 00 00 00 00"))]

@@ -87,12 +87,12 @@ def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
 
 def test_a_third_partys_candump_by_the_command(tmp_path, capsys):
     log = needs_data("can_logs", "third_party_2drives.log")
-    text = bus_text(2, period_s=0.001, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
+    text = bus_text(2, period_s=0.01, ratio=1.0, drive='mapping = "traffic"').replace("65536", "6553600")
     (tmp_path / "r.toml").write_text(text.replace("node = 1\n", "node = 5\n").replace("node = 2\n", "node = 6\n"))
     arguments = ["import", str(log), "--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
     assert main(arguments) == 0
     captured = capsys.readouterr()
-    assert captured.out.endswith("a.mcap: made up, 299 samples at 1000 Hz\n")
+    assert captured.out.endswith("a.mcap: made up, 299 samples at 100 Hz\n")
     assert "TPDO 1 of node 6, motor_2: 2 late of 299" in captured.err
 
 
