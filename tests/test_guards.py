@@ -16,9 +16,12 @@ from acquisition.cia402 import State
 from acquisition.drive_reports import error_words, status_words
 from acquisition.dry_run import dry_run
 from acquisition.guards import SPEED_MARGIN
+from acquisition.overview import overview
 from acquisition.session import Ending, Plan, Stop
 from acquisition.simulated_drives import SimulatedFault
 from acquisition.simulated_node import SimulatedNode
+from identification import IdentificationError
+from identification.signals import load_signals
 
 REST = Plan(reference=np.zeros((151, 2)))  # 0.3 s
 PERIOD_S = 0.002
@@ -244,6 +247,10 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
         assert "late in motion: expected 0.0" in outcome.ending.reason
     if for_s == 2.0:
         assert outcome.ending.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
+        (gap,) = overview(outcome.recording).gaps
+        assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
+        with pytest.raises(IdentificationError, match=r"gap\(s\) in the samples.*expected 2.000 ms throughout"):
+            load_signals(tmp_path / "a.mcap")
 
 
 def test_a_slow_sync_may_be_three_periods_late():
