@@ -1,22 +1,15 @@
 """Identifies the base dynamic parameters of a robot from a recording.
 
-The map, in the order in which the data passes::
+The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
 
-    recording.mcap ──signals──> Signals ──filtering──> Motion ──regression──> Regression ──estimators──> Estimate
-                                                          │
-                                     dynamics, base_parameters
-
-``idim`` is the method on one screen, ``fit`` what it gives, ``judgement`` what speaks for and against it. For instrumental
-variables ``instruments`` lays out the experiment and ``simulation`` is the robot in closed loop. ``report`` makes tables and
-lines, ``printing`` prints them, ``fit_file`` stores, ``viewer`` draws; ``synthetic``, ``plant``, ``demo`` and ``study`` work
-on robots whose parameters are known.
+    data         a recording as signals on a uniform grid
+    model        inverse and direct dynamics, friction and rotors, base parameters (pinocchio)
+    regression   settings, filters, the over-determined system W, Y, and the rows that count
+    estimation   least squares, instrumental variables and their tests, on arrays
+    simulation   the robot in closed loop: control laws, friction with stick phases
+    methods      the method on one screen (`idim`), the simulated replica of the experiment, what a fit is worth
+    study        robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies
+    report       what is told of a fit: tables, JSON, comparison, the terminal
+    view         pictures for Rerun
+    commands     the command line
 """
-
-from acquisition import one_line
-
-
-class IdentificationError(Exception):
-    """Bad input or a fit that cannot be made, told in one line."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))

@@ -7,18 +7,18 @@ from pathlib import Path
 import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.bus import Frame
-from acquisition.drives import Bus
-from acquisition.dry_run import dry_run
-from acquisition.master import Master
-from acquisition.mechanism import Mechanism, rated_motor_effort, typical_loops
-from acquisition.plants import Plant
-from acquisition.recorder import Recorded, Recorder
-from acquisition.recorder_process import InlineLog
-from acquisition.recording import Recording, read_recording
-from acquisition.robot import Robot
-from acquisition.session import Ending, Plan, Stop, run_active
-from acquisition.simulated_drives import SimulatedDrives, SimulatedFault
+from acquisition.master.master import Master
+from acquisition.recorder.process import InlineLog
+from acquisition.recorder.recorder import Recorded, Recorder
+from acquisition.recording.file import Recording, read_recording
+from acquisition.robot.drives import Bus
+from acquisition.robot.robot import Robot
+from acquisition.session.session import Ending, Plan, Stop, run_active
+from acquisition.simulated.drives import SimulatedDrives, SimulatedFault
+from acquisition.simulated.lock_step import dry_run
+from acquisition.simulated.mechanism import Mechanism, rated_motor_effort, typical_loops
+from acquisition.simulated.plants import Plant
+from acquisition.transport.link import Frame
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:

@@ -6,10 +6,10 @@ Not for a test that patches the method: others would be given its fit.
 from functools import cache
 from pathlib import Path
 
-from identification.fit import Fit
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.plan import Overrides
-from identification.signals import Signals, load_signals
+from identification.data.signals import Signals, load_signals
+from identification.methods.fit import Fit
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.regression.settings import Overrides
 
 
 @cache

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.blocks import FRAME, SENT, Block
-from acquisition.drives import Bus, resolve
-from acquisition.robot import Robot, robot_from_files
+from acquisition.recording.rows import FRAME, SENT, Block
+from acquisition.robot.drives import Bus, resolve
+from acquisition.robot.robot import Robot, robot_from_files
 
 JOINT = """
 [[joint]]

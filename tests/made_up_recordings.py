@@ -4,10 +4,10 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition import AcquisitionError
-from acquisition.blocks import EXTENDED, FRAME, SENT, Block, sample_dtype
-from acquisition.recording import Recording, RecordingWriter, read_recording
-from acquisition.robot import Robot
+from acquisition.errors import AcquisitionError
+from acquisition.recording.file import Recording, RecordingWriter, read_recording
+from acquisition.recording.rows import EXTENDED, FRAME, SENT, Block, sample_dtype
+from acquisition.robot.robot import Robot
 
 
 def some_samples(count: int, *, n: int = 2, reference: bool = True, rate_hz: float = 1000.0, first: int = 0) -> Block:

@@ -12,9 +12,9 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_recordings import some_frames, some_samples, write
 
-from acquisition.__main__ import main
-from acquisition.blocks import SENT
-from acquisition.recording import RecordingWriter, read_recording
+from acquisition.commands.program import main
+from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.rows import SENT
 
 SCARA = REPLAY / "scara" / "robot.toml"
 MAP = """

@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, frame, robot_of
 
-from acquisition.blocks import FRAME, Block
-from acquisition.decoding import Decoded, decode
+from acquisition.recorder.decoding import Decoded, decode
+from acquisition.recording.rows import FRAME, Block
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)

@@ -12,15 +12,15 @@ import pytest
 from conftest import REPLAY, ROOT, robot_named
 from test_identify_command import refused, run
 
-from acquisition import AcquisitionError
-from acquisition.recording import RecordingWriter, read_recording
-from acquisition.robot import robot_from_files
-from identification import IdentificationError
-from identification.dynamics import Dynamics, direct_model
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.plan import Overrides
-from identification.signals import load_signals
-from identification.synthetic import Noise, closed_loop, random_reference
+from acquisition.errors import AcquisitionError
+from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.robot.robot import robot_from_files
+from identification.data.signals import load_signals
+from identification.errors import IdentificationError
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.model.inverse import Dynamics, direct_model
+from identification.regression.settings import Overrides
+from identification.study.synthetic import Noise, closed_loop, random_reference
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

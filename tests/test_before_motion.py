@@ -11,17 +11,18 @@ from conftest import robot_named
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError, scheduling
-from acquisition.__main__ import main
-from acquisition.blocks import SENT
-from acquisition.dry_run import dry_run
-from acquisition.homing import confirm_positions, position_words
-from acquisition.master import Master
-from acquisition.pacing import largest_delay_s
-from acquisition.record import Wanted, record
-from acquisition.reference import table_reference
-from acquisition.scheduling import refuse_jitter, steady
-from acquisition.session import Plan, Stop
+from acquisition.commands.program import main
+from acquisition.errors import AcquisitionError
+from acquisition.master.homing import confirm_positions, position_words
+from acquisition.master.master import Master
+from acquisition.recording.rows import SENT
+from acquisition.session import scheduling
+from acquisition.session.pacing import largest_delay_s
+from acquisition.session.recording_session import Wanted, record
+from acquisition.session.scheduling import refuse_jitter, steady
+from acquisition.session.session import Plan, Stop
+from acquisition.simulated.lock_step import dry_run
+from acquisition.trajectory.reference import table_reference
 
 
 def drives_of(text: str, **values: int) -> tuple[object, Master]:

@@ -8,12 +8,12 @@ import can
 import numpy as np
 import pytest
 
-from acquisition import AcquisitionError
-from acquisition import bus as bus_module
-from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
-from acquisition.bus import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus
-from acquisition.bus_description import BusFile, DriveFile
-from acquisition.can_logs import read_log
+from acquisition.errors import AcquisitionError
+from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
+from acquisition.robot.bus import BusFile, DriveFile
+from acquisition.transport import link as bus_module
+from acquisition.transport.link import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus
+from acquisition.transport.logs import read_log
 
 
 def test_a_row_byte_for_byte():

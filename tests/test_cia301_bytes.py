@@ -6,13 +6,11 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.bus import Frame
-from acquisition.cia402 import ObjectEntry, State
-from acquisition.drives import Bus
-from acquisition.master import Master, interpolation_period
-from acquisition.pdo import Pdo, bus_load, configuration, frame_bits, pdos_of, usual_can_id
-from acquisition.sdo import (
+from acquisition.errors import AcquisitionError
+from acquisition.master.master import Master, interpolation_period
+from acquisition.protocol.cia402 import ObjectEntry, State
+from acquisition.protocol.pdo import Pdo, bus_load, configuration, frame_bits, pdos_of, usual_can_id
+from acquisition.protocol.sdo import (
     abort_answer,
     answer_of,
     check_answer,
@@ -22,7 +20,9 @@ from acquisition.sdo import (
     write_request,
     written_answer,
 )
-from acquisition.simulated_node import SimulatedNode, simulated_node
+from acquisition.robot.drives import Bus
+from acquisition.simulated.node import SimulatedNode, simulated_node
+from acquisition.transport.link import Frame
 
 STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6041, sub=0, type="U16"),

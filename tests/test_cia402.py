@@ -5,15 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.cia402 import (
-    AUTOMATIC,
-    Command,
-    PositionCodec,
-    State,
-    after,
-    state_of,
-    toward,
-)
+from acquisition.protocol.cia402 import AUTOMATIC, Command, PositionCodec, State, after, state_of, toward
 
 
 def walked(state: State, goal: State) -> list[State]:

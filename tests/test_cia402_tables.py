@@ -5,8 +5,8 @@ import re
 
 import pytest
 
-from acquisition import AcquisitionError
-from acquisition.cia402 import (
+from acquisition.errors import AcquisitionError
+from acquisition.protocol.cia402 import (
     AUTOMATIC,
     BITS,
     DISABLED,

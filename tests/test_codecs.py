@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.cia402 import EffortCodec, ObjectEntry, PositionCodec, Rule, saturated
-from acquisition.drives import Drive
+from acquisition.protocol.cia402 import EffortCodec, ObjectEntry, PositionCodec, Rule, saturated
+from acquisition.robot.drives import Drive
 
 TURN = 2 * np.pi
 # Unit of the motor's effort, keys of the drive, raw integer, SI by hand.

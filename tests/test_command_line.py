@@ -9,11 +9,11 @@ import pytest
 from conftest import REPLAY, ROOT
 from made_up_recordings import write
 
-from acquisition import AcquisitionError
-from acquisition.__main__ import main as acquire
-from acquisition.command_line import STATUSES, run_command
-from acquisition.robot import load_robot
-from identification.__main__ import main as identify
+from acquisition.commands.command_line import STATUSES, run_command
+from acquisition.commands.program import main as acquire
+from acquisition.errors import AcquisitionError
+from acquisition.robot.robot import load_robot
+from identification.commands.program import main as identify
 
 SCARA = REPLAY / "scara" / "robot.toml"
 SESSION = REPLAY / "scara" / "session.mcap"

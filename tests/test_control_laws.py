@@ -7,12 +7,12 @@ import pytest
 from conftest import REPLAY
 from scipy.linalg import expm
 
-from acquisition.robot import load_robot, robot_from_files
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics, direct_model
-from identification.instruments import inertias
-from identification.simulation import Loop, _Control, recorded_loop, simulate
-from identification.synthetic import truth
+from acquisition.robot.robot import load_robot, robot_from_files
+from identification.methods.replica import inertias
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics, direct_model
+from identification.simulation.loop import Loop, _Control, recorded_loop, simulate
+from identification.study.synthetic import truth
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
 TICKS = 400

@@ -6,13 +6,13 @@ import pytest
 from conftest import needs_data
 from made_up_buses import bus_text, flat, robot_of, session
 
-from acquisition import AcquisitionError
-from acquisition.__main__ import main
-from acquisition.blocks import ERROR, SENT
-from acquisition.can_logs import read_log
-from acquisition.conversions import decode_recording, export_csv, import_log
-from acquisition.recording import read_recording
-from acquisition.table_files import read_columns
+from acquisition.commands.program import main
+from acquisition.errors import AcquisitionError
+from acquisition.files.columns import read_columns
+from acquisition.importing.conversions import decode_recording, export_csv, import_log
+from acquisition.recording.file import read_recording
+from acquisition.recording.rows import ERROR, SENT
+from acquisition.transport.logs import read_log
 
 ROBOT = robot_of(bus_text())
 
@@ -214,7 +214,7 @@ def test_can_fd_frames_are_left_out(tmp_path):
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
     from made_up_recordings import some_samples
 
-    from acquisition.recording import RecordingWriter
+    from acquisition.recording.file import RecordingWriter
 
     for name in ("a.mcap", "b.mcap"):
         with RecordingWriter(tmp_path / name, ROBOT, source="", sample_rate_hz=500.0, effort_provenance="") as writer:

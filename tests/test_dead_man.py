@@ -27,11 +27,11 @@ from test_recording_processes import (
 )
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
-from acquisition.bus import open_link
-from acquisition.cia402 import State, state_of
-from acquisition.dead_man import DeadMan, SignsOfLife, silence_s
-from acquisition.master import Master
-from acquisition.recording import Recording
+from acquisition.master.master import Master
+from acquisition.protocol.cia402 import State, state_of
+from acquisition.recorder.dead_man import DeadMan, SignsOfLife, silence_s
+from acquisition.recording.file import Recording
+from acquisition.transport.link import open_link
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.4  # from the last SYNC of the session to the quick stop of every drive

@@ -7,10 +7,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
-from acquisition import AcquisitionError
-from acquisition.blocks import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
-from acquisition.decoding import Decoded, decode, unwrapped, written_by_master
-from acquisition.drives import resolve
+from acquisition.errors import AcquisitionError
+from acquisition.recorder.decoding import Decoded, decode, unwrapped, written_by_master
+from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
+from acquisition.robot.drives import resolve
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)

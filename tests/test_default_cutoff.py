@@ -19,12 +19,12 @@ from independent_simulator import (
     simulate,
 )
 
-from acquisition.robot import Robot
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.plan import Overrides
-from identification.synthetic import truth
+from acquisition.robot.robot import Robot
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.regression.settings import Overrides
+from identification.study.synthetic import truth
 
 SEEDS = 20
 NEXT_TO_IT = 1.0001

@@ -10,14 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.bus_description import dictionary_label
-from acquisition.cia402 import ObjectEntry
-from acquisition.drives import refuse_load, refuse_out_of_range, resolve
-from acquisition.object_dictionary import load_dictionary
-from acquisition.pdo import Pdo, configuration, frame_bits, pdos_of
-from acquisition.robot import load_robot
-from acquisition.sdo import (
+from acquisition.errors import AcquisitionError
+from acquisition.protocol.cia402 import ObjectEntry
+from acquisition.protocol.dictionary import load_dictionary
+from acquisition.protocol.pdo import Pdo, configuration, frame_bits, pdos_of
+from acquisition.protocol.sdo import (
     abort_answer,
     answer_of,
     check_answer,
@@ -27,6 +24,9 @@ from acquisition.sdo import (
     write_request,
     written_answer,
 )
+from acquisition.robot.bus import dictionary_label
+from acquisition.robot.drives import refuse_load, refuse_out_of_range, resolve
+from acquisition.robot.robot import load_robot
 
 EDS = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
 

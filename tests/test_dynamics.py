@@ -5,11 +5,11 @@ import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.robot import load_robot, robot_from_files
-from identification import IdentificationError
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics
-from identification.synthetic import known_parameters
+from acquisition.robot.robot import load_robot, robot_from_files
+from identification.errors import IdentificationError
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.study.synthetic import known_parameters
 
 RNG = np.random.default_rng(3)
 

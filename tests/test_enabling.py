@@ -7,12 +7,12 @@ import pytest
 from dry_sessions import Outcome, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.blocks import SENT
-from acquisition.cia402 import State
-from acquisition.mechanism import rated_motor_effort
-from acquisition.plants import JointwisePlant, typical_plant
-from acquisition.session import Plan
-from acquisition.simulated_drives import SimulatedDrives, SimulatedFault
+from acquisition.protocol.cia402 import State
+from acquisition.recording.rows import SENT
+from acquisition.session.session import Plan
+from acquisition.simulated.drives import SimulatedDrives, SimulatedFault
+from acquisition.simulated.mechanism import rated_motor_effort
+from acquisition.simulated.plants import JointwisePlant, typical_plant
 
 DEG = np.degrees(1.0)
 TRACK = Plan(reference=swing(2, seconds=0.4, amplitude=0.02))

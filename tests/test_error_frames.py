@@ -2,7 +2,7 @@
 
 import pytest
 
-from acquisition.error_frames import error_words
+from acquisition.protocol.error_frames import error_words
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from identification import IdentificationError
-from identification.diagnostics import instrument_tests
-from identification.estimators import (
+from identification.errors import IdentificationError
+from identification.estimation.diagnostics import instrument_tests
+from identification.estimation.estimators import (
     essential_parameters,
     instrumental_variables,
     joint_weights,

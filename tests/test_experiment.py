@@ -6,11 +6,11 @@ from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics
-from identification.instruments import experiment, simulated_motion
-from identification.plan import Overrides, make_plan
-from identification.synthetic import truth
+from identification.methods.replica import experiment, simulated_motion
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.regression.settings import Overrides, make_plan
+from identification.study.synthetic import truth
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

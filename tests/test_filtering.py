@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from identification import IdentificationError
-from identification.filtering import (
+from identification.errors import IdentificationError
+from identification.regression.filtering import (
     decimate,
     decimation_passes,
     differentiate,

@@ -14,12 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from made_up_recordings import write
 
-from acquisition import AcquisitionError
-from acquisition.description import parse_toml
-from acquisition.recording import read_recording
-from acquisition.robot import Robot, robot_from_files
-from acquisition.table_files import read_columns
-from acquisition.tables import TableMap, import_tables
+from acquisition.errors import AcquisitionError
+from acquisition.files.columns import read_columns
+from acquisition.importing.tables import TableMap, import_tables
+from acquisition.recording.file import read_recording
+from acquisition.robot.robot import Robot, robot_from_files
+from acquisition.robot.toml import parse_toml
 
 FUZZ = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", "150")), deadline=None, suppress_health_check=list(HealthCheck)

@@ -9,19 +9,19 @@ import pytest
 from dry_sessions import Outcome, Through, dry_session
 from made_up_buses import bus_text, robot_of
 
-import acquisition.pacing as pacing
-import acquisition.record as record_module
-from acquisition.__main__ import main
-from acquisition.cia402 import State
-from acquisition.drive_reports import error_words, status_words
-from acquisition.dry_run import dry_run
-from acquisition.guards import SPEED_MARGIN
-from acquisition.overview import overview
-from acquisition.session import Ending, Plan, Stop
-from acquisition.simulated_drives import SimulatedFault
-from acquisition.simulated_node import SimulatedNode
-from identification import IdentificationError
-from identification.signals import load_signals
+import acquisition.session.pacing as pacing
+import acquisition.session.recording_session as record_module
+from acquisition.commands.program import main
+from acquisition.master.reports import error_words, status_words
+from acquisition.protocol.cia402 import State
+from acquisition.recording.summary import overview
+from acquisition.session.guards import SPEED_MARGIN
+from acquisition.session.session import Ending, Plan, Stop
+from acquisition.simulated.drives import SimulatedFault
+from acquisition.simulated.lock_step import dry_run
+from acquisition.simulated.node import SimulatedNode
+from identification.data.signals import load_signals
+from identification.errors import IdentificationError
 
 REST = Plan(reference=np.zeros((151, 2)))  # 0.3 s
 PERIOD_S = 0.002
@@ -255,8 +255,8 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
 
 def test_a_slow_sync_may_be_three_periods_late():
     """With SYNC every 10 ms the bound is 30 ms."""
-    from acquisition.master import Master
-    from acquisition.pacing import Pace
+    from acquisition.master.master import Master
+    from acquisition.session.pacing import Pace
 
     class Bare:
         t = 0

@@ -11,19 +11,19 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 
-from acquisition.robot import load_robot
-from identification import IdentificationError
-from identification.__main__ import main
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics, direct_model
-from identification.fit import Fit
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.instruments import not_positive
-from identification.plan import Overrides
-from identification.signals import Signals, load_signals
-from identification.simulation import recorded_loop
-from identification.study import Run, summaries
-from identification.synthetic import Noise, closed_loop, random_reference, truth
+from acquisition.robot.robot import load_robot
+from identification.commands.program import main
+from identification.data.signals import Signals, load_signals
+from identification.errors import IdentificationError
+from identification.methods.fit import Fit
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.replica import not_positive
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics, direct_model
+from identification.regression.settings import Overrides
+from identification.simulation.loop import recorded_loop
+from identification.study.study import Run, summaries
+from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -91,7 +91,7 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypat
     to_the_end = Iteration(start="ls", tolerance_percent=0.01, max_iterations=6)
     every_row = Overrides(low_speed_percent=0.0)
     coarse = identify_iv(signals, every_row, to_the_end)
-    monkeypatch.setattr("identification.instruments.RATE_PER_BANDWIDTH", 500.0)
+    monkeypatch.setattr("identification.methods.replica.RATE_PER_BANDWIDTH", 500.0)
     fine = identify_iv(signals, every_row, to_the_end)
     assert len(fine.iv.q) == pytest.approx(5 * len(coarse.iv.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()

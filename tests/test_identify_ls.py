@@ -7,23 +7,23 @@ import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
-import identification.regression as regression_module
-from identification import IdentificationError
-from identification.base_parameters import base_parameters
-from identification.diagnostics import hac_sigma
-from identification.dynamics import Dynamics
-from identification.estimators import (
+import identification.regression.system as regression_module
+from identification.data.signals import Signals, load_signals
+from identification.errors import IdentificationError
+from identification.estimation.diagnostics import hac_sigma
+from identification.estimation.estimators import (
     essential_parameters,
     joint_weights,
     ordinary_least_squares,
     weighted_least_squares,
 )
-from identification.filtering import Motion
-from identification.idim import identify_ls
-from identification.plan import Overrides, decimation_rule, make_plan
-from identification.regression import regression_of_motion, regression_of_recording
-from identification.signals import Signals, load_signals
-from identification.synthetic import Noise, closed_loop, exact_motion, random_reference, truth, write_signals
+from identification.methods.idim import identify_ls
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.regression.filtering import Motion
+from identification.regression.settings import Overrides, decimation_rule, make_plan
+from identification.regression.system import regression_of_motion, regression_of_recording
+from identification.study.synthetic import Noise, closed_loop, exact_motion, random_reference, truth, write_signals
 
 
 def rows(r):

@@ -7,10 +7,10 @@ import pytest
 import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 
-from acquisition import AcquisitionError
-from acquisition.recording import read_recording
-from acquisition.robot import Robot, robot_from_files
-from acquisition.tables import Imported, import_tables
+from acquisition.errors import AcquisitionError
+from acquisition.importing.tables import Imported, import_tables
+from acquisition.recording.file import read_recording
+from acquisition.robot.robot import Robot, robot_from_files
 
 ROBOT = """
 name = "two"

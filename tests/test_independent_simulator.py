@@ -20,9 +20,9 @@ from independent_simulator import (
 )
 from scipy.integrate import solve_ivp
 
-from identification.dynamics import Dynamics
-from identification.signals import load_signals
-from identification.synthetic import known_parameters
+from identification.data.signals import load_signals
+from identification.model.inverse import Dynamics
+from identification.study.synthetic import known_parameters
 
 NAMES = ("emps", "scara", "tx40")
 NOTHING = Imperfections()

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from conftest import REPLAY, needs_data, robot_named
 
-from acquisition import AcquisitionError
-from acquisition.limits import held_against_limits
-from acquisition.robot import load_robot
-from acquisition.tables import import_tables
-from identification import IdentificationError
-from identification.idim import identify_ls
-from identification.plan import Overrides
-from identification.signals import Signals, load_signals
+from acquisition.errors import AcquisitionError
+from acquisition.importing.tables import import_tables
+from acquisition.robot.limits import held_against_limits
+from acquisition.robot.robot import load_robot
+from identification.data.signals import Signals, load_signals
+from identification.errors import IdentificationError
+from identification.methods.idim import identify_ls
+from identification.regression.settings import Overrides
 
 T = np.arange(4000) / 1000
 ROBOT = robot_named("scara")

@@ -11,17 +11,17 @@ import pytest
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.blocks import EXTENDED, REMOTE, SENT
-from acquisition.bus import Frame, Link, open_bus, open_link
-from acquisition.bus_description import BusFile
-from acquisition.check import look
-from acquisition.cia402 import State
-from acquisition.dry_run import dry_run, serve
-from acquisition.listening import service_of, sign_of_master
-from acquisition.recording import read_recording
-from acquisition.replay import replay
-from acquisition.session import Plan, Stop
+from acquisition.commands.checking import look
+from acquisition.errors import AcquisitionError
+from acquisition.master.listening import service_of, sign_of_master
+from acquisition.protocol.cia402 import State
+from acquisition.recording.file import read_recording
+from acquisition.recording.rows import EXTENDED, REMOTE, SENT
+from acquisition.robot.bus import BusFile
+from acquisition.session.replaying import replay
+from acquisition.session.session import Plan, Stop
+from acquisition.simulated.lock_step import dry_run, serve
+from acquisition.transport.link import Frame, Link, open_bus, open_link
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)

@@ -2,8 +2,8 @@
 
 from made_up_buses import bus_text, robot_of
 
-from acquisition.live_line import live_line
-from acquisition.recorder import Status
+from acquisition.commands.live import live_line
+from acquisition.recorder.recorder import Status
 
 
 def test_everything_that_matters_is_on_the_line():

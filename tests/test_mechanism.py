@@ -7,16 +7,16 @@ import pytest
 from conftest import REPLAY
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.mechanism as mechanism_module
-from acquisition import AcquisitionError
-from acquisition.mechanism import mechanism_of
-from acquisition.plants import JointwisePlant
-from acquisition.record import Wanted, record
-from acquisition.recording import read_recording
-from acquisition.robot import load_robot
-from acquisition.session import Stop
-from identification.dynamics import Dynamics
-from identification.synthetic import known_parameters
+import acquisition.simulated.mechanism as mechanism_module
+from acquisition.errors import AcquisitionError
+from acquisition.recording.file import read_recording
+from acquisition.robot.robot import load_robot
+from acquisition.session.recording_session import Wanted, record
+from acquisition.session.session import Stop
+from acquisition.simulated.mechanism import mechanism_of
+from acquisition.simulated.plants import JointwisePlant
+from identification.model.inverse import Dynamics
+from identification.study.synthetic import known_parameters
 
 
 @pytest.mark.parametrize("name", ["tx40", "scara"])

@@ -5,12 +5,12 @@ import re
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.bus_description import parse_object
-from acquisition.cia402 import ObjectEntry
-from acquisition.drives import resolve
-from acquisition.object_dictionary import DictionaryEntry, load_dictionary
-from acquisition.simulated_node import simulated_node
+from acquisition.errors import AcquisitionError
+from acquisition.protocol.cia402 import ObjectEntry
+from acquisition.protocol.dictionary import DictionaryEntry, load_dictionary
+from acquisition.robot.bus import parse_object
+from acquisition.robot.drives import resolve
+from acquisition.simulated.node import simulated_node
 
 DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"
 

@@ -7,11 +7,11 @@ from conftest import REPLAY
 from rich.table import Table
 from rich.text import Text
 
-from identification.__main__ import main
-from identification.printing import print_whole
-from identification.report import study_notes
-from identification.study import FALSE_ERROR, Study
-from identification.synthetic import Noise
+from identification.commands.program import main
+from identification.report.tables import study_notes
+from identification.report.terminal import print_whole
+from identification.study.study import FALSE_ERROR, Study
+from identification.study.synthetic import Noise
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -7,10 +7,10 @@ import shutil
 import pytest
 from conftest import REPLAY, ROOT
 
-from acquisition.__main__ import _parser as acquire_parser
-from acquisition.__main__ import main as acquire
-from identification.__main__ import _parser as identify_parser
-from identification.__main__ import main as identify
+from acquisition.commands.program import _parser as acquire_parser
+from acquisition.commands.program import main as acquire
+from identification.commands.program import _parser as identify_parser
+from identification.commands.program import main as identify
 
 README = (ROOT / "README.md").read_text()
 BLOCK = re.findall(r"^ {4,}(robot-(?:acquire|identify) .*)$", README, flags=re.MULTILINE)
@@ -60,7 +60,8 @@ def test_the_two_commands_that_set_everything_up_are_there():
 def test_every_key_of_a_description_is_explained():
     from msgspec.structs import fields
 
-    from acquisition import bus_description, robot
+    from acquisition.robot import bus as bus_description
+    from acquisition.robot import robot
 
     tables = (robot.Joint, robot.Motor, robot.Controller, robot.Identification, robot.DH)
     tables += (bus_description.BusFile, bus_description.DriveFile)

@@ -7,15 +7,15 @@ import pytest
 from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
 
-from acquisition.blocks import sample_dtype
-from acquisition.conversions import decode_recording
-from acquisition.plants import TablePlant
-from acquisition.recording import RecordingWriter, read_recording
-from acquisition.robot import Robot, robot_from_files
-from acquisition.session import Plan
-from identification.idim import identify_ls
-from identification.plan import Overrides
-from identification.signals import load_signals
+from acquisition.importing.conversions import decode_recording
+from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.rows import sample_dtype
+from acquisition.robot.robot import Robot, robot_from_files
+from acquisition.session.session import Plan
+from acquisition.simulated.plants import TablePlant
+from identification.data.signals import load_signals
+from identification.methods.idim import identify_ls
+from identification.regression.settings import Overrides
 
 RATE_HZ = 500
 

@@ -14,10 +14,10 @@ from conftest import robot_named
 from made_up_recordings import some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
-from acquisition import AcquisitionError
-from acquisition.blocks import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
-from acquisition.recording import RecordingWriter, read_recording
-from acquisition.robot import Robot, load_robot
+from acquisition.errors import AcquisitionError
+from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.rows import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
+from acquisition.robot.robot import Robot, load_robot
 
 
 def test_reads_what_was_written(whole: Path, robot: Robot) -> None:

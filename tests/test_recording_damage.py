@@ -15,9 +15,10 @@ import pytest
 from made_up_recordings import attempt, is_prefix, same, some_samples
 from mcap.writer import Writer
 
-from acquisition import AcquisitionError, mcap_content
-from acquisition.recording import read_recording, recover
-from acquisition.robot import Robot
+from acquisition.errors import AcquisitionError
+from acquisition.recording import content as mcap_content
+from acquisition.recording.file import read_recording, recover
+from acquisition.robot.robot import Robot
 
 
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole: Path, tmp_path: Path) -> None:

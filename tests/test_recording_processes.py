@@ -23,11 +23,11 @@ import pytest
 from conftest import ROOT
 from made_up_buses import bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.blocks import FRAME, SENT, Block
-from acquisition.bus import Receiver, open_bus, open_link
-from acquisition.bus_description import BusFile
-from acquisition.recording import Recording, read_recording
+from acquisition.errors import AcquisitionError
+from acquisition.recording.file import Recording, read_recording
+from acquisition.recording.rows import FRAME, SENT, Block
+from acquisition.robot.bus import BusFile
+from acquisition.transport.link import Receiver, open_bus, open_link
 
 SYNC_S = 0.02  # three SYNCs without an answer end a session, 0.1 s without SYNC stops the simulated drives
 HEARTBEAT = "heartbeat_s = 1.0"

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.reference import check_limits, table_reference
+from acquisition.errors import AcquisitionError
+from acquisition.trajectory.reference import check_limits, table_reference
 
 ROBOT = robot_of(bus_text(2))
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from made_up_buses import bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.reference import (
+from acquisition.errors import AcquisitionError
+from acquisition.robot.robot import Robot
+from acquisition.trajectory.reference import (
     FourierReference,
     approach,
     check_limits,
     fourier_reference,
     table_reference,
 )
-from acquisition.robot import Robot
 
 DEG = np.pi / 180
 PERIOD_S = 0.002

@@ -8,11 +8,11 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, signals_of
 
-from identification.__main__ import main
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics
-from identification.signals import load_signals
-from identification.synthetic import truth
+from identification.commands.program import main
+from identification.data.signals import load_signals
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.study.synthetic import truth
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition import AcquisitionError, one_line
-from acquisition.description import LARGEST_TOML, LONGEST_LINE
-from acquisition.robot import load_robot, robot_from_files
-from acquisition.whole_file import refuse_input, whole_file
+from acquisition.errors import AcquisitionError, one_line
+from acquisition.files.atomic import refuse_input, whole_file
+from acquisition.robot.robot import load_robot, robot_from_files
+from acquisition.robot.toml import LARGEST_TOML, LONGEST_LINE
 
 ONE_JOINT = """
 name = "one"

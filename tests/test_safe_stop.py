@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.cia402 import Command, Mode, State
-from acquisition.dry_run import DryRun, dry_run
-from acquisition.master import Master
-from acquisition.mechanism import Mechanism, typical_loops
-from acquisition.safe_stop import leave_operational, not_disabled, safe_stop
-from acquisition.simulated_node import SimulatedNode
+from acquisition.errors import AcquisitionError
+from acquisition.master.master import Master
+from acquisition.master.stopping import leave_operational, not_disabled, safe_stop
+from acquisition.protocol.cia402 import Command, Mode, State
+from acquisition.simulated.lock_step import DryRun, dry_run
+from acquisition.simulated.mechanism import Mechanism, typical_loops
+from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
 CAP_S = 0.5 + SPEED / np.deg2rad(4000)

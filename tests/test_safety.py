@@ -14,23 +14,23 @@ from conftest import needs_data
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.dry_run as dry_run_module
-import acquisition.recorder_process as recorder_process
-from acquisition import AcquisitionError
-from acquisition.blocks import SENT
-from acquisition.bus import Frame, Link, open_bus
-from acquisition.bus_description import dictionary_label
-from acquisition.check import look
-from acquisition.cia402 import State
-from acquisition.dry_run import dry_run, serve
-from acquisition.master import Master, axis_of, interpolation_period
-from acquisition.object_dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
-from acquisition.record import Wanted, record, stop_on_signals
-from acquisition.recorder_process import ProcessLog
-from acquisition.sdo import write_request
-from acquisition.session import Plan, Stop
-from acquisition.simulated_drives import SimulatedFault
-from acquisition.simulated_node import SimulatedNode
+import acquisition.recorder.process as recorder_process
+import acquisition.simulated.lock_step as dry_run_module
+from acquisition.commands.checking import look
+from acquisition.errors import AcquisitionError
+from acquisition.master.master import Master, axis_of, interpolation_period
+from acquisition.protocol.cia402 import State
+from acquisition.protocol.dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
+from acquisition.protocol.sdo import write_request
+from acquisition.recorder.process import ProcessLog
+from acquisition.recording.rows import SENT
+from acquisition.robot.bus import dictionary_label
+from acquisition.session.recording_session import Wanted, record, stop_on_signals
+from acquisition.session.session import Plan, Stop
+from acquisition.simulated.drives import SimulatedFault
+from acquisition.simulated.lock_step import dry_run, serve
+from acquisition.simulated.node import SimulatedNode
+from acquisition.transport.link import Frame, Link, open_bus
 
 TRACK = Plan(reference=swing(2))
 ENABLED = 0x0237

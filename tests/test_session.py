@@ -10,15 +10,15 @@ import pytest
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.blocks import SENT
-from acquisition.bus import Link, open_bus
-from acquisition.cia402 import State
-from acquisition.dry_run import dry_run
-from acquisition.master import Master
-from acquisition.reference import approach, check_limits, table_reference
-from acquisition.session import Plan, Stop, _Session
-from acquisition.simulated_drives import SimulatedFault
+from acquisition.errors import AcquisitionError
+from acquisition.master.master import Master
+from acquisition.protocol.cia402 import State
+from acquisition.recording.rows import SENT
+from acquisition.session.session import Plan, Stop, _Session
+from acquisition.simulated.drives import SimulatedFault
+from acquisition.simulated.lock_step import dry_run
+from acquisition.trajectory.reference import approach, check_limits, table_reference
+from acquisition.transport.link import Link, open_bus
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Plan(reference=swing(2))
@@ -233,7 +233,7 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
 
 
 def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
-    from acquisition.recording import RecordingWriter
+    from acquisition.recording.file import RecordingWriter
 
     real, count = RecordingWriter.frames, [0]
 

@@ -9,14 +9,14 @@ from conftest import needs_data
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError
-from acquisition.bus_description import dictionary_label
-from acquisition.check import look
-from acquisition.cia402 import State
-from acquisition.dry_run import dry_run
-from acquisition.master import Master
-from acquisition.plants import JointwisePlant, TablePlant, typical_plant
-from acquisition.session import Plan
+from acquisition.commands.checking import look
+from acquisition.errors import AcquisitionError
+from acquisition.master.master import Master
+from acquisition.protocol.cia402 import State
+from acquisition.robot.bus import dictionary_label
+from acquisition.session.session import Plan
+from acquisition.simulated.lock_step import dry_run
+from acquisition.simulated.plants import JointwisePlant, TablePlant, typical_plant
 
 VENDORS = {
     "elmo_Gold.dcf": 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from acquisition.robot import robot_from_files
-from identification import IdentificationError
-from identification.base_parameters import base_parameters
-from identification.dynamics import DirectModel, Dynamics, direct_model
-from identification.idim import Iteration, identify_iv
-from identification.instruments import inertias, not_positive, regular_start
-from identification.plan import Overrides
-from identification.simulation import Loop, _Control, recorded_loop, simulate, surrogate_loop
-from identification.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
+from acquisition.robot.robot import robot_from_files
+from identification.errors import IdentificationError
+from identification.methods.idim import Iteration, identify_iv
+from identification.methods.replica import inertias, not_positive, regular_start
+from identification.model.base import base_parameters
+from identification.model.inverse import DirectModel, Dynamics, direct_model
+from identification.regression.settings import Overrides
+from identification.simulation.loop import Loop, _Control, recorded_loop, simulate, surrogate_loop
+from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
 
 RATE = 1000.0
 

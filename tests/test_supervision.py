@@ -7,15 +7,16 @@ import pytest
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition import AcquisitionError, simulated_supervision
-from acquisition.check import look
-from acquisition.cia402 import Command, Mode, State
-from acquisition.dry_run import DryRun, dry_run
-from acquisition.master import Master
-from acquisition.master_heartbeat import MasterHeartbeat, free_entry, timeout_ms
-from acquisition.session import Plan
-from acquisition.simulated_node import SimulatedNode
-from acquisition.supervision import second_stop, supervision_of
+from acquisition.commands.checking import look
+from acquisition.errors import AcquisitionError
+from acquisition.master.heartbeat import MasterHeartbeat, free_entry, timeout_ms
+from acquisition.master.master import Master
+from acquisition.master.supervision import second_stop, supervision_of
+from acquisition.protocol.cia402 import Command, Mode, State
+from acquisition.session.session import Plan
+from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated.lock_step import DryRun, dry_run
+from acquisition.simulated.node import SimulatedNode
 
 MS = 1_000_000
 TRACK = Plan(reference=swing(2))

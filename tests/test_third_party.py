@@ -31,9 +31,9 @@ from test_recording_processes import (
     wait_for,
 )
 
-from acquisition import simulated_supervision
-from acquisition.dry_run import serve
-from acquisition.recording import read_recording
+from acquisition.recording.file import read_recording
+from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated.lock_step import serve
 
 __all__ = ["folder", "port"]  # fixtures
 

@@ -8,19 +8,19 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.recording import RecordingWriter, read_recording
-from acquisition.robot import LowSpeed, Robot, robot_from_files
-from identification import IdentificationError
-from identification.__main__ import main
-from identification.dynamics import Dynamics
-from identification.estimators import joint_weights, weighted_least_squares
-from identification.fit import Fit
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.low_speed import fast_rows, measured_speed
-from identification.plan import Overrides, make_plan
-from identification.regression import regression_of_recording
-from identification.signals import Signals, load_signals
-from identification.synthetic import Noise, closed_loop, random_reference, truth
+from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.robot.robot import LowSpeed, Robot, robot_from_files
+from identification.commands.program import main
+from identification.data.signals import Signals, load_signals
+from identification.errors import IdentificationError
+from identification.estimation.estimators import joint_weights, weighted_least_squares
+from identification.methods.fit import Fit
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.model.inverse import Dynamics
+from identification.regression.low_speed import fast_rows, measured_speed
+from identification.regression.settings import Overrides, make_plan
+from identification.regression.system import regression_of_recording
+from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 
 SCARA = REPLAY / "scara" / "session.mcap"
 TX40 = REPLAY / "tx40" / "session.mcap"
@@ -228,7 +228,7 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 
 def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
     """Passes 2 and 3 get a share of the torque as noise: the first one's simulated robot tracks best."""
-    import identification.idim as idim
+    import identification.methods.idim as idim
 
     solve, calls = idim.instrumental_variables, []
 

@@ -5,12 +5,12 @@ import dataclasses
 import msgspec
 from conftest import REPLAY
 
-from identification.diagnostics import InstrumentTests
-from identification.fit import DirectModelError, Pass
-from identification.idim import Iteration, identify_iv
-from identification.judgement import _verdict
-from identification.plan import Overrides
-from identification.signals import load_signals
+from identification.data.signals import load_signals
+from identification.estimation.diagnostics import InstrumentTests
+from identification.methods.assess import _verdict
+from identification.methods.fit import DirectModelError, Pass
+from identification.methods.idim import Iteration, identify_iv
+from identification.regression.settings import Overrides
 
 GOOD = InstrumentTests(
     dwh_F=None, dwh_p_value=None, dwh_F_effective=None, dwh_p_effective=None, strength=0.9, first_stage_F=500.0

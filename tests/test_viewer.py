@@ -9,19 +9,19 @@ import pytest
 from conftest import robot_named
 from rerun.chunk import RrdReader
 
-from acquisition import AcquisitionError
-from acquisition.robot import robot_from_files
-from identification import curves, viewer
-from identification.base_parameters import base_parameters
-from identification.curves import BUCKETS, extremes
-from identification.dynamics import Dynamics
-from identification.filtering import Motion, decimate, differentiate, lowpass, motion_between
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.plan import Overrides
-from identification.regression import predicted_torque
-from identification.signals import Signals
-from identification.synthetic import Noise, closed_loop, random_reference
-from identification.viewer import write_fit_rrd
+from acquisition.errors import AcquisitionError
+from acquisition.robot.robot import robot_from_files
+from identification.data.signals import Signals
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics
+from identification.regression.filtering import Motion, decimate, differentiate, lowpass, motion_between
+from identification.regression.settings import Overrides
+from identification.regression.system import predicted_torque
+from identification.study.synthetic import Noise, closed_loop, random_reference
+from identification.view import curves, viewer
+from identification.view.curves import BUCKETS, extremes
+from identification.view.viewer import write_fit_rrd
 
 FS = 1000.0
 

@@ -10,17 +10,17 @@ from conftest import REPLAY, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.robot import robot_from_files
-from identification import IdentificationError
-from identification.__main__ import main
-from identification.charts import trust_drawing
-from identification.comparison import Value, Values, difference_lines, differences, values_of_fit
-from identification.dynamics import Dynamics
-from identification.plan import Overrides
-from identification.robot_drawing import pose_stride, robot_scene
-from identification.session_panels import event_log, health_plot, span_lanes
-from identification.signals import Happening, load_signals
-from identification.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
+from acquisition.robot.robot import robot_from_files
+from identification.commands.program import main
+from identification.data.signals import Happening, load_signals
+from identification.errors import IdentificationError
+from identification.model.inverse import Dynamics
+from identification.regression.settings import Overrides
+from identification.report.comparison import Value, Values, difference_lines, differences, values_of_fit
+from identification.view.charts import trust_drawing
+from identification.view.robot_drawing import pose_stride, robot_scene
+from identification.view.session_panels import event_log, health_plot, span_lanes
+from identification.view.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 
 SESSION = REPLAY / "scara" / "session.mcap"
 LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
@@ -142,7 +142,7 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
-    from acquisition.recording import RecordingWriter, read_recording
+    from acquisition.recording.file import RecordingWriter, read_recording
 
     recording, path = read_recording(SESSION), tmp_path / "log.mcap"
     samples = np.array(recording.samples[:3000])

@@ -17,12 +17,12 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.blocks import FRAME
-from acquisition.bus import Receiver, _enlarge_queue, kernel_drops
-from acquisition.decoding import decode
-from acquisition.recorder import Recorder
-from acquisition.recorder_process import _record
-from acquisition.recording import read_recording
+from acquisition.recorder.decoding import decode
+from acquisition.recorder.process import _record
+from acquisition.recorder.recorder import Recorder
+from acquisition.recording.file import read_recording
+from acquisition.recording.rows import FRAME
+from acquisition.transport.link import Receiver, _enlarge_queue, kernel_drops
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -16,15 +16,15 @@ import pinocchio as pin
 import pytest
 from conftest import robot_named
 
-from acquisition.blocks import sample_dtype
-from acquisition.recording import RecordingWriter
-from acquisition.reference import fourier_reference
-from identification.base_parameters import base_parameters
-from identification.dynamics import Dynamics, direct_model
-from identification.idim import Iteration, identify_iv, identify_ls
-from identification.plan import Overrides
-from identification.signals import load_signals
-from identification.synthetic import known_parameters, truth
+from acquisition.recording.file import RecordingWriter
+from acquisition.recording.rows import sample_dtype
+from acquisition.trajectory.reference import fourier_reference
+from identification.data.signals import load_signals
+from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.model.base import base_parameters
+from identification.model.inverse import Dynamics, direct_model
+from identification.regression.settings import Overrides
+from identification.study.synthetic import known_parameters, truth
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -1,0 +1,186 @@
+"""`robot-acquire check`: who answers, whether it is what the description says, and whether the bus carries it.
+
+Nothing moves and no PDO is configured: objects are read, and SYNC is measured.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import AcquisitionError
+from ..master import Master, Wire, homed, joint_positions, other_master, position_words, second_stop, supervision_of
+from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
+from ..robot import LARGEST_LOAD, Bus, Drive, Robot
+from ..session import DEVIATIONS, steady, sync_jitter
+from ..transport import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
+
+SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
+ANOTHER = "another master"
+LARGEST_OFF = 0.01  # share of SYNCs that may come more than half a period off their time
+
+
+@dataclass(frozen=True, kw_only=True)
+class Finding:
+    """One line of the check: what, what was found, whether it stands against a session."""
+
+    subject: str
+    found: str
+    ok: bool
+
+
+def check(robot: Robot, bus: Bus) -> list[Finding]:
+    """Open the bus and look. Raises `AcquisitionError` when it cannot be opened."""
+    handle = open_bus(bus.file, passive=False)
+    link = Link(handle, passive=False)
+    try:
+        sock = socket_of(handle)
+        findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file), ok=True)]
+        if sock is not None:
+            granted = queue_bytes(sock)
+            findings.append(
+                Finding(
+                    subject="kernel queue",
+                    found=f"{granted} bytes"
+                    + ("" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"),
+                    ok=granted >= QUEUE_BYTES // 10,
+                )
+            )
+        with steady() as scheduling:
+            findings.append(Finding(subject="scheduling", found=scheduling.words, ok=True))
+            found = look(link, bus)
+        if all(finding.ok for finding in found if finding.subject == ANOTHER or finding.subject.startswith("node ")):
+            found += _stand(robot, Master(link, bus))
+        return findings + found
+    finally:
+        link.close()
+
+
+def look(link: Wire, bus: Bus) -> list[Finding]:
+    """What drives say over a link that is open; nothing is sent where another master is heard first."""
+    master = Master(link, bus)
+    sign = other_master(master)
+    if sign is not None:
+        told = (
+            f"{sign}: nothing was sent, so nothing is known of states, PDOs, supervision, scales, identity, rated values "
+            "and SYNC; `robot-acquire record --passive` records beside it"
+        )
+        return [Finding(subject=ANOTHER, found=told, ok=False)]
+    findings = []
+    everyone = True
+    for drive in bus.drives:
+        subject = f"node {drive.node} ({drive.name})"
+        try:
+            state = master.state(drive)
+            told = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
+            findings.append(Finding(subject=subject, found=told, ok=state is not State.FAULT))
+        except AcquisitionError as error:
+            everyone = False
+            findings.append(Finding(subject=subject, found=str(error), ok=False))
+            continue
+        findings.append(Finding(subject=f"{subject} PDOs", found=_mapped(master, drive.node), ok=True))
+        findings += [
+            Finding(subject=f"{subject} supervision", found=text, ok=True) for text in supervision_of(master, drive)
+        ]
+        doubts = drive.dictionary.warnings if drive.dictionary is not None else ()
+        findings += [Finding(subject=f"{subject} dictionary", found=text, ok=True) for text in doubts]
+        scale = _scale(master, drive)
+        if scale:
+            findings.append(Finding(subject=f"{subject} scale", found=scale, ok=True))
+    if everyone:
+        try:
+            differences = master.differences()
+        except AcquisitionError as error:
+            differences = [str(error)]
+        findings += [Finding(subject="description", found=text, ok=False) for text in differences]
+        if not differences:
+            findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
+    findings.append(_jitter(master))
+    return findings
+
+
+def _scale(master: Master, drive: Drive) -> str:
+    """What the drive holds on its position units, beside what the description says: makers combine them in their own ways."""
+    entries = drive.dictionary.entries if drive.dictionary is not None else {}
+    said = []
+    for index, name in SCALES.items():
+        try:
+            if (index, 2) in entries:
+                said.append(
+                    f"{name} {index:04X} {master.read(drive.node, index, 1)}/{master.read(drive.node, index, 2)}"
+                )
+            elif (index, 0) in entries:
+                said.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
+        except AcquisitionError:
+            said.append(f"{name} {index:04X} not told")
+    counts = drive.position_codec.counts_per_unit
+    told = f"robot.toml: {counts * 2 * np.pi:g} counts per turn or {counts:g} per m; see that they agree"
+    return ", ".join([*said, told]) if said else ""
+
+
+def _agreement(bus: Bus) -> str:
+    """What was compared, so that nobody takes for checked what was not."""
+    identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
+    rated = [d.name for d in bus.drives if d.rated]
+    parts = [
+        f"{what} of {', '.join(names)}" for what, names in (("identity", identity), ("rated values", rated)) if names
+    ]
+    return (
+        "agrees with " + " and ".join(parts)
+        if parts
+        else "nothing to compare: no dictionary with an identity, no rated value"
+    )
+
+
+def _mapped(master: Master, node: int) -> str:
+    """PDOs that are switched on now; an active session maps its own."""
+    on = []
+    for way, (communication, _) in PARAMETERS.items():
+        for k in range(4):
+            try:
+                can_id = master.read(node, communication + k, 1)
+            except AcquisitionError:
+                break
+            if not can_id & NOT_VALID:
+                on.append(f"{way} {k + 1} 0x{can_id & 0x7FF:03X}")
+    return ", ".join(on) or "all switched off"
+
+
+def _load(bus: Bus) -> Finding:
+    bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
+    fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
+    told = (
+        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, at most {fastest_hz:.0f} Hz"
+    )
+    return Finding(subject="bus load", found=told, ok=bus.load <= LARGEST_LOAD)
+
+
+def _jitter(master: Master) -> Finding:
+    """How evenly SYNC is sent from here, or arrives from its producer."""
+    try:
+        found = sync_jitter(master)
+    except AcquisitionError as error:
+        return Finding(subject="SYNC", found=str(error), ok=False)
+    period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, found.sd_s * 1e3, found.worst_s * 1e3
+    told = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
+    if not found.fit_for_motion:
+        told += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
+    ok = found.off <= LARGEST_OFF and found.fit_for_motion
+    return Finding(subject="SYNC", found=f"{told}; {found.off:.1%} off by more than half a period", ok=ok)
+
+
+def _stand(robot: Robot, master: Master) -> list[Finding]:
+    """Where the drives say that the robot stands, and whether they are homed."""
+    findings = []
+    try:
+        words = position_words(robot, joint_positions(robot, master))
+        told = f"{', '.join(words)}: see that the robot stands like that"
+        findings.append(Finding(subject="joint positions", found=told, ok=True))
+        for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
+            is_homed = homed(master, drive, file)
+            told = "not described: the drive's zero may be where it was switched on"
+            if is_homed is not None:
+                told = f"{'yes' if is_homed else 'NO'} ({file.homed})"
+            findings.append(Finding(subject=f"node {drive.node} homed", found=told, ok=is_homed is not False))
+    except AcquisitionError as error:
+        findings.append(Finding(subject="joint positions", found=str(error), ok=False))
+    return findings

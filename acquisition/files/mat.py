@@ -1,0 +1,142 @@
+"""Columns of numbers out of MAT files of version 7 or older: variables, fields of structs, parts of matrices."""
+
+import io
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AcquisitionError, listed
+
+Matrix = NDArray[np.float64]
+# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
+_NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Part:
+    """What a name means; `upright` where the name itself says that samples are the rows."""
+
+    name: str
+    values: Matrix
+    upright: bool
+
+    @property
+    def told(self) -> str:
+        return f"{self.name} {_size(self.values)}"
+
+
+def read_variables(data: bytes, names: Sequence[str | int], count: int, place: str) -> tuple[Matrix, list[str]]:
+    """The named parts of a MAT file side by side, (N, count), and a label of each column.
+
+    A name is that of a variable, or a field of a struct by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind it
+    takes some of its columns or rows. Matrices may lie either way round, samples by joints or joints by samples: the
+    number of samples is that with which all parts are as long and have `count` columns in all.
+
+    Raises `AcquisitionError` where the file cannot be read, a name is not there or is not of real numbers, or it cannot
+    be told which way round a matrix lies.
+    """
+    asked = [_NAME.fullmatch(str(name)) for name in names]
+    variables = _load(data, [match["path"].split(".")[0] for match in asked if match], place)
+    parts = []
+    for name, match in zip(names, asked, strict=True):
+        found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
+        if found is None or match is None:
+            raise AcquisitionError(f"{place}: variable {name!r} is not there: expected one of {_present(data)}")
+        parts.append(_part(found, match, place))
+    rows = sum(part.values.size for part in parts) // count
+    fits = [rows in (part.values.shape[:1] if part.upright else part.values.shape) for part in parts]
+    if rows < 2 or not all(fits) or sum(part.values.size for part in parts) != rows * count:
+        told = ", ".join(part.told for part in parts)
+        raise AcquisitionError(f"{place}: {told}: expected variables of one length, {count} columns in all")
+    for part in parts:
+        if part.values.shape == (rows, rows) and not part.upright:
+            raise AcquisitionError(
+                f"{place}: {part.told}: rows and columns cannot be told apart: expected "
+                f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are"
+            )
+    turned = [part.values if len(part.values) == rows else part.values.T for part in parts]
+    labels = [
+        part.name if columns.shape[1] == 1 else f"{part.name}(:,{k + 1})"
+        for part, columns in zip(parts, turned, strict=True)
+        for k in range(columns.shape[1])
+    ]
+    return np.hstack(turned), labels
+
+
+def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
+    """Only what is asked for: objects of MATLAB's classes beside it cannot be read, and need not be."""
+    import scipy.io
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of what scipy thinks of variables that were not asked for
+            found: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names)))
+    except Exception as error:  # scipy's reader meets damage with whatever its parts raise
+        raise AcquisitionError(f"{place}: not a MAT file that can be read: {error or type(error).__name__}") from error
+    return found
+
+
+def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
+    """What stands at a dotted name; None where it is not there."""
+    top, *fields = path.split(".")
+    value, at = variables.get(top), top
+    for field in fields:
+        if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
+            return None
+        if value.size != 1:
+            raise AcquisitionError(f"{place}: variable {at!r} is an array of {value.size} structs: expected one struct")
+        value, at = value[field].flat[0], f"{at}.{field}"
+    return value
+
+
+def _part(value: Any, match: re.Match[str], place: str) -> _Part:
+    """The matrix that a name means. Dimensions of one, as of a signal of 6 x 1 x N, are left out."""
+    name = match.string
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or np.squeeze(value).ndim > 2:
+        kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        if isinstance(value, np.ndarray) and value.dtype.names:
+            kind = f"a struct or object with the fields {listed(value.dtype.names)}"
+        raise AcquisitionError(f"{place}: variable {name!r} is {kind}: expected a vector or matrix of real numbers")
+    matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
+    matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
+    if match["rows"] is None:
+        return _Part(name=name, values=matrix, upright=False)
+    by_column = match["rows"] == ":"
+    if by_column == (match["columns"] == ":"):
+        raise AcquisitionError(f"{place}: variable {name!r}: expected (:,k) for columns or (k,:) for rows")
+    first, _, last = match["columns" if by_column else "rows"].partition(":")
+    low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
+    if not 1 <= low <= high <= most:
+        raise AcquisitionError(f"{place}: variable {name!r}: the matrix is {_size(matrix)}: expected 1 to {most}")
+    part = matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T
+    return _Part(name=name, values=part, upright=True)
+
+
+def _size(part: Matrix) -> str:
+    return " x ".join(str(size) for size in part.shape)
+
+
+def _present(data: bytes) -> str:
+    """Names of a file's variables of numbers and of structs' fields, for an error."""
+    import scipy.io
+
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            variables = scipy.io.loadmat(io.BytesIO(data))
+    except Exception:  # an object that scipy cannot pass over: what is there cannot be listed
+        return "the file's variables (an object among them keeps them from being listed)"
+    names: list[str] = []
+    waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]  # objects have no name
+    while waiting:
+        name, value = waiting.pop(0)
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            waiting = [(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names] + waiting
+        else:
+            names.append(name)
+    return listed(names)

@@ -1,0 +1,6 @@
+"""Recordings out of tables and CAN logs, decoding again, export."""
+
+from .conversions import Converted, decode_recording, export_csv, import_log, is_log
+from .tables import import_tables
+
+__all__ = ["Converted", "decode_recording", "export_csv", "import_log", "import_tables", "is_log"]

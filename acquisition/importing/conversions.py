@@ -1,0 +1,171 @@
+"""Recordings made from recordings and from logs of other tools: decoded again, exported, imported."""
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AcquisitionError
+from ..files import whole_file
+from ..recorder import Decoded, decode, written_by_master
+from ..recording import Block, RecordingWriter, read_recording
+from ..robot import Robot, extra_columns, held_against_limits, resolve
+from ..transport import SUFFIXES, Frame, block_of, read_log
+
+
+@dataclass(frozen=True, kw_only=True)
+class Converted:
+    """What was written."""
+
+    robot: str
+    samples: int
+    sample_rate_hz: float
+    has_reference: bool
+    warnings: tuple[str, ...]
+
+
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Converted:
+    """Decode the frames of a recording again, as `robot` (or its own description) has them, into the recording `out`.
+
+    Raises `AcquisitionError` where there are no frames, or they do not decode.
+    """
+    recording = read_recording(path)
+    robot = robot or recording.robot
+    if not recording.frames:
+        raise AcquisitionError(f"{path}: holds no CAN frames: expected a recording of drives")
+    channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
+    decoded, provenance = _decoded(frames, robot, str(path), place)
+    source = recording.metadata.get("source", "")
+    known = ("source", "effort_provenance", "sample_rate_hz")
+    notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"decoded_from": recording.sha256}
+    kept = {name: content for name, content in recording.attachments.items() if name not in recording.robot.files}
+    with whole_file(out) as partial, _writer(partial, robot, source, provenance, notes, kept) as writer:
+        for name, block in recording.frames.items():
+            writer.frames(name, block)
+        for event in recording.events:
+            if event.kind != "warning":  # those of the decoding before
+                writer.event(event.stamp_ns, event.kind, event.text)
+        for health in recording.health:
+            writer.health(health.stamp_ns, health.counters)
+        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+    return _converted(robot, decoded, channel)
+
+
+def is_log(path: Path) -> bool:
+    """Whether a file is a CAN log, by its suffix."""
+    return path.suffix.lower() in SUFFIXES
+
+
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
+    """A candump, ASC, BLF or TRC log of one interface into the recording `out`, decoded as `robot` has its drives.
+
+    Of a log of several interfaces those frames are taken whose interface the description names.
+    """
+    frames, left_out = _of_one_interface(log, robot)
+    frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
+    decoded, provenance = _decoded(frames, robot, str(log), place)
+    decoded = replace(decoded, warnings=left_out + decoded.warnings)
+    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    with whole_file(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, notes, {}) as writer:
+        writer.frames("log", frames)
+        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+    return _converted(robot, decoded, "log")
+
+
+def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
+    """The frames of a log, and what is left out of them. Two buses in one would make two samples of every SYNC."""
+    found: list[tuple[str | None, Frame]] = []
+    fd = 0
+    for interface, frame in read_log(log):
+        if frame is None:
+            fd += 1
+        else:
+            found.append((interface, frame))
+    if not found:
+        raise AcquisitionError(f"{log}: holds no CAN frames ({fd} of CAN FD): expected some of classic CAN")
+    counts = Counter(interface for interface, _ in found)
+    named = [interface for interface in counts if interface is not None]
+    wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
+    if len(named) > 1:
+        wanted = {robot.bus.channel if robot.bus is not None else ""}
+    told = [f"{count} of interface {name or '(not told)'}" for name, count in counts.items() if name not in wanted]
+    if not wanted & set(counts):
+        raise AcquisitionError(
+            f"{log}: frames: {', '.join(told)}: expected one interface: filter the log, or name one of them as "
+            "bus.channel in robot.toml"
+        )
+    told += [f"{fd} of CAN FD"] if fd else []
+    frames = block_of([frame for interface, frame in found if interface in wanted])
+    return frames, (f"frames left out: {', '.join(told)}",) if told else ()
+
+
+def export_csv(path: Path, out: Path) -> int:
+    """Joint samples of a recording as CSV: `time_s`, then position, effort, reference of each joint, and extra objects."""
+    recording = read_recording(path)
+    samples, robot = recording.samples, recording.robot
+    if samples is None:
+        raise AcquisitionError(
+            f"{path}: holds no joint samples: expected some; `robot-acquire decode` makes them of frames"
+        )
+    columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
+    names = ["time_s"]
+    fields = samples.dtype.names or ()
+    for field in (field for field in fields if field not in ("stamp_ns", "extra")):
+        for i, joint in enumerate(robot.joints):
+            unit = robot.effort_units[i] if field == "effort" else joint.position_unit
+            names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
+            columns.append(samples[field][:, i])
+    if "extra" in fields:
+        for k, column in enumerate(extra_columns(robot)):
+            names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
+            columns.append(samples["extra"][:, k])
+    with whole_file(out) as partial:
+        np.savetxt(partial, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.17g")
+    return len(samples)
+
+
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, str]:
+    bus = resolve(robot, place, written_by_master(frames))
+    decoded = decode(frames, robot, bus, name)
+    samples = decoded.samples
+    told = held_against_limits(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
+    return replace(decoded, warnings=decoded.warnings + told), bus.provenance
+
+
+def _writer(
+    path: Path,
+    robot: Robot,
+    source: str,
+    provenance: str,
+    notes: Mapping[str, str],
+    attachments: Mapping[str, bytes],
+) -> RecordingWriter:
+    assert robot.bus is not None
+    return RecordingWriter(
+        path,
+        robot,
+        source=source,
+        sample_rate_hz=1.0 / robot.bus.sync_period_s,
+        effort_provenance=provenance,
+        notes=notes,
+        attachments=attachments,
+    )
+
+
+def _write_decoded(writer: RecordingWriter, decoded: Decoded, end_ns: int) -> None:
+    writer.samples(decoded.samples)
+    writer.health(end_ns, decoded.counters)
+    for text in decoded.warnings:
+        writer.event(end_ns, "warning", text)
+
+
+def _converted(robot: Robot, decoded: Decoded, channel: str) -> Converted:
+    return Converted(
+        robot=robot.name,
+        samples=len(decoded.samples),
+        sample_rate_hz=1.0 / robot.bus.sync_period_s if robot.bus else 0.0,
+        has_reference="reference" in (decoded.samples.dtype.names or ()),
+        warnings=decoded.warnings,
+    )

@@ -1,0 +1,43 @@
+"""The CANopen master: requests and answers, listening, heartbeat, supervision, the one stop of all drives."""
+
+from .heartbeat import HEARTBEAT_ID, MasterHeartbeat
+from .homing import Confirm, confirm_positions, homed, joint_positions, position_words
+from .listening import LISTEN_S, heard, other_master, refuse_enabled, refuse_other_master, service_of
+from .master import OPERATIONAL, Master, Wire, axis_of
+from .orders import Orders, send_orders
+from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
+from .stopping import leave_operational, not_disabled, safe_stop
+from .supervision import second_stop, supervision_of
+
+__all__ = [
+    "FOLLOWS",
+    "HEARTBEAT_ID",
+    "LISTEN_S",
+    "OPERATIONAL",
+    "REMOTE",
+    "Confirm",
+    "Master",
+    "MasterHeartbeat",
+    "Orders",
+    "Wire",
+    "axis_of",
+    "confirm_positions",
+    "error_report",
+    "error_words",
+    "heard",
+    "homed",
+    "joint_positions",
+    "leave_operational",
+    "not_disabled",
+    "notices",
+    "other_master",
+    "position_words",
+    "refuse_enabled",
+    "refuse_other_master",
+    "safe_stop",
+    "second_stop",
+    "send_orders",
+    "service_of",
+    "status_words",
+    "supervision_of",
+]

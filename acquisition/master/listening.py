@@ -1,0 +1,111 @@
+"""Who is on a bus, before anything is sent to it: half a second of listening, and what a frame says of its sender.
+
+Services by identifier: CiA 301, predefined connection set.
+"""
+
+from collections.abc import Callable, Iterator
+
+from ..errors import AcquisitionError
+from ..protocol import DISABLED, State, usual_can_id
+from ..recording import ERROR, EXTENDED, REMOTE
+from ..robot import Bus
+from ..transport import Frame
+from .master import Master, Wire
+
+LISTEN_S = 0.5
+_SLICE_NS = 50_000_000  # in which a stop asked for is noticed
+_OF_NODES = {0x80: "emergency of", 0x580: "SDO answer of", 0x600: "SDO request to", 0x700: "heartbeat of"}
+_PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
+
+
+def heard(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
+    """Frames of `seconds`, error frames left out; ends early when `stopped()`. Nothing is sent."""
+    until_ns = link.now_ns() + round(seconds * 1e9)
+    while link.now_ns() < until_ns and not stopped():
+        frame = link.receive(min(until_ns, link.now_ns() + _SLICE_NS))
+        if frame is not None and not frame.flags & ERROR:
+            yield frame
+
+
+def service_of(frame: Frame, sync_can_id: int) -> str:
+    """What a frame is and whose: `SYNC`, `NMT command`, `heartbeat of node 5`."""
+    if frame.flags & EXTENDED:
+        return f"29-bit frame 0x{frame.can_id:08X}"
+    remote = "remote request for " if frame.flags & REMOTE else ""
+    function, node = frame.can_id & 0x780, frame.can_id & 0x7F
+    if frame.can_id == 0:
+        return "NMT command"
+    if frame.can_id == sync_can_id:
+        return f"{remote}SYNC"
+    if node and _is_boot_up(frame):
+        return f"boot-up of node {node}"
+    if node and function in _OF_NODES:
+        return f"{remote}{_OF_NODES[function]} node {node}"
+    for way, words in _PDOS.items():
+        for number in range(1, 5):
+            if node and usual_can_id(way, number, node) == frame.can_id:
+                return f"{remote}{words.format(number)} node {node}"
+    return f"{remote}frame 0x{frame.can_id:03X}"
+
+
+def sign_of_master(frame: Frame, bus: Bus) -> str | None:
+    """What in a frame shows that another master is on the bus of these drives, None where nothing does.
+
+    Only a master sends NMT, SDO requests, PDOs to drives, remote requests and, unless the description says that another
+    one does, SYNC. A heartbeat of a node that is none of the drives is that of a master, or of a device it looks after; a
+    boot-up says only that a node was switched on.
+    """
+    said = service_of(frame, bus.file.sync_can_id)
+    if frame.flags & EXTENDED:
+        return None
+    function, node = frame.can_id & 0x780, frame.can_id & 0x7F
+    ours = {drive.node for drive in bus.drives}
+    from_drives = {pdo.can_id for drive in bus.drives for pdo in drive.tpdos}
+    to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
+    if frame.can_id == bus.file.sync_can_id:
+        return said if bus.file.sync_producer == "recorder" else None
+    if frame.flags & REMOTE or frame.can_id == 0 or frame.can_id in to_drives or (function == 0x600 and node):
+        return said
+    if function == 0x700 and node and node not in ours and not _is_boot_up(frame):
+        return f"{said}, which is no drive of robot.toml"
+    if frame.can_id not in from_drives and said.startswith("RPDO"):
+        return said
+    return None
+
+
+def _is_boot_up(frame: Frame) -> bool:
+    return frame.can_id & 0x780 == 0x700 and frame.data == b"\0"
+
+
+def other_master(master: Master) -> str | None:
+    """Listen for half a second; what shows that another master is there, None where nothing does. Nothing is sent."""
+    signs = (sign_of_master(frame, master.bus) for frame in heard(master.link, LISTEN_S))
+    return next((sign for sign in signs if sign is not None), None)
+
+
+def refuse_other_master(master: Master) -> None:
+    """Raise `AcquisitionError` where another master is heard, before anything is sent."""
+    found = other_master(master)
+    if found is not None:
+        raise AcquisitionError(
+            f"bus: {found}: another master is here: expected none; `robot-acquire record --passive` records beside it. "
+            "Nothing was sent"
+        )
+
+
+def refuse_enabled(master: Master) -> list[int]:
+    """Nodes found in fault. Reads the state of every drive and writes nothing.
+
+    Raises `AcquisitionError` for a drive that gives torque although no master was heard, or does not answer.
+    """
+    in_fault = []
+    for drive in master.bus.drives:
+        state = master.state(drive)
+        if state not in DISABLED:
+            raise AcquisitionError(
+                f"node {drive.node}: {state.words} before the session began, and no other master is heard: expected "
+                "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+            )
+        if state is State.FAULT:
+            in_fault.append(drive.node)
+    return in_fault

@@ -1,0 +1,307 @@
+"""A CANopen master over a link: NMT, SDO, PDO configuration, and what every node last said. It decides nothing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+from ..errors import AcquisitionError
+from ..protocol import (
+    ANSWER,
+    CONTROLWORD,
+    HEARTBEAT_TIME,
+    IDENTITY,
+    MODE_DISPLAY,
+    MODE_OF_OPERATION,
+    REQUEST,
+    STATUSWORD,
+    Mode,
+    State,
+    answer_of,
+    check_answer,
+    configuration,
+    error_words,
+    read_request,
+    state_of,
+    write_request,
+)
+from ..recording import ERROR, EXTENDED, REMOTE
+from ..robot import Bus, Drive
+from ..transport import Frame
+
+SDO_TIMEOUT_NS = 300_000_000
+START, PRE_OPERATIONAL, RESET_NODE = 1, 128, 129
+OPERATIONAL = 5
+INTERPOLATION_PERIOD = 0x60C2
+
+
+class Wire(Protocol):
+    """What a master needs of a link."""
+
+    def now_ns(self) -> int:
+        """Time of frames and deadlines."""
+        ...
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame."""
+        ...
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame before `until_ns`, or None."""
+        ...
+
+
+@dataclass(kw_only=True)
+class NodeWatch:
+    """What a drive last said; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
+
+    `started`: its heartbeat has told operational since START; `unstarted` counts the heartbeats before that.
+    """
+
+    drive: Drive
+    statusword: int | None = None
+    counts: int | None = None
+    effort: int | None = None
+    answers: int = 0
+    silent_syncs: int = 0
+    nmt: int | None = None
+    started: bool = False
+    unstarted: int = 0
+    heard_ns: int = 0
+    emergency: int | None = None
+    booted: bool = False
+
+    @property
+    def state(self) -> State | None:
+        """State by the last statusword, None before the first or for bits that tell none."""
+        try:
+            return None if self.statusword is None else state_of(self.statusword)
+        except AcquisitionError:
+            return None
+
+
+class Master:
+    """Sends, and keeps what comes. Every frame passes `dispatch`, whatever is being waited for."""
+
+    def __init__(self, link: Wire, bus: Bus) -> None:
+        self.link, self.bus = link, bus
+        self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
+        self.bus_error: str | None = None
+        self._by_node = {watch.drive.node: watch for watch in self.nodes}
+        self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
+        self._answers: dict[int, bytes] = {}
+        self.sync_times: list[int] = []
+        self.synced_ns: int | None = None  # when we sent the last SYNC
+        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, whoever produces it
+
+    def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
+        """Receive until then; with `for_answers` only until every drive has answered SYNC."""
+        while not (for_answers and all(watch.answers for watch in self.nodes)):
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return
+            self.dispatch(frame)
+
+    def wait_for_sync(self, until_ns: int) -> bool:
+        """Receive until another producer's SYNC came; False when none did."""
+        count = len(self.sync_times)
+        while len(self.sync_times) == count:
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return False
+            self.dispatch(frame)
+        return True
+
+    def dispatch(self, frame: Frame) -> None:
+        """Note what a frame says."""
+        if frame.flags & ERROR:
+            self.bus_error = f"error frame: {error_words(frame.can_id, frame.data)}"
+            return
+        if frame.flags & (EXTENDED | REMOTE):
+            return
+        function, node = frame.can_id & 0x780, frame.can_id & 0x7F
+        if frame.can_id in self._by_pdo:
+            self._process_data(frame)
+        elif frame.can_id == self.bus.file.sync_can_id:
+            self.sync_times.append(frame.time_ns)
+            if self.bus.file.sync_producer == "recorder":
+                self.bus_error = "another producer sends SYNC"  # drives would take over targets at its instants
+            self._next_sync()
+        elif function == ANSWER:
+            self._answers[node] = frame.data
+        elif node in self._by_node and function == 0x700 and frame.data:
+            watch = self._by_node[node]
+            # By our clock: an adapter may stamp frames by its own.
+            watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
+            watch.started |= watch.nmt == OPERATIONAL
+            watch.unstarted += not watch.started
+            watch.booted |= frame.data[0] == 0
+        elif node in self._by_node and function == 0x80 and len(frame.data) >= 2:
+            code = int.from_bytes(frame.data[:2], "little")
+            if code:  # 0 says that an error is gone
+                self._by_node[node].emergency = code
+
+    def _process_data(self, frame: Frame) -> None:
+        watch, pdo = self._by_pdo[frame.can_id]
+        if len(frame.data) < pdo.length:
+            return  # too short: as if it had not come
+        values, drive = pdo.unpack(frame.data), watch.drive
+        watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
+        watch.effort = values.get((drive.effort.entry.index, drive.effort.entry.sub), watch.effort)
+        counts = values.get((drive.position.index, drive.position.sub))
+        if counts is not None:
+            watch.counts = counts
+            watch.answers += 1
+
+    def sync(self) -> None:
+        """Send SYNC; count who did not answer the one before."""
+        self._next_sync()
+        self.synced_ns = self.link.now_ns()
+        self.link.send(self.bus.file.sync_can_id, b"")
+
+    def _next_sync(self) -> None:
+        """Count who did not answer the SYNC before; a drive that is only starting has its heartbeats' time for that."""
+        for watch in self.nodes:
+            late = not watch.answers and (watch.started or watch.counts is not None)
+            watch.silent_syncs = watch.silent_syncs + 1 if late else 0
+            watch.answers = 0
+        self.at_sync()
+
+    def nmt(self, command: int, node: int) -> None:
+        """Network management to one node; never to all (0), among which may be others than our drives."""
+        self.link.send(0, bytes([command, node]))
+
+    def nmt_drives(self, command: int) -> None:
+        """Network management to each of our drives."""
+        for drive in self.bus.drives:
+            self.nmt(command, drive.node)
+
+    def start(self) -> None:
+        """START to all drives; what they said before counts no more, positions least of all."""
+        for watch in self.nodes:
+            watch.statusword, watch.counts, watch.effort = None, None, None
+            watch.answers, watch.silent_syncs = 0, 0
+            watch.booted, watch.emergency, watch.nmt = False, None, None
+            watch.started, watch.unstarted = False, 0
+        self.nmt_drives(START)
+        for watch in self.nodes:
+            watch.heard_ns = self.link.now_ns()
+
+    def state(self, drive: Drive) -> State:
+        """State of a drive, asked for by SDO. Raises `AcquisitionError` when it does not answer."""
+        return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
+
+    def read(self, node: int, index: int, sub: int = 0) -> int:
+        """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub}"
+        return check_answer(answer_of(self._exchange(node, read_request(index, sub), place)), "value", place)
+
+    def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
+        """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub} = {value}"
+        check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
+
+    def post(self, node: int, request: bytes) -> None:
+        """Send an SDO request whose answer `answered` has later, while other things go on."""
+        self._answers.pop(node, None)
+        self.link.send(REQUEST + node, request)
+
+    def answered(self, node: int, request: bytes) -> bytes | None:
+        """The answer to a request that was posted, once; None as long as there is none."""
+        answer = self._answers.pop(node, None)
+        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+
+    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+        self.post(node, request)
+        until_ns = self.link.now_ns() + SDO_TIMEOUT_NS
+        while True:
+            answer = self.answered(node, request)
+            if answer is not None:
+                return answer
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                raise AcquisitionError(
+                    f"{place}: no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+                )
+            self.dispatch(frame)
+
+    def configure(self) -> None:
+        """In PRE-OPERATIONAL: heartbeat and PDOs of every drive, as the description has them."""
+        self.nmt_drives(PRE_OPERATIONAL)
+        self.wait(self.link.now_ns() + 20_000_000)
+        every_ms = round(self.bus.file.heartbeat_s * 1000)
+        for drive in self.bus.drives:
+            self._set_heartbeat(drive.node, every_ms)
+            for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
+                for pdo in pdos:
+                    for write in configuration(way, pdo):
+                        self.write(drive.node, *write)
+
+    def _set_heartbeat(self, node: int, every_ms: int) -> None:
+        """Written only where it differs, in the size that the drive itself gives it: not all have the U16 of CiA 301."""
+        place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
+        answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
+        if check_answer(answer, "value", place) != every_ms:
+            self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Mode of operation and interpolation period of every drive. Raises `AcquisitionError` when one does not follow."""
+        for drive in self.bus.drives:
+            axis = axis_of(drive)
+            if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
+                count, unit = interpolation_period(self.bus.file.sync_period_s)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
+            self.write(drive.node, MODE_OF_OPERATION + axis, 0, mode, 1)
+            display = MODE_DISPLAY + axis
+            if drive.dictionary is None or (display, 0) in drive.dictionary.entries:
+                until_ns = self.link.now_ns() + 500_000_000
+                while (shown := self.read(drive.node, display)) != mode:
+                    if self.link.now_ns() > until_ns:
+                        told = f"node {drive.node}: mode of operation ({display:04X}:0) = {shown}"
+                        raise AcquisitionError(f"{told}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})")
+                    self.wait(self.link.now_ns() + 10_000_000)
+
+    def differences(self) -> list[str]:
+        """What drives say of themselves that disagrees with the description: identity, rated values. One line each."""
+        found = []
+        for drive in self.bus.drives:
+            dictionary = drive.dictionary
+            for sub, name, expected in dictionary.identity if dictionary is not None else ():
+                said = self.read(drive.node, IDENTITY, sub)
+                if said != expected:
+                    told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
+                    found.append(f"{told}: expected 0x{expected:X} as its dictionary says")
+            for index, rated in drive.rated.items():
+                if dictionary is None or (index, 0) in dictionary.entries:
+                    raw = self.read(drive.node, index)
+                    if raw != rated:
+                        found.append(
+                            f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
+                        )
+        return found
+
+
+def interpolation_period(period_s: float) -> tuple[int, int]:
+    """60C2h: count (U8) and power of ten (I8) that make the SYNC period exactly. Raises `AcquisitionError` where none do."""
+    for unit in (-3, -4, -5, -6):
+        count = period_s / 10.0**unit
+        if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
+            return round(count), unit
+    raise AcquisitionError(
+        f"bus.sync_period_s = {period_s:g}: the interpolation period of drives (60C2) cannot say it: expected up to 255 "
+        "times 1 ms, 0.1 ms, 10 µs or 1 µs"
+    )
+
+
+def axis_of(drive: Drive) -> int:
+    """What a drive's control and status objects are beyond 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
+
+    Raises `AcquisitionError` where they are not of one axis.
+    """
+    axis = drive.control.index - CONTROLWORD
+    if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
+        raise AcquisitionError(
+            f"node {drive.node}: control {drive.control} and status {drive.status}: expected those of one axis, such as "
+            "6040:0 and 6041:0"
+        )
+    return axis

@@ -1,0 +1,186 @@
+"""The one stop of all drives: quick stop, voltage off at standstill, and whether each drive confirmed that it is disabled.
+
+It needs a master and nothing else, so the session, the recorder's process (when the session is gone) and the command
+`disable` share it. It never raises `AcquisitionError`: no step keeps the next from being tried.
+"""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, field
+
+from ..errors import AcquisitionError
+from ..protocol import Command, State, answer_of, read_request, state_of, write_request
+from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
+from .orders import send_order
+
+FALL_S = 0.05  # within which the speed of a drive must fall, or its quick stop does not work
+FALL_SHARE = 0.95  # of the speed at the start: more than this is no fall
+CAP_S = 0.5  # beyond the time that a drive takes to stop at its limit of acceleration, then voltage goes off anyway
+CONFIRM_S = 1.0  # for drives to confirm, once voltage is off
+ASK_S = 0.05  # between requests by SDO to one drive
+WINDOW_S = 0.02  # over which speed is measured
+STANDSTILL_SHARE = 0.01  # of the speed limit
+STANDSTILL_COUNTS = 2  # in the window: noise of an encoder is no motion
+# No torque, and no way to torque without a new command from the start. Switched on is not disabled.
+CONFIRMED = frozenset({State.SWITCH_ON_DISABLED, State.FAULT})
+
+
+@dataclass(kw_only=True)
+class _Stopping:
+    """One drive on its way to standstill; times are those of the link."""
+
+    watch: NodeWatch
+    since_ns: int
+    seen: list[tuple[int, int]] = field(default_factory=list)  # time and counts, of the last window
+    speed_then: float | None = None  # counts/s at the start
+    off_ns: int | None = None
+    confirmed: bool = False
+    wrote: Command | None = None  # the last command that went out by SDO
+    request: bytes = b""
+    asked_ns: int = -(10**18)
+
+    def observe(self, now_ns: int) -> None:
+        """A position that the drive sent at this SYNC."""
+        counts = self.watch.counts
+        if self.watch.answers and counts is not None:
+            oldest_ns = now_ns - round(WINDOW_S * 1e9)
+            recent = [item for item in self.seen if item[0] >= oldest_ns]
+            self.seen = [*(recent or self.seen[-1:]), (now_ns, counts)]
+            if self.speed_then is None:
+                self.speed_then = self.speed if self.span_s >= 0.5 * WINDOW_S else None
+
+    @property
+    def span_s(self) -> float:
+        """Time over which positions were seen."""
+        return (self.seen[-1][0] - self.seen[0][0]) * 1e-9 if self.seen else 0.0
+
+    @property
+    def speed(self) -> float | None:
+        """Counts/s over the window, None before there are two positions."""
+        if not self.span_s:
+            return None
+        return abs(self.seen[-1][1] - self.seen[0][1]) / self.span_s
+
+    def must_go_off(self, now_ns: int) -> bool:
+        """Whether the drive stands, does not slow down, or has had all the time that it needs."""
+        elapsed_s = (now_ns - self.since_ns) * 1e-9
+        fastest, speed = self.watch.drive.speed_limit, self.speed
+        if speed is not None and self.speed_then is not None:
+            stands = speed <= max(STANDSTILL_SHARE * (fastest or 0.0), STANDSTILL_COUNTS / self.span_s)
+            if stands or (elapsed_s >= FALL_S and speed >= FALL_SHARE * self.speed_then):
+                return True
+        return elapsed_s >= self.longest_s
+
+    @property
+    def longest_s(self) -> float:
+        """Time to stop at the limit of acceleration from the speed at the start (its limit, where that is not known)."""
+        drive = self.watch.drive
+        speed = self.speed_then if self.speed_then is not None else drive.speed_limit or 0.0
+        return CAP_S + (speed / drive.acceleration_limit if drive.acceleration_limit else 0.0)
+
+
+def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
+    """Stop and disable every drive of `master`; node ids of those that did not confirm.
+
+    Quick stop by PDO and by SDO to all nodes at once, answers collected while SYNC goes on; voltage off for each drive at
+    its measured standstill, at once where its speed does not fall within 50 ms, at the latest after v/a + 0.5 s; then every
+    drive is asked for up to a second until it is in switch on disabled or fault. `after_sync` is called after every SYNC.
+    """
+    now_ns = master.link.now_ns()
+    drives = [_Stopping(watch=watch, since_ns=now_ns) for watch in master.nodes]
+    next_ns = max(now_ns, (master.synced_ns or 0) + master.bus.period_ns)  # in step with the SYNCs before
+    # A link that cannot be read any more lets no time go by: SYNCs are counted as well.
+    longest_s = max(one.longest_s for one in drives) + CONFIRM_S
+    for _ in range(round(2 * longest_s * 1e9 / master.bus.period_ns)):
+        for one in drives:
+            command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
+            with suppress(AcquisitionError):  # a bus that takes no frames now may take them later
+                _command(master, one.watch, command)
+            with suppress(AcquisitionError):
+                _ask(master, one, command)
+        next_ns = _sync(master, next_ns)
+        with suppress(AcquisitionError):
+            after_sync()
+        now_ns = master.link.now_ns()
+        for one in drives:
+            one.observe(now_ns)
+            _collect(master, one)
+            if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
+                one.off_ns = now_ns
+        waited = all(one.off_ns is not None and now_ns - one.off_ns > CONFIRM_S * 1e9 for one in drives)
+        if waited or all(one.confirmed for one in drives):
+            break
+    unconfirmed = [one for one in drives if not one.confirmed]
+    for one in unconfirmed:
+        with suppress(AcquisitionError):
+            _command(master, one.watch, Command.DISABLE_VOLTAGE)
+        with suppress(AcquisitionError):
+            _ask(master, one, Command.DISABLE_VOLTAGE)
+    return [one.watch.drive.node for one in unconfirmed]
+
+
+def not_disabled(nodes: Iterable[int]) -> str:
+    """What a person must read first where drives did not confirm."""
+    return f"NOT DISABLED: nodes {', '.join(map(str, nodes))}: EMERGENCY STOP"
+
+
+def leave_operational(master: Master) -> None:
+    """Every node of the description to PRE-OPERATIONAL, one by one: no PDO commands it any more, whoever sends one."""
+    for watch in master.nodes:
+        with suppress(AcquisitionError):
+            master.nmt(PRE_OPERATIONAL, watch.drive.node)
+
+
+def _command(master: Master, watch: NodeWatch, command: Command) -> None:
+    """By PDO, with the position at hand."""
+    if watch.counts is not None:  # else a target would be made up
+        send_order(master, watch, command.controlword, watch.counts)
+
+
+def _ask(master: Master, one: _Stopping, command: Command) -> None:
+    """By SDO: a new command at once; else, when the last request was answered or is lost, the question for the state."""
+    drive, now_ns = one.watch.drive, master.link.now_ns()
+    since_ns = now_ns - one.asked_ns
+    if one.wrote is command and since_ns < (SDO_TIMEOUT_NS if one.request else ASK_S * 1e9):
+        return
+    if one.wrote is command:
+        one.request = read_request(drive.status.index, drive.status.sub)
+    else:
+        word, size = command.controlword, drive.control.bits // 8
+        one.request = write_request(drive.control.index, drive.control.sub, word, size)
+    one.wrote, one.asked_ns = command, now_ns
+    master.post(drive.node, one.request)
+
+
+def _collect(master: Master, one: _Stopping) -> None:
+    """Take the answer to the last request: a state that is not what was commanded has the command written again."""
+    data = master.answered(one.watch.drive.node, one.request) if one.request else None
+    if data is None:
+        return
+    one.request, answer = b"", answer_of(data)
+    if answer.kind != "value":
+        one.asked_ns = -(10**18)  # written, or refused: what is the state now?
+        return
+    with suppress(AcquisitionError):
+        state = state_of(answer.number)
+        one.confirmed = state in CONFIRMED
+        if not one.confirmed and (one.off_ns is not None or state is State.OPERATION_ENABLED):
+            one.wrote = None
+
+
+def _sync(master: Master, next_ns: int) -> int:
+    """SYNC, ours or the other producer's where it still comes, and its answers; when the next one is due."""
+    link, period_ns = master.link, master.bus.period_ns
+    with suppress(AcquisitionError):
+        if master.bus.file.sync_producer == "recorder":
+            master.wait(next_ns)
+            next_ns = max(next_ns, link.now_ns() - period_ns)  # no burst of SYNCs after a stall
+            master.sync()
+        else:
+            master.wait_for_sync(link.now_ns() + 2 * period_ns)
+            next_ns = link.now_ns()
+        master.wait(link.now_ns() + round(0.7 * period_ns), for_answers=True)
+        return next_ns + period_ns
+    with suppress(AcquisitionError):
+        master.wait(link.now_ns() + period_ns)
+    return link.now_ns() + period_ns

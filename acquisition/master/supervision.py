@@ -1,0 +1,132 @@
+"""What the drives do on their own when something is wrong, read from them and told in words. Nothing is written."""
+
+from ..errors import AcquisitionError
+from ..protocol import (
+    ABORT_CONNECTION,
+    CONSUMER_HEARTBEAT,
+    DISABLE_OPTION,
+    FAULT_OPTION,
+    FOLLOWING_ERROR_TIME,
+    FOLLOWING_ERROR_WINDOW,
+    QUICK_STOP_DECELERATION,
+    QUICK_STOP_OPTION,
+    SHUTDOWN_OPTION,
+)
+from ..robot import BusFile, Drive
+from ..transport import SHARED
+from .heartbeat import consumers, entry_of, free_entry, timeout_ms
+from .master import Master, axis_of
+
+ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
+NO_WINDOW = 2**32 - 1
+
+_RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
+_THEN_OFF = {0: "voltage off at once, the motor coasts"} | {k: f"{ramp}, then off" for k, ramp in _RAMPS.items()}
+# Values of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301) in words.
+OPTIONS = {
+    ABORT_CONNECTION: {
+        0: "a lost heartbeat has no effect",
+        1: "fault when the connection is lost",
+        2: "voltage off when the connection is lost",
+        3: "quick stop when the connection is lost",
+    },
+    QUICK_STOP_OPTION: _THEN_OFF | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
+    SHUTDOWN_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    DISABLE_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    FAULT_OPTION: _THEN_OFF,
+    ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
+}
+_SUBJECTS = (
+    (QUICK_STOP_OPTION, "quick stop"),
+    (SHUTDOWN_OPTION, "shutdown"),
+    (DISABLE_OPTION, "disable operation"),
+    (FAULT_OPTION, "fault reaction"),
+)
+
+
+def supervision_of(master: Master, drive: Drive) -> list[str]:
+    """The supervision that a drive has, one line for each object: loss of the master, stops, following error."""
+    return [
+        _consumers(master, drive),
+        _option(master, drive, ABORT_CONNECTION, "reaction"),
+        _behaviour(master, drive),
+        _event_timer(master, drive),
+        *(_option(master, drive, index, name) for index, name in _SUBJECTS),
+        _following_error(master, drive),
+        _deceleration(master, drive),
+    ]
+
+
+def second_stop(file: BusFile) -> str:
+    """Whether the recorder's process can stop the drives when the session's process dies or hangs."""
+    if file.interface in SHARED:
+        return "the recorder's process stops the drives of a tracking session that dies or hangs"
+    return f"none: {file.interface} opens once only: if the session dies or hangs, only the drives' own supervision stops them"
+
+
+def _consumers(master: Master, drive: Drive) -> str:
+    file = master.bus.file
+    try:
+        entries = consumers(master, drive.node)
+    except AcquisitionError:
+        return "consumer heartbeat 1016: not there: the drive does not notice when the master dies"
+    used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
+    told = f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}: {', '.join(used) or 'none in use'}"
+    sub = free_entry(entries, file.master_node)
+    if sub is None:
+        return f"{told}: no free sub-index: the drive does not notice when the master dies"
+    entry = entry_of(file)
+    return f"{told}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}"
+
+
+def _option(master: Master, drive: Drive, index: int, name: str) -> str:
+    """An option code; those of CiA 402 stand 800h further on for each axis."""
+    raw = _read(master, drive, index + axis_of(drive))
+    if raw is None:
+        return f"{name} {index + axis_of(drive):04X}: not there"
+    value = raw - 0x10000 if raw >= 0x8000 else raw
+    return f"{name} {index + axis_of(drive):04X} = {value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
+
+
+def _behaviour(master: Master, drive: Drive) -> str:
+    raw = _read(master, drive, ERROR_BEHAVIOUR, 1)
+    if raw is None:
+        return f"communication error {ERROR_BEHAVIOUR:04X}:1: not there: pre-operational (CiA 301)"
+    return f"communication error {ERROR_BEHAVIOUR:04X}:1 = {raw}: {OPTIONS[ERROR_BEHAVIOUR].get(raw, 'of the manufacturer')}"
+
+
+def _event_timer(master: Master, drive: Drive) -> str:
+    raw = _read(master, drive, RPDO_PARAMETERS, 5)
+    name = f"missing targets {RPDO_PARAMETERS:04X}:5"
+    if not raw:
+        return f"{name}{' = 0' if raw == 0 else ': not there'}: a PDO to the drive that stays away has no effect"
+    return f"{name} = {raw}: an error after {raw} ms without the PDO"
+
+
+def _following_error(master: Master, drive: Drive) -> str:
+    axis = axis_of(drive)
+    window = _read(master, drive, FOLLOWING_ERROR_WINDOW + axis)
+    time_ms = _read(master, drive, FOLLOWING_ERROR_TIME + axis)
+    name = f"following error {FOLLOWING_ERROR_WINDOW + axis:04X}"
+    if window is None:
+        return f"{name}: not there"
+    if window == NO_WINDOW:
+        return f"{name} = 0x{window:X}: off"
+    after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
+    return f"{name} = {window}: an error beyond {window} of the drive's position units{after}"
+
+
+def _deceleration(master: Master, drive: Drive) -> str:
+    index = QUICK_STOP_DECELERATION + axis_of(drive)
+    raw = _read(master, drive, index)
+    return f"quick stop deceleration {index:04X}{f' = {raw}' if raw is not None else ': not there'}"
+
+
+def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
+    """None where the drive does not hold the object, or refuses."""
+    if drive.dictionary is not None and (index, sub) not in drive.dictionary.entries:
+        return None
+    try:
+        return master.read(drive.node, index, sub)
+    except AcquisitionError:
+        return None

@@ -1,0 +1,106 @@
+"""EDS and DCF files (CiA 306) as plain values; what canopen's importer stumbles over becomes one line."""
+
+import configparser
+import io
+import logging
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+from ..errors import AcquisitionError
+from .cia402 import INTEGERS
+
+IDENTITY = 0x1018
+LARGEST_DICTIONARY = 4 * 2**20  # bytes
+# Numbers of [DeviceInfo] that a file leaves empty; the importer stops at them.
+_EMPTY = re.compile(
+    r"^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO|BaudRate_\d+|SimpleBootUp(?:Master|Slave)|Granularity"
+    r"|DynamicChannelsSupported|GroupMessaging|LSS_Supported)[ \t]*=[ \t]*(?=(?:;.*)?\r?$)",
+    re.IGNORECASE | re.MULTILINE,
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class DictionaryEntry:
+    """An entry: `type` is I8 to U32, or empty for what no PDO can carry; `value` is the DCF's value or the default."""
+
+    name: str
+    type: str
+    writable: bool
+    value: int | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectDictionary:
+    """Entries by (index, sub-index), the identity the file states (0 where it states none), and what was read with doubt."""
+
+    entries: Mapping[tuple[int, int], DictionaryEntry]
+    vendor: int
+    product: int
+    product_name: str
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def identity(self) -> list[tuple[int, str, int]]:
+        """Vendor and product as far as they are stated, in 1018h or in [DeviceInfo]: sub-index, name, number."""
+        found = []
+        for sub, name, number in ((1, "vendor", self.vendor), (2, "product", self.product)):
+            entry = self.entries.get((IDENTITY, sub))
+            if entry is not None and (entry.value or number):
+                found.append((sub, name, entry.value or number))
+        return found
+
+
+@lru_cache(maxsize=32)
+def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
+    """Read an EDS or DCF for the node id `node`.
+
+    Raises `AcquisitionError` naming the file, the place in it and what was expected.
+    """
+    import canopen
+    from canopen import objectdictionary
+
+    # Its warnings about files that are read all the same would stand among our own output.
+    logging.getLogger("canopen").addHandler(logging.NullHandler())
+    if len(data) > LARGEST_DICTIONARY:
+        raise AcquisitionError(f"{place}: {len(data)} bytes: expected {LARGEST_DICTIONARY} at most")
+    text = data.decode("utf-8-sig", errors="replace")
+    empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
+    source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
+    source.name = "dictionary.eds"  # the importer goes by the suffix
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            found = canopen.import_od(source, node)
+    except configparser.DuplicateOptionError as error:
+        told = f"[{error.section}] holds {error.option!r} twice"
+        raise AcquisitionError(f"{place}: line {error.lineno}: {told}: expected once; remove one") from error
+    except configparser.DuplicateSectionError as error:
+        told = f"[{error.section}] is there twice"
+        raise AcquisitionError(f"{place}: line {error.lineno}: {told}: expected once; remove one") from error
+    except Exception as error:  # the importer meets damage with whatever its parts raise
+        told = str(error) or type(error).__name__
+        raise AcquisitionError(f"{place}: not an EDS or DCF that can be read: {told[:200]}") from error
+    entries = {}
+    for item in found.values():
+        parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())
+        for part in parts:
+            value = part.value if part.value is not None else part.default
+            entries[part.index, part.subindex] = DictionaryEntry(
+                name=str(item.name if part is item else f"{item.name}: {part.name}"),
+                type=INTEGERS.get(part.data_type or 0, ("", ""))[0],
+                writable="w" in (part.access_type or ""),
+                value=value if isinstance(value, int) else None,
+            )
+    if not entries:
+        raise AcquisitionError(f"{place}: holds no objects: expected an EDS or DCF")
+    about = found.device_information
+    return ObjectDictionary(
+        entries=entries,
+        vendor=about.vendor_number or 0,
+        product=about.product_number or 0,
+        product_name=about.product_name or "",
+        warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which says nothing" for line, key in empty),
+    )

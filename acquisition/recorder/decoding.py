@@ -1,0 +1,299 @@
+"""CAN frames → joint samples on the grid of SYNC, vectorised.
+
+A drive samples at SYNC, whenever its PDO arrives, so a sample's time is that of its SYNC: `sync_times` has it, and
+`association` tells which PDO answers which SYNC.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AcquisitionError
+from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
+from ..recording import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block, sample_dtype
+from ..robot import Bus, Robot
+from .association import answers, sync_steps
+from .sync_times import SyncTimes, sync_times
+
+Ints = NDArray[np.int64]
+
+_DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
+LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
+FEWEST_SYNCS = 10  # with fewer nothing is said of their period
+FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class PdoCount:
+    """What came of one PDO: frames, and those late, duplicate, too short; `missing` between its first and last."""
+
+    name: str
+    received: int
+    late: int
+    duplicate: int
+    missing: int
+    short: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decoded:
+    """Joint samples and the evidence for them.
+
+    Attributes:
+        samples: rows of `sample_dtype`; SYNCs that a drive did not answer are left out.
+        raw: (N, n, 2) position counts and effort integers of the same rows, as the drives sent them.
+        syncs, syncs_lost: SYNC frames recorded; SYNCs that drives answered but that were not recorded.
+        period_s: between SYNCs, pauses left out.
+        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
+        warnings: what a user should look at.
+    """
+
+    samples: Block
+    raw: Ints
+    pdos: tuple[PdoCount, ...]
+    syncs: int
+    syncs_lost: int
+    period_s: float
+    jitter_s: tuple[float, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """For the recording's health channel."""
+        return {
+            "syncs": self.syncs,
+            "syncs_lost": self.syncs_lost,
+            "sync_jitter_sd_s": self.jitter_s[0],
+            "sync_jitter_worst_s": self.jitter_s[1],
+            **{word: sum(getattr(p, word) for p in self.pdos) for word in ("late", "duplicate", "missing", "short")},
+        }
+
+
+def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
+    """Joint samples out of the frames of one channel, in the order in which they were received.
+
+    Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, too few samples remain, or
+    SYNC came at another period than the description's.
+    """
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
+    ids = np.where(plain, frames["can_id"], 0xFFFFFFFF).astype(np.uint32)
+    is_sync = ids == bus.file.sync_can_id
+    sync_rows = np.flatnonzero(is_sync)
+    if len(sync_rows) < 2:
+        raise AcquisitionError(
+            f"{place}: {len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames: expected many"
+        )
+    before = np.cumsum(is_sync)  # SYNCs up to and with each row
+    carriers = _carriers(bus)
+    rows, shorts = {}, {}
+    for pdo in carriers:
+        sent = np.flatnonzero(ids == pdo.can_id)
+        whole = frames["length"][sent] >= pdo.length
+        shorts[pdo.can_id] = int(np.count_nonzero(~whole))
+        rows[pdo.can_id] = sent[whole]
+        if not whole.any():
+            raise AcquisitionError(
+                f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
+                "expected the drive's answers to SYNC; is it mapped and started?"
+            )
+    syncs, times = frames[sync_rows], frames["time_ns"][sync_rows]
+    steps = sync_steps(syncs, times, list(rows.values()), before, frames)
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])  # grid index of each SYNC frame
+    grid = int(index_of[-1]) + int(steps[-1])
+    ours = bool((syncs["flags"] & SENT).all())
+    clock = sync_times(times, index_of, grid, ours=ours, nominal_ns=bus.period_ns)
+    if len(times) >= FEWEST_SYNCS:
+        _refuse_period(clock.period_s, bus, place)
+
+    slots, counts = {}, []
+    for pdo, name in carriers.items():
+        found = answers(rows[pdo.can_id], before, index_of, grid, frames)
+        slots[pdo.can_id] = found.slot
+        counts.append(
+            PdoCount(
+                name=name,
+                received=len(rows[pdo.can_id]),
+                late=found.late,
+                duplicate=found.duplicate,
+                missing=found.missing,
+                short=shorts[pdo.can_id],
+            )
+        )
+    ok = np.all([slot >= 0 for slot in slots.values()], axis=0)
+    answered = np.flatnonzero(ok)
+    if len(answered) < 2:
+        raise AcquisitionError(f"{place}: {len(answered)} SYNC answered by all drives: expected many")
+
+    n = robot.n
+    raw = np.empty((2, n, len(answered)), np.int64)
+    motor = np.empty((2, len(answered), n))
+    counts_on = np.empty((n, len(answered)), np.int64)  # positions, going on where a counter wraps
+    wrapped = []
+    everywhere = len(answered) == grid
+    for i, drive in enumerate(bus.drives):
+        for k, entry in enumerate((drive.position, drive.effort.entry)):
+            carrier = drive.carrier(entry, "tpdo")
+            assert carrier is not None  # `resolve` has seen to it
+            slot = slots[carrier.can_id]
+            raw[k, i] = _integers(frames, slot if everywhere else slot[answered], carrier, entry)
+        counts_on[i], wraps = unwrapped(raw[0, i], drive.position.bits)
+        if len(wraps):
+            first_s = (clock.stamps[answered[wraps[0]]] - clock.stamps[answered[0]]) * 1e-9
+            wrapped.append(
+                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
+                "positions go on from there"
+            )
+        motor[0, :, i], motor[1, :, i] = drive.position_codec.si(counts_on[i]), drive.effort.si(raw[1, i])
+    q, effort = robot.joint_position(motor[0]), robot.joint_effort(motor[1])
+    reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q, counts_on)
+    extras = [(drive, extra) for drive in bus.drives for extra in drive.extras]
+    samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None, extra=len(extras)))
+    samples["stamp_ns"] = clock.stamps[answered]
+    for k, (drive, extra) in enumerate(extras):
+        carrier = drive.carrier(extra.entry, "tpdo")
+        assert carrier is not None
+        samples["extra"][:, k] = extra.si(_integers(frames, slots[carrier.can_id][answered], carrier, extra.entry))
+    samples["position"], samples["effort"] = q, effort
+    if reference is not None:
+        samples["reference"] = reference
+    lost = int(np.sum(steps - 1))
+    return Decoded(
+        samples=samples,
+        raw=raw.transpose(2, 1, 0),
+        pdos=tuple(counts),
+        syncs=len(sync_rows),
+        syncs_lost=lost,
+        period_s=clock.period_s,
+        jitter_s=clock.jitter_s,
+        warnings=(*bus.warnings, *wrapped, *_warnings(counts, lost, clock, bus, answered)),
+    )
+
+
+def _carriers(bus: Bus) -> dict[Pdo, str]:
+    """PDOs that hold positions, efforts and extra objects, and whose they are."""
+    found = {}
+    for drive in bus.drives:
+        for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
+            pdo = drive.carrier(entry, "tpdo")
+            if pdo is not None:
+                found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
+    return found
+
+
+def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:
+    """The integers of one object in the frames `rows`."""
+    at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
+    assert at is not None
+    # One strided field over the rows as they lie: three times as fast as cutting the bytes out.
+    kind = f"<{entry.type[0].lower()}{size}"
+    only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
+    found: Ints = frames.view(only)["value"][rows].astype(np.int64)
+    return found
+
+
+def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts that go on where a counter of `bits` wraps from one end to the other, and the rows at which it does.
+
+    No motor goes half of what a counter holds between two answers: a larger step is a wrap.
+    """
+    steps = np.diff(counts)
+    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
+    if not len(wraps):
+        return counts, wraps
+    turns = np.zeros(len(counts), np.int64)
+    turns[wraps + 1] = -np.sign(steps[wraps])
+    return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
+def _reference(
+    frames: Block,
+    ids: NDArray[np.uint32],
+    before: Ints,
+    index_of: Ints,
+    grid: int,
+    answered: Ints,
+    robot: Robot,
+    bus: Bus,
+    q: NDArray[np.float64],
+    counts_on: Ints,
+) -> NDArray[np.float64] | None:
+    """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
+
+    A target wraps as the position does that it leads; of the counts it may stand for, those next to `counts_on` are meant.
+
+    Before the first target the measured position stands in. None where a drive gets no targets, or only now and then: a
+    master that commands the state alone sends them too.
+    """
+    motors, known = np.empty((len(answered), robot.n)), np.ones(len(answered), np.bool_)
+    following = np.append(index_of, grid)  # grid index of the SYNC after as many SYNC frames
+    for i, drive in enumerate(bus.drives):
+        pdo = drive.carrier(drive.target, "rpdo")
+        rows = np.flatnonzero(ids == pdo.can_id) if pdo is not None else np.zeros(0, np.int64)
+        if pdo is not None:
+            rows = rows[frames["length"][rows] >= pdo.length]
+        if pdo is None or len(rows) < FEWEST_TARGETS * len(answered):
+            return None
+        slot = np.full(grid + 1, -1, np.int64)
+        slot[following[before[rows]]] = np.arange(len(rows))
+        held = np.maximum.accumulate(slot[:-1])[answered]
+        known &= held >= 0
+        target = _integers(frames, rows, pdo, drive.target)[held]
+        away = np.rint((counts_on[i] - target) / (1 << drive.target.bits)).astype(np.int64)
+        motors[:, i] = drive.position_codec.si(target + (away << drive.target.bits))
+    return np.where(known[:, None], robot.joint_position(motors), q) if known.any() else None
+
+
+def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
+    """Refuse a SYNC period that is not the described one: every rate and filter would follow the description."""
+    stated_s = bus.file.sync_period_s
+    if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
+        raise AcquisitionError(
+            f"{place}: SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml: expected "
+            f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
+            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+        )
+
+
+def _warnings(counts: list[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Ints) -> list[str]:
+    found = []
+    nominal_s = bus.file.sync_period_s
+    at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
+    for k, by_s in clock.set_back:
+        found.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: times go on as if it had not been")
+    if abs(clock.period_s / nominal_s - 1) > 0.01:
+        expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
+        found.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
+    if len(clock.pauses):
+        longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
+        found.append(
+            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
+            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
+        )
+    elif clock.jitter_s[1] > 0.5 * nominal_s:
+        found.append(
+            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
+        )
+    if lost:
+        found.append(f"{lost} SYNC were answered but not recorded")
+    missing = int(answered[-1] - answered[0] + 1 - len(answered))
+    if missing:
+        found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+    for count in counts:
+        told = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
+        if told:
+            found.append(f"{count.name}: {', '.join(told)} of {count.received}")
+    return found
+
+
+def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
+    """What a master wrote into communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
+    found: dict[int, dict[tuple[int, int], int]] = {}
+    ids = np.where(frames["flags"] & (EXTENDED | ERROR | REMOTE), 0, frames["can_id"])
+    low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
+    for row in frames[(ids > REQUEST) & (ids < REQUEST + 128) & (frames["length"] == 8)]:
+        transfer = request_of(row["data"].tobytes())
+        if transfer.kind == "write" and low <= transfer.index <= high:
+            found.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
+    return found

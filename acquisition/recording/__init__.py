@@ -1,0 +1,22 @@
+"""The recording: the MCAP file's rows, content, reader, writer, recovery, overview."""
+
+from .file import Recording, RecordingWriter, read_recording, recover
+from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE, SENT, Block, sample_dtype
+from .summary import as_tables, overview
+
+__all__ = [
+    "ERROR",
+    "EXTENDED",
+    "FRAME",
+    "LARGEST_STAMP_NS",
+    "REMOTE",
+    "SENT",
+    "Block",
+    "Recording",
+    "RecordingWriter",
+    "as_tables",
+    "overview",
+    "read_recording",
+    "recover",
+    "sample_dtype",
+]

@@ -1,0 +1,253 @@
+"""What stands in an MCAP file, whole or cut, with every checksum checked: the container, not the meaning.
+
+The records are walked here, not by mcap's own readers: those stop with the same errors at a cut and at damage, check no
+attachment's CRC, and let a chunk unpack to any size. Format: https://mcap.dev/spec.
+"""
+
+import hashlib
+import os
+import struct
+import zlib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import mcap.records
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+
+from ..errors import AcquisitionError
+
+_MAGIC = b"\x89MCAP0\r\n"
+_MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
+_LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
+_LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
+_DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Messages:
+    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents end to end.
+
+    Contents lie in one growing buffer, because an hour of samples is too much to be held twice.
+    """
+
+    layout: str
+    stamps_ns: list[int]
+    ends: list[int]
+    data: bytearray
+
+    def add(self, stamp_ns: int, content: bytes) -> None:
+        """Append a message."""
+        self.data.extend(content)
+        self.stamps_ns.append(stamp_ns)
+        self.ends.append(len(self.data))
+
+    def items(self) -> Iterator[tuple[int, bytes]]:
+        """Log time and content of each message."""
+        begin = 0
+        for stamp_ns, end in zip(self.stamps_ns, self.ends, strict=True):
+            yield stamp_ns, bytes(self.data[begin:end])
+            begin = end
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """`metadata` is `None` where the record asked for is missing; `cut` says that the file has no proper end."""
+
+    metadata: Mapping[str, str] | None
+    attachments: Mapping[str, bytes]
+    messages: Mapping[str, Messages]
+    cut: bool
+    sha256: str
+
+
+def read_content(
+    path: Path, name: str, accept: Callable[[Mapping[str, str], str], None], wanted: Callable[[str], bool]
+) -> Content:
+    """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
+
+    `accept(metadata, place)` raises to refuse the file before its data is looked at. A file without its end gives what
+    stands before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
+    """
+    place = str(path)
+    try:
+        with path.open("rb") as file:
+            return _read(_Records(file), place, name, accept, wanted)
+    except OSError as error:
+        raise AcquisitionError(f"{place}: cannot be read: {error.strerror}") from error
+
+
+def _read(
+    records: "_Records",
+    place: str,
+    name: str,
+    accept: Callable[[Mapping[str, str], str], None],
+    wanted: Callable[[str], bool],
+) -> Content:
+    if records.first != _MAGIC:
+        raise AcquisitionError(f"{place}: begins with {records.first!r}: expected an MCAP file")
+    metadata: dict[str, str] | None = None
+    attachments: dict[str, bytes] = {}
+    chunks = _Chunks(wanted)
+    complete = False
+    for opcode, at, content in records:
+        try:
+            if opcode == Opcode.METADATA:
+                record = mcap.records.Metadata.read(_stream(content))
+                if record.name == name:
+                    if metadata is not None:
+                        raise ValueError(f"a second metadata record {name!r}")
+                    metadata = dict(record.metadata)
+                    accept(metadata, place)
+            elif opcode == Opcode.ATTACHMENT:
+                record = mcap.records.Attachment.read(_stream(content))
+                _check_crc(zlib.crc32(content[:-4]), content[-4:])
+                if record.name in attachments:
+                    raise ValueError(f"a second attachment {record.name!r}")
+                attachments[record.name] = record.data
+            elif opcode == Opcode.CHUNK:
+                chunks.add(mcap.records.Chunk.read(_stream(content)))
+            elif opcode == Opcode.DATA_END:
+                _check_crc(records.crc_before, content[:4])
+                complete = True
+                break
+        except _DAMAGE as error:
+            if not records.has_end and records.only_zeros_follow():
+                break  # the last record of a cut file: torn, with nothing or unwritten disk space behind it
+            what = str(error) or type(error).__name__
+            raise AcquisitionError(f"{place}: damaged at byte {at}: {what}") from error
+    if records.has_end and not complete:
+        raise AcquisitionError(f"{place}: damaged: its end is there, but the records before do not lead to it")
+    return Content(
+        metadata=metadata,
+        attachments=attachments,
+        messages=chunks.messages,
+        cut=not records.has_end,
+        sha256=records.sha256(),
+    )
+
+
+class _Records:
+    """The records of a file, one at a time: opcode, place and content of each that is all there.
+
+    `crc_before` is the CRC of all bytes before the record at hand. Opcode 0 is unwritten disk space and ends the walk.
+    """
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._size = os.fstat(file.fileno()).st_size
+        self._digest, self._crc = hashlib.sha256(), 0
+        self.crc_before = 0
+        file.seek(max(0, self._size - len(_MAGIC)))
+        self.has_end = self._size > 2 * len(_MAGIC) and file.read() == _MAGIC
+        file.seek(0)
+        self.first = self._take(len(_MAGIC))
+
+    def __iter__(self) -> Iterator[tuple[int, int, bytes]]:
+        at = len(_MAGIC)
+        while at + 9 <= self._size:
+            self.crc_before = self._crc
+            head = self._take(9)
+            length = int.from_bytes(head[1:], "little")
+            if head[0] == 0 or at + 9 + length > self._size:
+                return
+            at += 9 + length
+            yield head[0], at - length, self._take(length)
+
+    def only_zeros_follow(self) -> bool:
+        """Whether nothing but zero bytes stands behind the record at hand."""
+        return all(not part.strip(b"\0") for part in self._rest())
+
+    def sha256(self) -> str:
+        """Digest of the whole file, hexadecimal."""
+        for _ in self._rest():
+            pass
+        return self._digest.hexdigest()
+
+    def _rest(self) -> Iterator[bytes]:
+        while part := self._take(2**20):
+            yield part
+
+    def _take(self, length: int) -> bytes:
+        part = self._file.read(length)
+        self._digest.update(part)
+        self._crc = zlib.crc32(part, self._crc)
+        return part
+
+
+def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
+    """Opcode, first and last byte of every record of a chunk whose content is all there."""
+    at = 0
+    while at + 9 <= len(data) and data[at] != 0:
+        begin = at + 9
+        end = begin + int.from_bytes(data[at + 1 : begin], "little")
+        if end > len(data):
+            return
+        yield data[at], begin, end
+        at = end
+
+
+def _stream(content: bytes) -> Any:
+    return ReadDataStream(BytesIO(content))
+
+
+def _check_crc(found: int, crc: bytes) -> None:
+    expected = int.from_bytes(crc, "little")
+    if expected not in (0, found):  # 0 says that no CRC was written
+        raise ValueError(f"CRC is {found:08x}: expected {expected:08x}")
+
+
+class _Chunks:
+    """The chunks read so far: their channels, and the messages of the wanted topics."""
+
+    def __init__(self, wanted: Callable[[str], bool]) -> None:
+        self._wanted, self._size = wanted, 0
+        self._schemas: dict[int, str] = {}
+        self._channels: dict[int, Messages | None] = {}  # where messages go; None: they are not wanted
+        self.messages: dict[str, Messages] = {}
+
+    def add(self, chunk: Any) -> None:
+        content = _unpacked(chunk)
+        self._size += len(content)
+        if self._size > _LARGEST_TOTAL:
+            raise ValueError(f"more than {_LARGEST_TOTAL} bytes unpacked")
+        for opcode, begin, end in _records(content):
+            if opcode == Opcode.MESSAGE:
+                number, _, stamp_ns, _ = _MESSAGE.unpack_from(content, begin)
+                if number not in self._channels:
+                    raise ValueError(f"a message on channel {number}, which is not described")
+                messages = self._channels[number]
+                if messages is not None:
+                    messages.add(stamp_ns, content[begin + _MESSAGE.size : end])
+            elif opcode == Opcode.SCHEMA:
+                schema = mcap.records.Schema.read(_stream(content[begin:end]))
+                self._schemas[schema.id] = schema.data.decode()
+            elif opcode == Opcode.CHANNEL:
+                self._describe(mcap.records.Channel.read(_stream(content[begin:end])))
+
+    def _describe(self, channel: Any) -> None:
+        self._channels[channel.id] = None
+        if self._wanted(channel.topic):
+            layout = self._schemas.get(channel.schema_id, "")
+            topic = self.messages.setdefault(
+                channel.topic, Messages(layout=layout, stamps_ns=[], ends=[], data=bytearray())
+            )
+            if topic.layout != layout:
+                raise ValueError(f"{channel.topic} changes its layout")
+            self._channels[channel.id] = topic
+
+
+def _unpacked(chunk: Any) -> bytes:
+    if chunk.compression != "zstd":
+        raise ValueError(f"compression {chunk.compression!r}: expected 'zstd'")
+    size = zstandard.get_frame_parameters(chunk.data).content_size
+    if size != chunk.uncompressed_size or size > _LARGEST_CHUNK:
+        raise ValueError(f"a chunk of {size} bytes: expected {min(chunk.uncompressed_size, _LARGEST_CHUNK)}")
+    content: bytes = zstandard.decompress(chunk.data)
+    _check_crc(zlib.crc32(content), chunk.uncompressed_crc.to_bytes(4, "little"))
+    return content

@@ -1,0 +1,78 @@
+"""Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes, and what every row must satisfy."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AcquisitionError
+
+# One raw CAN frame; `data` beyond `length` is zero.
+FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
+# Bits of FRAME's `flags`.
+SENT = 1  # by us; not set: received
+EXTENDED = 2  # 29-bit identifier
+ERROR = 4  # error frame
+REMOTE = 8  # remote request
+LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
+
+Block = NDArray[np.void]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Gap:
+    """`missing` samples between row `row` and the next, at `stamp_ns` of row `row`."""
+
+    row: int
+    stamp_ns: int
+    missing: int
+
+
+def sample_dtype(n: int, *, reference: bool, extra: int = 0) -> np.dtype[np.void]:
+    """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
+
+    `extra` further values of drives stand in the field `extra` (extra,), named by `extra_objects.extra_columns`.
+    """
+    fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
+    fields += [("reference", "<f8", (n,))] if reference else []
+    return np.dtype(fields + ([("extra", "<f8", (extra,))] if extra else []))
+
+
+def gaps(samples: Block, sample_rate_hz: float) -> tuple[Gap, ...]:
+    """Where consecutive stamps lie more than 1.5 periods apart."""
+    periods = np.diff(samples["stamp_ns"]) * (sample_rate_hz * 1e-9)
+    rows = np.flatnonzero(periods > 1.5)
+    return tuple(
+        Gap(row=int(k), stamp_ns=int(samples["stamp_ns"][k]), missing=round(float(periods[k])) - 1) for k in rows
+    )
+
+
+def check_samples(samples: Block, after_ns: int, place: str) -> None:
+    """Refuse stamps that do not grow, from `after_ns` on, and values that are not finite; errors name `place`."""
+    stamps = samples["stamp_ns"]
+    bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise AcquisitionError(
+            f"{place}: row {row + 1}: stamp_ns = {stamps[row]}: expected growing stamps from 0 to {LARGEST_STAMP_NS}"
+        )
+    for field in (samples.dtype.names or ())[1:]:
+        finite = np.isfinite(samples[field])
+        if not finite.all():
+            row, joint = np.argwhere(~finite)[0]
+            value = samples[field][row, joint]
+            raise AcquisitionError(
+                f"{place}: row {row + 1}: {field} of joint {joint + 1} = {value}: expected a finite number"
+            )
+
+
+def check_frames(frames: Block, place: str) -> None:
+    """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
+    bad = (frames["length"] > 8) | (frames["time_ns"] < 0)
+    if bad.any():
+        row = int(np.argmax(bad))
+        raise AcquisitionError(
+            f"{place}: row {row + 1}: length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}: "
+            "expected 8 bytes at most and a time from 0"
+        )

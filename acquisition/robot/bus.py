@@ -1,0 +1,180 @@
+"""`[bus]` of robot.toml: the CAN interface, SYNC, and what stands in each drive, as written in the file.
+
+`drives` resolves it with the object dictionaries. The README explains every key.
+"""
+
+import math
+import re
+from typing import Annotated, Literal
+
+import msgspec
+
+from ..errors import AcquisitionError
+from ..protocol import BITS, RATED_UNITS, RULES
+from .toml import Positive, Table
+
+Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
+CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
+PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
+ObjectName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z")]
+HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
+Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
+
+BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+
+
+class PdoFile(Table, frozen=True):
+    """A PDO: the objects in it, in order; `can_id` and `number` (from 1) where they are not the usual ones."""
+
+    objects: Annotated[tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8)]
+    can_id: CanId | None = None
+    number: PdoNumber | None = None
+
+
+class ExtraFile(Table, frozen=True):
+    """A further object in the samples; `scale` (per raw unit) and `unit` where the standard's are not meant."""
+
+    object: ObjectName
+    name: Word | None = None
+    scale: float | None = None
+    unit: Annotated[str, msgspec.Meta(max_length=16)] | None = None
+
+
+class DriveFile(Table, frozen=True):
+    """One `[[bus.drive]]`, in the order of the motors.
+
+    Attributes:
+        node: CANopen node id.
+        dictionary: EDS or DCF beside robot.toml.
+        objects: types of objects written out, `"30D0:0" = "I32"`, in place of or beside a dictionary.
+        reference, actual: objects of the current or torque reference and of the actual value; one may be missing.
+        reference_rule, actual_rule: how the raw integer becomes SI; CiA 402's rule where left out.
+        rated_current_a, rated_torque_nm, rated_force_n: what the drive's 6075h or 6076h must say.
+        rated_current_unit, rated_torque_unit: units of those objects in this drive (an EPOS4 has uN m).
+        counts_per_turn, counts_per_m: position counts per motor revolution, or per metre of a motor that slides.
+        sign, effort_sign: -1 where the drive counts against the motor of the description; the second follows the first.
+        homed: object that is not 0, `2000:1`, or bit that is set, `6041.8`, when the drive is homed.
+        mapping: where the PDOs stand: this `table`, the `dictionary` (a DCF), or the master's SDO `traffic`.
+        tpdo, rpdo: PDOs from and to the drive; status, position, effort and control, target where left out.
+        extra: further objects in the samples, such as `606C`.
+    """
+
+    node: Node
+    dictionary: str | None = None
+    objects: dict[ObjectName, str] = msgspec.field(default_factory=dict)
+    status: ObjectName = "6041"
+    control: ObjectName = "6040"
+    position: ObjectName = "6064"
+    target: ObjectName = "607A"
+    reference: ObjectName | None = None
+    reference_rule: str | None = None
+    actual: ObjectName | None = None
+    actual_rule: str | None = None
+    rated_current_a: Positive | None = None
+    rated_torque_nm: Positive | None = None
+    rated_force_n: Positive | None = None
+    rated_current_unit: str = "mA"
+    rated_torque_unit: str = "mN m"
+    counts_per_turn: Positive | None = None
+    counts_per_m: Positive | None = None
+    sign: Literal[1, -1] = 1
+    effort_sign: Literal[1, -1] | None = None
+    zero_counts: Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)] = 0
+    homed: HomedName | None = None
+    mapping: Literal["table", "dictionary", "traffic"] = "table"
+    tpdo: tuple[PdoFile, ...] = ()
+    rpdo: tuple[PdoFile, ...] = ()
+    extra: tuple[ObjectName | ExtraFile, ...] = ()
+
+
+class BusFile(Table, frozen=True):
+    """`[bus]`: python-can's interface and channel, SYNC, the drives.
+
+    Attributes:
+        sync_period_s: time from SYNC to SYNC.
+        sync_producer: `recorder` (we send it) or `other`.
+        sync_can_id: identifier of SYNC.
+        loopback: whether network interfaces (udp_multicast) stay on this machine.
+        heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
+        master_node: node id under which this master sends its heartbeat while it moves drives.
+        late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
+        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled.
+    """
+
+    interface: Word
+    channel: Word
+    drive: Annotated[tuple[DriveFile, ...], msgspec.Meta(min_length=1)]
+    sync_period_s: Positive
+    bitrate: int = 1_000_000
+    sync_producer: Literal["recorder", "other"] = "recorder"
+    sync_can_id: CanId = 0x80
+    loopback: bool = True
+    heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
+    master_node: Node = 127
+    late_sync_s: Positive | None = None
+    enable_motion_deg: Positive = 1.0
+    enable_motion_m: Positive = 0.005
+
+
+def parse_object(name: str) -> tuple[int, int]:
+    """Index and sub-index of `6064` or `6064:0`."""
+    index, _, sub = name.partition(":")
+    return int(index, 16), int(sub or "0")
+
+
+def parse_homed(name: str) -> tuple[int, int, int | None]:
+    """Index, sub-index and bit of `6041.8`; no bit where the whole object counts."""
+    entry, _, bit = name.partition(".")
+    return *parse_object(entry), int(bit) if bit else None
+
+
+def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
+    """What the types cannot say; `motor_units` are the units of the motors' recorded efforts.
+
+    Raises `AcquisitionError` naming the key, the value and what was expected.
+    """
+
+    def refuse(key: str, value: object, expected: str) -> None:
+        raise AcquisitionError(f"{place}: bus.{key} = {value!r}: expected {expected}")
+
+    if len(bus.drive) != len(motor_units):
+        refuse("drive", f"{len(bus.drive)} tables", f"one per motor: {len(motor_units)}")
+    if bus.bitrate not in BITRATES:
+        refuse("bitrate", bus.bitrate, f"one of {', '.join(map(str, BITRATES))}")
+    if not 1e-4 <= bus.sync_period_s <= 1.0:
+        refuse("sync_period_s", bus.sync_period_s, "0.0001 to 1")
+    nodes = [d.node for d in bus.drive]
+    if bus.master_node in nodes:
+        refuse("master_node", bus.master_node, "a node id that no drive has")
+    for i, drive in enumerate(bus.drive):
+        key = f"drive[{i}]"
+        if drive.node in nodes[:i]:
+            refuse(f"{key}.node", drive.node, "a node id not used before")
+        for name, kind in drive.objects.items():
+            if kind not in BITS:
+                refuse(f"{key}.objects[{name}]", kind, f"one of {', '.join(BITS)}")
+        if drive.reference is None and drive.actual is None:
+            refuse(f"{key}.reference", None, "the object of the current or torque reference, or actual for its value")
+        for word in ("reference", "actual"):
+            rule = getattr(drive, f"{word}_rule")
+            if rule is not None and rule not in RULES:
+                refuse(f"{key}.{word}_rule", rule, f"one of {', '.join(RULES)}")
+        for word in ("rated_current_unit", "rated_torque_unit"):
+            if getattr(drive, word) not in RATED_UNITS:
+                refuse(f"{key}.{word}", getattr(drive, word), f"one of {', '.join(RATED_UNITS)}")
+        for k, extra in enumerate(drive.extra):
+            if isinstance(extra, ExtraFile) and extra.scale is not None and not 0 < abs(extra.scale) < math.inf:
+                refuse(f"{key}.extra[{k}].scale", extra.scale, "a number other than 0")
+            if isinstance(extra, ExtraFile) and extra.unit is not None and extra.scale is None:
+                refuse(f"{key}.extra[{k}].unit", extra.unit, "a scale beside it")
+        if (drive.counts_per_turn is None) == (drive.counts_per_m is None):
+            refuse(f"{key}.counts_per_turn", drive.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
+        if drive.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", drive.dictionary):
+            refuse(f"{key}.dictionary", drive.dictionary, "the name of a file beside robot.toml")
+        if drive.mapping == "dictionary" and drive.dictionary is None:
+            refuse(f"{key}.mapping", drive.mapping, "a dictionary (EDS or DCF) that holds the mapping")
+
+
+def dictionary_label(name: str) -> str:
+    """Name under which a recording carries the dictionary `name`; a label, never a path."""
+    return f"dictionary:{name}"

@@ -1,0 +1,96 @@
+"""Recorded positions held against the description's limits: what no robot did was read wrongly.
+
+Degrees read as radians, a wrong ratio, a counter that wraps, a sample that is not the robot's: all of them fit without a word.
+A small overshoot of a stated limit is the robot's or the description's affair, and is only told.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AcquisitionError
+from .robot import Joint, Robot
+
+Vector = NDArray[np.float64]
+
+FAR_OUT = 0.5  # of a joint's range: further beyond its limits nothing was, it was read wrongly
+FAR_FASTER = 3.0  # times the speed limit
+UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
+OVERSHOOT = 0.01  # of the range, and of the speed limit: below it, nothing is said
+NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
+_JUMP = 3.0  # times the steps before and after it: a step that stands alone
+
+
+def held_against_limits(robot: Robot, stamp_s: Vector, q: Vector, place: str) -> tuple[str, ...]:
+    """What is to be said of joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots.
+
+    Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
+    limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.
+    """
+    told = []
+    steps = np.diff(stamp_s)
+    step_s = np.maximum(steps, np.median(steps)) if len(steps) else steps
+    for j, joint in enumerate(robot.joints):
+        x = q[:, j]
+        told += _position(joint, stamp_s, x, place)
+        told += _speed(joint, stamp_s, step_s, x, place)
+    return tuple(told)
+
+
+def _shown(joint: Joint, value: float) -> str:
+    """A position as the description has it, in deg or m."""
+    return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
+
+
+def _position(joint: Joint, stamp_s: Vector, x: Vector, place: str) -> list[str]:
+    limits = joint.si("position")
+    if limits is None or not len(x):
+        return []
+    low, high = limits
+    beyond = np.maximum(low - x, x - high)
+    k = int(np.argmax(beyond))
+    if beyond[k] <= OVERSHOOT * (high - low):
+        return []
+    text = (
+        f"joint {joint.name} at {_shown(joint, x[k])}, {stamp_s[k] - stamp_s[0]:.3f} s: "
+        f"limits {_shown(joint, low)} and {_shown(joint, high)}"
+    )
+    if beyond[k] <= FAR_OUT * (high - low):
+        return [text]
+    key = "position_deg" if joint.type == "revolute" else "position_m"
+    raise AcquisitionError(
+        f"{place}: {text}: expected a position within them: a wrong unit (degrees read as radians), ratio, zero or sign, a "
+        f"counter that wrapped, or {key} of robot.toml"
+    )
+
+
+def _speed(joint: Joint, stamp_s: Vector, step_s: Vector, x: Vector, place: str) -> list[str]:
+    stated = joint.si("speed")
+    most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
+    step = np.abs(np.diff(x))
+    if len(step) < 4:
+        return []
+    # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; of motion
+    # next to nothing is left in them.
+    noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))
+    beyond = np.maximum(step - NOISE_DEVIATIONS * noise, 0.0) / step_s
+    k = int(np.argmax(beyond))
+    speed = f"{_shown(joint, step[k] / step_s[k])}/s"
+    limit = f"limit {_shown(joint, stated)}/s" if stated is not None else f"expected below {_shown(joint, most)}/s"
+    when = f"{stamp_s[k + 1] - stamp_s[0]:.3f} s"
+    if beyond[k] <= most:
+        if stated is None or beyond[k] <= (1 + OVERSHOOT) * stated:
+            return []
+        return [f"joint {joint.name} at {speed}, {when}: {limit}"]
+    beside = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
+    if step[k] > _JUMP * beside:
+        raise AcquisitionError(
+            f"{place}: joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit}): "
+            "expected motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
+        )
+    key = "speed_deg_s" if joint.type == "revolute" else "speed_m_s"
+    raise AcquisitionError(
+        f"{place}: joint {joint.name} at {speed}, {when}: {limit}: expected a speed below it: a wrong unit (degrees read as "
+        f"radians), ratio or sample rate, or {key} of robot.toml"
+    )

@@ -1,0 +1,80 @@
+"""Descriptions in TOML: text into typed, frozen structures, every error one line with place, key, value and expectation."""
+
+import math
+import re
+import tomllib
+from typing import Annotated, Any, TypeVar
+
+import msgspec
+import msgspec.inspect
+
+from ..errors import AcquisitionError
+
+T = TypeVar("T")
+
+# The parser's memory grows with the square of a dotted key's length, and recordings carry descriptions from elsewhere.
+LARGEST_TOML = 256 * 1024  # bytes
+LONGEST_LINE = 2000
+
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.\- ]+\Z")]
+
+
+class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A table of a description: unknown keys are refused."""
+
+
+def parse_toml(text: bytes, kind: type[T], place: str) -> T:
+    """Decode TOML `text` into `kind`; every error is one line with `place`, key, value and what was expected."""
+    longest = max(map(len, text.splitlines()), default=0)
+    if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
+        told = f"{len(text)} bytes, a line of {longest}"
+        raise AcquisitionError(f"{place}: {told}: expected {LARGEST_TOML} and {LONGEST_LINE} at most")
+    try:
+        data = tomllib.loads(text.decode("utf-8"))
+        _refuse_nonfinite(data, "", place)
+    except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
+        raise AcquisitionError(f"{place}: not valid TOML: {error}") from error
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        message, _, where = str(error).rpartition(" - at `$")
+        message, path = (message, where[:-1]) if message else (str(error), "")
+        value = _value_at(data, path)
+        found = "" if value is None or isinstance(value, dict | list) else f" = {value!r}"[:80]
+        if message.startswith("Invalid enum value"):
+            message = f"expected one of {', '.join(map(repr, _choices(kind, path)))}"
+        raise AcquisitionError(f"{place}: {path.lstrip('.') or 'top level'}{found}: {message}") from error
+
+
+def _choices(kind: Any, path: str) -> tuple[Any, ...]:
+    """The words that `kind` allows at `path`."""
+    at = msgspec.inspect.type_info(kind)
+    for step in re.findall(r"\w+", re.sub(r"\[[^]]*\]", "", path)):
+        if isinstance(at, msgspec.inspect.StructType):
+            at = next(field.type for field in at.fields if field.encode_name == step)
+        if isinstance(at, msgspec.inspect.UnionType):
+            at = next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+        if isinstance(at, msgspec.inspect.VarTupleType):
+            at = at.item_type
+    return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()
+
+
+def _value_at(data: Any, path: str) -> Any:
+    for step in path.replace("[", ".[").split("."):
+        try:
+            if step.startswith("["):
+                data = data[int(step.strip("[]"))]
+            elif step:
+                data = data[step]
+        except (KeyError, IndexError, TypeError, ValueError):
+            return None
+    return data
+
+
+def _refuse_nonfinite(data: Any, key: str, place: str) -> None:
+    if isinstance(data, float) and not math.isfinite(data):
+        raise AcquisitionError(f"{place}: {key} = {data}: expected a finite number")
+    items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
+    for name, value in items:
+        _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), place)

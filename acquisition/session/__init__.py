@@ -1,0 +1,21 @@
+"""The one loop that sends: record, enable, track, stop; its guards; replay."""
+
+from .recording_session import Told, Wanted, record, stop_on_signals
+from .replaying import replay
+from .scheduling import DEVIATIONS, steady, sync_jitter
+from .session import Ending, Plan, Stop, run_active
+
+__all__ = [
+    "DEVIATIONS",
+    "Ending",
+    "Plan",
+    "Stop",
+    "Told",
+    "Wanted",
+    "record",
+    "replay",
+    "run_active",
+    "steady",
+    "stop_on_signals",
+    "sync_jitter",
+]

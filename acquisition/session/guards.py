@@ -1,0 +1,127 @@
+"""What must hold while drives are enabled. Each function returns the reason to stop, or None."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..master import FOLLOWS, OPERATIONAL, REMOTE, Master, error_words, status_words
+from ..protocol import State
+from ..robot import Joint, Robot
+
+Vector = NDArray[np.float64]
+
+SILENT_SYNCS = 3  # in a row that a drive may leave unanswered
+LOST_HEARTBEATS = 3
+SPEED_MARGIN = 1.2  # over the limit, for what tracking overshoots
+SPEED_SYNCS = 5  # over which speed is measured
+CLEAR_SYNCS = 3  # in a row in which a bit that the drive sets in operation may be clear
+# Bits of the statusword that are set in operation, by the drives that know them.
+_OPERATING = {
+    REMOTE: "does not obey the bus (statusword bit 9, remote, is 0)",
+    FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
+}
+
+
+@dataclass(kw_only=True)
+class Motion:
+    """What the guards remember of the motion, from the start of enabling on.
+
+    Attributes:
+        enabling: until all drives are enabled.
+        start: joint positions (n,) when enabling began.
+        measured: joint positions of the last SYNCs, latest last.
+        target: where the drives should stand at the latest, None where they have none.
+        enabled: nodes that were enabled once.
+        seen: bits of the statusword that each node had set when it was enabled.
+        clear: how many SYNCs in a row each (node, bit) has been clear.
+        noted: node and text of warnings that were written down.
+    """
+
+    enabling: bool = True
+    start: Vector | None = None
+    measured: list[Vector] = field(default_factory=list)
+    target: Vector | None = None
+    enabled: set[int] = field(default_factory=set)
+    seen: dict[int, int] = field(default_factory=dict)
+    clear: dict[tuple[int, int], int] = field(default_factory=dict)
+    noted: set[tuple[int, str]] = field(default_factory=set)
+
+
+def node_fault(master: Master, now_ns: int) -> str | None:
+    """Emergencies, resets, lost heartbeats, missed answers, errors of the bus: reasons to end any active session."""
+    if master.bus_error is not None:
+        return f"bus: {master.bus_error}"
+    lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
+    for watch in master.nodes:
+        node = f"node {watch.drive.node} ({watch.drive.name})"
+        if watch.emergency is not None:
+            return f"{node}: emergency {error_words(watch.emergency)}"
+        if watch.booted:
+            return f"{node}: has restarted"
+        if watch.started and watch.nmt != OPERATIONAL:
+            return f"{node}: left operational (NMT state {watch.nmt})"
+        # A heartbeat that left the drive before START may arrive after it.
+        if watch.unstarted >= LOST_HEARTBEATS:
+            return f"{node}: not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+        if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
+            return f"{node}: heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s"
+        if watch.silent_syncs >= SILENT_SYNCS:
+            return f"{node}: {watch.silent_syncs} SYNC not answered"
+    return None
+
+
+def motion_fault(master: Master, robot: Robot, motion: Motion) -> str | None:
+    """States, limits and following errors: reasons to stop motion. To be called once each SYNC."""
+    return state_fault(master, motion) or joint_fault(master, robot, motion)
+
+
+def state_fault(master: Master, motion: Motion) -> str | None:
+    """A drive that leaves operation enabled, or that says in its statusword that it does not obey."""
+    for watch in master.nodes:
+        node, word = watch.drive.node, watch.statusword
+        name = f"node {node} ({watch.drive.name})"
+        if watch.state is not State.OPERATION_ENABLED or word is None:
+            if not motion.enabling or node in motion.enabled:
+                told = "unknown" if word is None else status_words(word)
+                return f"{name}: {told} in motion: expected operation enabled"
+            continue
+        motion.enabled.add(node)
+        motion.seen[node] = motion.seen.get(node, 0) | word
+        for bit, text in _OPERATING.items():
+            clear = motion.clear.get((node, bit), 0) + 1 if motion.seen[node] & ~word & bit else 0
+            motion.clear[node, bit] = clear
+            if clear >= CLEAR_SYNCS:
+                return f"{name}: {text} for {clear} SYNC"
+    return None
+
+
+def joint_fault(master: Master, robot: Robot, motion: Motion) -> str | None:
+    """Position, speed and following error of each joint, and what it moves while drives are enabled."""
+    q = motion.measured[-1]
+    dq = None
+    if len(motion.measured) > SPEED_SYNCS:
+        dq = (q - motion.measured[-1 - SPEED_SYNCS]) / (SPEED_SYNCS * master.bus.file.sync_period_s)
+    for i, joint in enumerate(robot.joints):
+        unit = joint.position_unit
+        low, high = joint.si("position")
+        if not low <= q[i] <= high:
+            return f"{joint.name}: position {q[i]:.4g} {unit}: expected {low:.4g} to {high:.4g}"
+        largest = _enable_motion(master, joint)
+        if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
+            moved = q[i] - motion.start[i]
+            return f"{joint.name}: moved {moved:.4g} {unit} while drives were enabled: expected {largest:.4g} at most"
+        largest = joint.si("following_error")
+        if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
+            error = abs(q[i] - motion.target[i])
+            return f"{joint.name}: following error {error:.4g} {unit}: expected {largest:.4g} at most"
+        largest = joint.si("speed")
+        if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
+            return f"{joint.name}: speed {abs(dq[i]):.4g} {unit}/s: expected {largest:.4g} at most"
+    return None
+
+
+def _enable_motion(master: Master, joint: Joint) -> float:
+    """How far a joint may move while drives are enabled, rad or m."""
+    file = master.bus.file
+    return float(np.radians(file.enable_motion_deg) if joint.type == "revolute" else file.enable_motion_m)

@@ -1,0 +1,79 @@
+"""The rhythm of SYNC: when it is sent or awaited, when it is too late, and whether the computer's clock was set."""
+
+import time
+
+from ..errors import AcquisitionError
+from ..master import Master
+from ..robot import BusFile
+
+# In motion SYNC may be late by the larger of both, where `[bus] late_sync_s` is not stated.
+LATE_PERIODS, LATE_S = 3, 0.02
+ABSENT_PERIODS = 50  # without another producer's SYNC, at rest
+ANSWER_SHARE = 0.7  # of a period, in which drives answer SYNC
+CLOCK_STEP_S = 0.05  # a clock that is slewed drifts by less from SYNC to SYNC
+
+
+def largest_delay_s(file: BusFile) -> float:
+    """How late SYNC may be in motion."""
+    return max(LATE_PERIODS * file.sync_period_s, LATE_S) if file.late_sync_s is None else file.late_sync_s
+
+
+class Pace:
+    """SYNC after SYNC, each with the answers to it."""
+
+    def __init__(self, master: Master) -> None:
+        file = master.bus.file
+        self._master, self._link, self._period_ns = master, master.link, master.bus.period_ns
+        self._ours = file.sync_producer == "recorder"
+        self._latest_ns = round(largest_delay_s(file) * 1e9)
+        self.next_ns = 0
+
+    def start(self) -> None:
+        """The first SYNC is a period from now."""
+        self.next_ns = self._link.now_ns() + self._period_ns
+
+    def sync(self, *, in_motion: bool) -> None:
+        """Wait for the instant, send SYNC (or await it), take the answers.
+
+        Raises `AcquisitionError` where SYNC is later than allowed in motion, or does not come at all: drives would go on to
+        their last target, stop there, and jump with the next.
+        """
+        if self._ours:
+            self._master.wait(self.next_ns)
+            self._refuse_late(in_motion)
+            if self._link.now_ns() > self.next_ns + self._period_ns:
+                self.next_ns = self._link.now_ns()  # after a stall time goes on from here: no burst of SYNCs
+            self._master.sync()
+        else:
+            patience_ns = self._latest_ns if in_motion else ABSENT_PERIODS * self._period_ns
+            if not self._master.wait_for_sync(self.next_ns + patience_ns):
+                told = f"{patience_ns / self._period_ns:.3g} periods"
+                raise AcquisitionError(
+                    f"bus: no SYNC in {told}: expected the other producer's; or sync_producer = 'recorder'"
+                )
+            self._refuse_late(in_motion)
+            self.next_ns = self._link.now_ns()
+        self._master.wait(self.next_ns + round(ANSWER_SHARE * self._period_ns), for_answers=True)
+        self.next_ns += self._period_ns
+
+    def _refuse_late(self, in_motion: bool) -> None:
+        late_ns = self._link.now_ns() - self.next_ns
+        if in_motion and late_ns > self._latest_ns:
+            raise AcquisitionError(
+                f"SYNC {late_ns * 1e-9:.3g} s late in motion: expected {self._latest_ns * 1e-9:.3g} s at most: this "
+                "computer was busy or stopped"
+            )
+
+
+class Clock:
+    """Notices when the computer's clock is set: frames that the kernel stamps jump, SYNC and its deadlines do not."""
+
+    def __init__(self) -> None:
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def step_s(self) -> float:
+        """Seconds by which the clock was set since the last call, 0 where it was not."""
+        offset_ns = time.time_ns() - time.monotonic_ns()
+        step_s = (offset_ns - self._offset_ns) * 1e-9
+        self._offset_ns = offset_ns
+        return step_s if abs(step_s) > CLOCK_STEP_S else 0.0

@@ -1,0 +1,205 @@
+"""A recording session as the command runs it: which link, which recorder, and what is told while it goes on."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import FrameType
+
+from ..errors import AcquisitionError
+from ..master import Confirm, Master, confirm_positions, second_stop
+from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Status
+from ..robot import Robot, refuse_load, resolve
+from ..simulated import DryRun, dry_run, mechanism_of
+from ..trajectory import check_limits, table_reference
+from ..transport import SHARED, Link, open_link
+from .scheduling import refuse_jitter, steady
+from .session import Ending, Plan, Stop, run_active
+
+STOPPED = "stopped by"
+Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wanted:
+    """What `robot-acquire record` was asked for; `confirm` shows joint positions to somebody before anything moves."""
+
+    passive: bool = False
+    dry_run: bool = False
+    duration_s: float | None = None
+    track: Path | None = None
+    speed: float = 1.0
+    confirm: Confirm = lambda _: False
+
+
+def record(
+    robot: Robot,
+    place: str,
+    out: Path,
+    wanted: Wanted,
+    told: Told,
+    stop: Stop,
+    announce: Callable[[Ending], None] = lambda _: None,
+) -> tuple[Ending, Recorded]:
+    """Record until the plan ends or `stop` has a reason; `announce` is told how a session ended, as soon as it is known.
+
+    Raises `AcquisitionError` where the description, the bus or the file refuses; what fails once the session runs stands
+    in the ending.
+    """
+    assert robot.bus is not None
+    if wanted.passive and (wanted.track is not None or wanted.dry_run):
+        raise AcquisitionError("--passive: sends nothing: expected it without --track and --dry-run")
+    by_traffic = [drive for drive in robot.bus.drive if drive.mapping == "traffic"]
+    if by_traffic and not wanted.passive:
+        raise AcquisitionError(
+            f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
+        )
+    if wanted.track is not None and wanted.duration_s is not None:
+        raise AcquisitionError("--track: lasts as long as its reference: expected it without --duration")
+    if wanted.track is None and wanted.speed != 1.0:
+        raise AcquisitionError(f"--speed {wanted.speed:g}: is that of a reference: expected it with --track")
+    if not 0 < wanted.speed <= 1:
+        raise AcquisitionError(f"--speed {wanted.speed:g}: expected more than 0, and 1 at most")
+    plan = Plan(duration_s=wanted.duration_s)
+    if wanted.track is not None:
+        reference = table_reference(wanted.track, robot, robot.bus.sync_period_s, wanted.speed)
+        check_limits(reference, robot, robot.bus.sync_period_s, str(wanted.track))  # before there is a file
+        plan = Plan(reference=reference, place=str(wanted.track))
+        if not wanted.dry_run:
+            plan = replace(plan, before_motion=lambda master: _before_motion(robot, master, wanted))
+    if not by_traffic:
+        resolve(robot, place)  # what can be refused is refused before anything is opened
+    if wanted.passive:
+        return _listen(robot, place, out, plan, told, stop)
+    bus = resolve(robot, place)
+    refuse_load(bus, place)
+    simulated: DryRun | None = None
+    link: Link
+    log: InlineLog | ProcessLog
+    if wanted.dry_run:
+        mechanism = mechanism_of(robot, bus)
+        log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
+        simulated = dry_run(robot, bus, mechanism, tap=log.tap)
+        link = simulated.link
+        if mechanism.warning is not None:
+            log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
+    else:
+        shared = robot.bus.interface in SHARED
+        # The link first: a bus that cannot be opened leaves no file behind.
+        link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
+        try:
+            dead_man = shared and wanted.track is not None
+            log = ProcessLog(
+                out, robot, source="CAN, active", place=place, feed=not shared, passive=False, dead_man=dead_man
+            )
+        except BaseException:
+            link.close()
+            raise
+    try:
+        started_ns = link.now_ns()
+        watched = _Told(
+            log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
+        )
+        with nullcontext() if simulated is not None else steady() as granted:  # after the recorder has started
+            if granted is not None and isinstance(log, ProcessLog):
+                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
+                log.granted(granted.counters)
+            ending = run_active(robot, Master(link, bus), watched, plan, stop, announce)
+        try:
+            return ending, log.finish(link.now_ns())
+        except AcquisitionError as error:
+            raise AcquisitionError(ending.reason if ending.fault else str(error)) from error
+    finally:
+        log.close()
+        if simulated is not None:
+            simulated.close()
+        else:
+            link.close()
+
+
+def _before_motion(robot: Robot, master: Master, wanted: Wanted) -> list[str]:
+    """What is looked at before a real robot moves, in words for `/events`."""
+    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, wanted.confirm))}"]
+    jitter = refuse_jitter(master)
+    marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
+    if wanted.speed != 1:
+        marks.append(f"{wanted.track} at {wanted.speed:g} of its speed")
+    if master.bus.file.interface not in SHARED:
+        marks.append(f"second stop: {second_stop(master.bus.file)}")
+    return marks
+
+
+def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: Stop) -> tuple[Ending, Recorded]:
+    """Record what goes by. No link is opened here: the recorder's own cannot send."""
+    log = ProcessLog(out, robot, source="CAN, passive", place=place, feed=False, passive=True)
+    try:
+        started_s = time.monotonic()
+        log.event(time.time_ns(), "phase", "record")
+        reason, fault = "", False
+        try:
+            while not stop.reason:
+                elapsed_s = time.monotonic() - started_s
+                if plan.duration_s is not None and elapsed_s >= plan.duration_s:
+                    break
+                status = log.poll(time.time_ns())
+                if status is not None:
+                    told(status, None if plan.duration_s is None else plan.duration_s - elapsed_s)
+                    if status.disk_full:
+                        stop.reason = "disk nearly full"
+                time.sleep(0.02)
+            reason = stop.reason or "finished"
+        except AcquisitionError as error:
+            reason, fault = str(error), True
+        with suppress(AcquisitionError):
+            log.event(time.time_ns(), "fault" if fault else "end", reason)
+        if fault:
+            raise AcquisitionError(reason)
+        return Ending(reason=reason, fault=fault), log.finish(time.time_ns())
+    finally:
+        log.close()
+
+
+class _Told:
+    """A log that passes statuses on to whoever shows them."""
+
+    def __init__(self, log: InlineLog | ProcessLog, told: Told, left: Callable[[int], float | None]) -> None:
+        self._log, self._told, self._left = log, told, left
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """As the log."""
+        self._log.event(stamp_ns, kind, text)
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """As the log."""
+        status = self._log.poll(stamp_ns)
+        if status is not None:
+            self._told(status, self._left(stamp_ns))
+        return status
+
+
+def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
+    whole_s = plan.duration_s if plan.reference is None else len(plan.reference) * period_s
+    return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
+
+
+@contextmanager
+def stop_on_signals(stop: Stop) -> Iterator[None]:
+    """Ctrl-C, SIGTERM and a terminal that is gone end the session in order in place of ending the program on the spot.
+
+    Ctrl-C after any of them is a quick stop.
+    """
+
+    def asked(number: int, _: FrameType | None) -> None:
+        stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
+        stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
+
+    # A hangup that is ignored already stays so, as `nohup` has it. A shell's background jobs ignore SIGINT: not these.
+    numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
+    before = {number: signal.signal(number, asked) for number in numbers}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

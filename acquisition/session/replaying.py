@@ -1,0 +1,81 @@
+"""What the drives of a recording sent, and SYNC, back on a silent bus with its timing. Commands are never sent again."""
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AcquisitionError
+from ..master import LISTEN_S, heard, service_of
+from ..protocol import ANSWER
+from ..recorder import written_by_master
+from ..recording import ERROR, EXTENDED, REMOTE, Block, Recording, read_recording
+from ..robot import BusFile, resolve
+from ..transport import open_link
+from .session import Stop
+
+WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second on loopback
+EMERGENCY, HEARTBEAT = 0x80, 0x700
+
+
+def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
+    """Send what drives sent, and SYNC, of the recording `path` in order; the number sent.
+
+    Raises `AcquisitionError` where anyone is heard on the bus, where hardware may be on it and `onto_bus` is not given,
+    and where the bus refuses.
+    """
+    if not speed > 0:
+        raise AcquisitionError(f"--speed {speed:g}: expected more than 0")
+    if file.interface not in WITHOUT_HARDWARE and not onto_bus:
+        raise AcquisitionError(
+            f"--interface {file.interface}: hardware may be on this bus: expected --onto-bus, or one of "
+            f"{', '.join(WITHOUT_HARDWARE)}"
+        )
+    recording = read_recording(path)
+    frames = from_drives(recording, str(path))
+    assert recording.robot.bus is not None  # else there were no drives
+    since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
+    due_s = np.maximum.accumulate(since_s) if len(frames) else since_s
+    link = open_link(file, passive=False)
+    count = 0
+    try:
+        listen_s = max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s)
+        for frame in heard(link, listen_s, lambda: bool(stop.reason)):
+            who = service_of(frame, recording.robot.bus.sync_can_id)
+            raise AcquisitionError(
+                f"{file.interface} {file.channel}: {who} is heard: expected a silent bus; nothing was sent"
+            )
+        start_s = time.monotonic()
+        for row, at_s in zip(frames, due_s.tolist(), strict=True):
+            wait_s = start_s + at_s - time.monotonic()
+            while wait_s > 0 and not stop.reason:
+                time.sleep(min(wait_s, 0.1))
+                wait_s = start_s + at_s - time.monotonic()
+            if stop.reason:
+                break
+            link.send(int(row["can_id"]), row["data"].tobytes()[: row["length"]])
+            count += 1
+    finally:
+        link.close()
+    return count
+
+
+def from_drives(recording: Recording, place: str) -> Block:
+    """Frames that the drives of the recording's own description sent, and SYNC, of its channel with most frames.
+
+    PDOs by the PDO table, emergencies, SDO answers and heartbeats by node. Error frames, remote requests and 29-bit
+    frames are left out. Raises `AcquisitionError` where there are none.
+    """
+    if not recording.frames:
+        raise AcquisitionError(f"{place}: holds no CAN frames: expected a recording of drives")
+    frames = max(recording.frames.values(), key=len)
+    bus = resolve(recording.robot, f"{place}: robot.toml", written_by_master(frames))
+    ids = [bus.file.sync_can_id]
+    for drive in bus.drives:
+        ids += [pdo.can_id for pdo in drive.tpdos]
+        ids += [service + drive.node for service in (EMERGENCY, ANSWER, HEARTBEAT)]
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
+    found: Block = frames[plain & np.isin(frames["can_id"], ids)]
+    if not len(found):
+        raise AcquisitionError(f"{place}: holds no frame of its drives, nor SYNC: expected some to send")
+    return found

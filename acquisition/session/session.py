@@ -1,0 +1,342 @@
+"""The only loop: listen, or configure and record, or enable, approach, track, stop. Safe state in `finally`.
+
+Nothing moves unless a plan has a reference. Whatever ends a session that touched the drives, its last act is to disable
+every one of them and to write down which ones confirmed it.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..errors import AcquisitionError
+from ..master import (
+    Master,
+    MasterHeartbeat,
+    Orders,
+    error_report,
+    leave_operational,
+    not_disabled,
+    notices,
+    refuse_enabled,
+    refuse_other_master,
+    safe_stop,
+    send_orders,
+)
+from ..protocol import DISABLED, Command, Mode, State
+from ..recorder import Status
+from ..robot import Drive, Robot, refuse_out_of_range
+from ..trajectory import approach, check_limits, follow
+from .enabling import all_enabled, disable, enable
+from .guards import Motion, motion_fault, node_fault
+from .pacing import Clock, Pace
+from .preparing import check_carriers
+
+Vector = NDArray[np.float64]
+
+HOLD_S = 0.3  # at the end of motion, before drives are disabled
+
+
+class Log(Protocol):
+    """Where a session writes down what happens; the frames come to it by themselves."""
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        ...
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Latest news of the recorder, None when there are none. Raises `AcquisitionError` when it has ended."""
+        ...
+
+
+@dataclass(kw_only=True)
+class Stop:
+    """Set from outside (Ctrl-C, SIGTERM) to end a session in order; `at_once` by a quick stop."""
+
+    reason: str = ""
+    at_once: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Plan:
+    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC.
+
+    `before_motion` looks at the drives before anything is written to them; it returns what is to be noted, and raises
+    `AcquisitionError` where nothing may move.
+    """
+
+    duration_s: float | None = None
+    reference: Vector | None = None
+    place: str = "reference"
+    before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ending:
+    """How a session ended: in order or by a fault, and which drives that were addressed did not confirm to be disabled.
+
+    `reports` are what drives in trouble say of their errors, one line each.
+    """
+
+    reason: str
+    fault: bool
+    unconfirmed: tuple[int, ...] = ()
+    reports: tuple[str, ...] = ()
+
+    @property
+    def all_disabled(self) -> bool:
+        """Whether every drive that was addressed confirmed."""
+        return not self.unconfirmed
+
+    @property
+    def alarm(self) -> str:
+        """What must be said before anything else, empty where every drive confirmed."""
+        return not_disabled(self.unconfirmed) if self.unconfirmed else ""
+
+
+def run_active(
+    robot: Robot,
+    master: Master,
+    log: Log,
+    plan: Plan,
+    stop: Stop,
+    announce: Callable[[Ending], None] = lambda _: None,
+) -> Ending:
+    """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
+
+    `announce` is told the ending as soon as it is known, whatever is raised. Raises what was raised inside, after the drives
+    were disabled.
+    """
+    link = master.link
+    session = _Session(robot, master, log, plan, stop)
+    reason, fault = "", True
+    try:
+        session.prepare()
+        session.phases()
+        reason, fault = stop.reason or "finished", False
+    except AcquisitionError as error:
+        reason = str(error)
+    except BaseException as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise
+    finally:
+        with suppress(AcquisitionError):  # a recorder that has ended keeps no drive enabled
+            log.event(link.now_ns(), "fault" if fault else "end", reason)
+        unconfirmed = session.make_safe()
+        ending = Ending(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
+        if unconfirmed:
+            announce(ending)  # before the drives are asked for more
+        if session.addressed:
+            text = ending.alarm or "every drive confirmed"
+            with suppress(AcquisitionError):
+                log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
+        ending = replace(ending, reports=tuple(session.reports(unconfirmed)) if fault else ())
+        for text in ending.reports:
+            with suppress(AcquisitionError):
+                log.event(link.now_ns(), "mark", text)
+        session.leave(unconfirmed)
+        if not unconfirmed:
+            announce(ending)
+    return ending
+
+
+class _Session:
+    """One run: every method below either yields orders for one SYNC after the other, or carries them out."""
+
+    def __init__(self, robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -> None:
+        self._robot, self._master, self._log, self._plan, self._stop = robot, master, log, plan, stop
+        self._link, self._bus = master.link, master.bus
+        self._period_s = master.bus.file.sync_period_s
+        self._pace, self._clock = Pace(master), Clock()
+        self._heartbeat = MasterHeartbeat(master)
+        self._until_ns: int | None = None
+        self._motion: Motion | None = None
+        self._held: list[int] = []  # target counts of the drives, as last commanded
+        self._targets: list[Vector] = []  # the last joint targets
+        self._started = False
+        self.addressed = False  # whether anything was commanded or written to the drives
+
+    def prepare(self) -> None:
+        """Everything that can be refused before a node is started."""
+        if self._plan.reference is not None:
+            check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
+            refuse_out_of_range(self._plan.reference, self._robot, self._bus, self._plan.place)
+            check_carriers(self._bus)
+        self._log.event(self._link.now_ns(), "phase", "configure")
+        refuse_other_master(self._master)
+        reset = "; it is reset" if self._plan.reference is not None else ""
+        for node in refuse_enabled(self._master):  # by reading alone: who else holds a drive keeps it as it is
+            self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
+        if self._plan.reference is not None:
+            for text in self._plan.before_motion(self._master):
+                self._log.event(self._link.now_ns(), "mark", text)
+            self._master.wait(self._link.now_ns())  # what came while somebody was asked
+        self.addressed = True
+        self._master.configure()
+        differences = self._master.differences()
+        if differences:
+            raise AcquisitionError("; ".join(differences))
+        if self._plan.reference is not None:
+            self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+            for text in self._heartbeat.request():
+                self._log.event(self._link.now_ns(), "warning", text)
+        self._master.start()
+        self._started = True
+        self._pace.start()
+        if self._plan.duration_s is not None:
+            self._until_ns = self._link.now_ns() + round(self._plan.duration_s * 1e9)
+
+    def phases(self) -> None:
+        """One phase after the other, each until it ends."""
+        if self._plan.reference is None:
+            self._run("record", self._record())
+            return
+        reference = self._plan.reference
+        self._run("enable", self._enable())
+        if not all_enabled(self._master):
+            self._run("disable", self._disable())  # a stop was asked for in between
+            return
+        if not self._stop.reason:
+            # From where the drives are held, not from where they are: what the loops still lack would become a step.
+            way = approach(self._joints(self._held), reference[0], self._robot, self._period_s)
+            check_limits(way, self._robot, self._period_s, "the approach to the reference's start")
+            self._run("approach", self._follow(way))
+        if not self._stop.reason:
+            self._run("track", self._follow(reference))
+        self._run("stop", self._hold())
+        self._run("disable", self._disable())
+
+    def _run(self, name: str, orders: Iterator[Orders | None]) -> None:
+        """Carry out a phase: at each SYNC answers, guards, then the next orders, in force from the SYNC after."""
+        self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
+        for order in orders:
+            if order is not None:
+                self._held = [target for _, target in order]
+                self._targets = [*self._targets[-3:], self._joints(self._held)]
+                send_orders(self._master, order)
+            self._sync()
+
+    def _sync(self) -> None:
+        """SYNC at its time, the answers to it, and the guards."""
+        motion = self._motion
+        self._pace.sync(in_motion=motion is not None and bool(motion.enabled))
+        now_ns = self._link.now_ns()
+        reason = node_fault(self._master, now_ns)
+        if reason is None and motion is not None:
+            if all(watch.counts is not None for watch in self._master.nodes):
+                q = self._positions()
+                motion.start = q if motion.start is None else motion.start
+                motion.measured = [*motion.measured[-10:], q]
+                # The target of the SYNC before the last is where a drive stands now: it takes a period to get there.
+                motion.target = self._targets[-2] if len(self._targets) >= 2 else None
+                reason = motion_fault(self._master, self._robot, motion)
+            if reason is None and self._stop.at_once:
+                reason = f"{self._stop.reason}, then told again: quick stop"
+            self._note(motion)
+        if reason is not None:
+            raise AcquisitionError(reason)
+        step_s = self._clock.step_s()
+        if step_s:
+            told = f"this computer's clock was set by {step_s:+.3g} s: the receive times of frames jump by that"
+            self._log.event(now_ns, "warning", told)
+        status = self._log.poll(now_ns)
+        if status is not None and status.disk_full and not self._stop.reason:
+            self._stop.reason = "disk nearly full"
+
+    def _note(self, motion: Motion) -> None:
+        """Write down what drives warn of, once each."""
+        for watch in self._master.nodes:
+            for text in notices(watch.statusword or 0):
+                if (watch.drive.node, text) not in motion.noted:
+                    motion.noted.add((watch.drive.node, text))
+                    self._log.event(
+                        self._link.now_ns(), "mark", f"node {watch.drive.node} ({watch.drive.name}): {text}"
+                    )
+
+    def _positions(self) -> Vector:
+        """Measured joint positions (n,)."""
+        for watch in self._master.nodes:
+            if watch.counts is None:
+                raise AcquisitionError(f"node {watch.drive.node}: no position yet: expected an answer to SYNC")
+        return self._joints([watch.counts or 0 for watch in self._master.nodes])
+
+    def _joints(self, counts: list[int]) -> Vector:
+        """Joint positions (n,) of the drives' counts."""
+        motors = [d.position_codec.si(np.array(c)) for d, c in zip(self._bus.drives, counts, strict=True)]
+        q: Vector = self._robot.joint_position(np.array(motors)[None])[0]
+        return q
+
+    def _orders(self, q: Vector) -> Orders:
+        """Joint targets (n,) for enabled drives."""
+        motor = self._robot.motor_position(q[None])[0]
+        counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
+        return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]
+
+    def _record(self) -> Iterator[None]:
+        while not self._stop.reason and (self._until_ns is None or self._link.now_ns() < self._until_ns):
+            yield None
+
+    def _enable(self) -> Iterator[Orders | None]:
+        """All drives to operation enabled, each held where it stands; guards are on from here."""
+        self._motion = Motion()
+        targets: list[int] = []
+        for order in enable(self._master, targets):
+            if self._stop.reason:
+                return
+            yield order
+        self._motion.enabling = False
+
+    def _follow(self, path: Vector) -> Iterator[Orders]:
+        for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
+            yield self._orders(q)
+
+    def _hold(self) -> Iterator[Orders]:
+        held = [(Command.ENABLE_OPERATION.controlword, target) for target in self._held]
+        for _ in range(max(3, round(HOLD_S / self._period_s))):
+            yield held
+
+    def _disable(self) -> Iterator[Orders]:
+        """Down in order, all drives together, and without the guards of motion."""
+        self._motion = None
+        yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
+
+    def make_safe(self) -> list[int]:
+        """Stop and disable every drive, whatever happened; nodes that did not confirm.
+
+        Where nothing was commanded, drives that were started are only asked for their state, and any without torque will do.
+        """
+        if not self.addressed or (not self._started and self._plan.reference is None):
+            self.addressed = False
+            return []
+        self._stop.reason = self._stop.reason or "safe state"
+        if self._plan.reference is None:
+            return [drive.node for drive in self._bus.drives if not self._is_disabled(drive)]
+        return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
+
+    def _is_disabled(self, drive: Drive) -> bool:
+        try:
+            return self._master.state(drive) in DISABLED
+        except AcquisitionError:
+            return False
+
+    def reports(self, unconfirmed: list[int]) -> list[str]:
+        """What drives in trouble say of their errors; those that do not answer are not asked."""
+        troubled = [
+            watch.drive
+            for watch in self._master.nodes
+            if watch.emergency is not None or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
+        ]
+        asked = [drive for drive in troubled if self.addressed and drive.node not in unconfirmed]
+        return [text for drive in asked if (text := error_report(self._master, drive))]
+
+    def leave(self, unconfirmed: list[int]) -> None:
+        """End the heartbeat, drives to PRE-OPERATIONAL."""
+        if not self.addressed:
+            return
+        with suppress(AcquisitionError):
+            for text in self._heartbeat.release([d.node for d in self._bus.drives if d.node not in unconfirmed]):
+                self._log.event(self._link.now_ns(), "warning", text)
+        leave_operational(self._master)

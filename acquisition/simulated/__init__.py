@@ -1,0 +1,20 @@
+"""Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
+
+from .drives import SUBSTEPS, Loops
+from .lock_step import DryRun, dry_run, serve
+from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
+from .plants import TablePlant, middle_of_range
+
+__all__ = [
+    "SUBSTEPS",
+    "DryRun",
+    "Loops",
+    "Mechanism",
+    "TablePlant",
+    "dry_run",
+    "mechanism_of",
+    "middle_of_range",
+    "rated_motor_effort",
+    "serve",
+    "typical_loops",
+]

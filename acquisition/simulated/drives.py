@@ -1,0 +1,333 @@
+"""CiA 402 drives on a bus in front of a plant: loops, quantisation, faults on demand. They live by SYNC.
+
+At SYNC a drive samples, answers, and takes over the targets it got since the last SYNC; then the plant goes on for one
+period. Time is that of the frames handed in, so a run in lock-step repeats bit for bit.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..protocol import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
+from ..robot import Bus, Robot
+from .node import Sent, simulated_node
+from .plants import Plant
+from .supervision import Supervision, leave_unsupervised
+
+Vector = NDArray[np.float64]
+
+SUBSTEPS = 4  # of the loops in a period
+FaultKind = Literal[
+    "emergency", "silent", "reset", "late", "missing", "duplicate", "short", "stuck", "slow", "deaf", "clear"
+]
+QUICK_STOP_STAYS = (
+    5,
+    6,
+    7,
+    8,
+)  # 605Ah: in quick stop active when at rest; the smaller ones go on to switch on disabled
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulatedFault:
+    """Something goes wrong with `node` at the `sync`-th SYNC it answers (from 1), for `count` SYNCs.
+
+    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` says nothing more at all; `stuck` moves no more;
+    `slow` does not get from switched on to operation enabled; `deaf` neither answers SYNC nor takes over what came before
+    it; `clear` has the `bits` of its statusword at 0.
+    """
+
+    kind: FaultKind
+    node: int
+    sync: int
+    count: int = 1
+    bits: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Loops:
+    """Gains of the drives at the joints: position 1/s, velocity effort/(rad/s), integral 1/s; each (n,).
+
+    `feedforward` is the share of the reference's speed that goes to the velocity loop directly.
+    """
+
+    position: Vector
+    velocity: Vector
+    integral: Vector
+    feedforward: float = 1.0
+    current_s: float = 3e-4  # time constant of the current loop
+
+
+@dataclass(kw_only=True)
+class _Memory:
+    """What the loops remember, at the joints."""
+
+    target: Vector
+    before: Vector
+    slope: Vector
+    integral: Vector
+    actual: Vector
+    demand: Vector
+    held: NDArray[np.bool_]
+
+
+@dataclass(kw_only=True)
+class _Agenda:
+    """Frames to be sent later: time, identifier, data."""
+
+    items: list[tuple[int, int, bytes]] = field(default_factory=list)
+
+    def due(self, now_ns: int) -> Sent:
+        """Take out what is due, in order."""
+        ready = sorted((item for item in self.items if item[0] <= now_ns), key=lambda item: item[0])
+        self.items = [item for item in self.items if item[0] > now_ns]
+        return [(can_id, data) for _, can_id, data in ready]
+
+
+class SimulatedDrives:
+    """All drives of a robot. Frames go in by `receive`; what they send comes back. No I/O, no clock.
+
+    Where not `supervised` they notice neither a lost SYNC nor a lost master: no 1016h, and 6007h is 0.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        bus: Bus,
+        plant: Plant,
+        loops: Loops,
+        faults: Sequence[SimulatedFault] = (),
+        *,
+        supervised: bool = True,
+    ) -> None:
+        self.nodes = [simulated_node(drive) for drive in bus.drives]
+        for node, file in zip(self.nodes, bus.file.drive, strict=True):
+            if file.homed is not None:
+                node.home(file.homed)
+        if not supervised:
+            for node in self.nodes:
+                leave_unsupervised(node)
+        self._supervisions = [Supervision(node, watches_sync=supervised) for node in self.nodes]
+        self.plant = plant
+        self._robot, self._bus, self._loops, self._faults = robot, bus, loops, tuple(faults)
+        self._period_s = bus.file.sync_period_s
+        codecs = [drive.position_codec for drive in bus.drives]
+        self._positions = PositionCodec(
+            counts_per_unit=np.array([c.counts_per_unit for c in codecs]),
+            sign=np.array([c.sign for c in codecs]),
+            zero_counts=np.array([c.zero_counts for c in codecs]),
+        )
+        self._quick_stop = np.array([joint.si("acceleration") or 10.0 for joint in robot.joints])
+        self._effort_steps = np.array([drive.effort.scale for drive in bus.drives])
+        self._answered = [0] * robot.n
+        self._silent: set[int] = set()
+        self._agenda = _Agenda()
+        self._next_heartbeat = [0] * robot.n
+        q, _ = plant.state()
+        self._memory = _Memory(
+            target=q,
+            before=q,
+            slope=np.zeros(robot.n),
+            integral=np.zeros(robot.n),
+            actual=np.zeros(robot.n),
+            demand=np.zeros(robot.n),
+            held=np.ones(robot.n, np.bool_),
+        )
+
+    @property
+    def states(self) -> list[State]:
+        """State of each drive."""
+        return [node.state for node in self.nodes]
+
+    @property
+    def all_disabled(self) -> bool:
+        """Whether no drive gives torque."""
+        return all(state in DISABLED for state in self.states)
+
+    def tell_heartbeats(self, every_ms: int) -> None:
+        """From their next boot on drives whose dictionaries ask for no heartbeat send one every `every_ms`."""
+        for node in self.nodes:
+            if node.initial.get((HEARTBEAT_TIME, 0)) == 0:
+                node.initial[HEARTBEAT_TIME, 0] = every_ms
+
+    def boot(self) -> Sent:
+        """Boot-up messages."""
+        sent = [frame for node in self.nodes for frame in node.boot()]
+        self._sample()
+        return sent
+
+    def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
+        """What the drives send upon a frame."""
+        if can_id == self._bus.file.sync_can_id:
+            return self._sync(now_ns)
+        sent: Sent = []
+        if 0x700 < can_id < 0x780 and data:
+            for supervision in self._supervisions:
+                supervision.heartbeat(now_ns, can_id - 0x700)
+        for i, node in enumerate(self.nodes):
+            answers = node.receive(can_id, data)
+            if i not in self._silent:
+                sent += answers
+        return sent
+
+    def due_ns(self) -> int | None:
+        """When `advance` has something to do next."""
+        times = [item[0] for item in self._agenda.items]
+        times += [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
+        times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
+        return min(times, default=None)
+
+    def advance(self, now_ns: int) -> Sent:
+        """Heartbeats and frames that are due; drives that miss SYNC go into fault."""
+        sent = self._agenda.due(now_ns)
+        for i, node in enumerate(self.nodes):
+            every_ns = self._heartbeat_ns(i)
+            if node.boot_up_counts:
+                node.boot_up_counts, self._next_heartbeat[i] = False, now_ns + every_ns
+            elif every_ns and now_ns >= self._next_heartbeat[i]:
+                self._next_heartbeat[i] = now_ns + every_ns
+                sent += [] if i in self._silent else node.heartbeat()
+        for i, supervision in enumerate(self._supervisions):
+            frames = supervision.advance(now_ns)
+            sent += [] if i in self._silent else frames
+        return sent
+
+    def _heartbeat_ns(self, i: int) -> int:
+        return self.nodes[i].values.get((HEARTBEAT_TIME, 0), 0) * 1_000_000
+
+    def _sync(self, now_ns: int) -> Sent:
+        for supervision in self._supervisions:
+            supervision.sync(now_ns)
+        self._sample()
+        sent: Sent = []
+        moving = any(node.operational for node in self.nodes)
+        for i, node in enumerate(self.nodes):
+            node.tick()
+            if node.operational:
+                self._answered[i] += 1
+                node.cleared = sum(fault.bits for fault in self._acting(i, "clear"))
+                node.tick()
+                if self._acting(i, "deaf"):
+                    continue
+                sent += self._answer(i, now_ns)
+                was = node.state
+                node.apply()
+                if was is State.SWITCHED_ON and node.state is State.OPERATION_ENABLED and self._acting(i, "slow"):
+                    node.state = was
+        if moving:
+            self._move()
+        return sent
+
+    def _acting(self, i: int, kind: FaultKind | None = None) -> list[SimulatedFault]:
+        """Faults of drive `i` at this SYNC, of one kind or of all."""
+        node, k = self.nodes[i].drive.node, self._answered[i]
+        return [f for f in self._faults if f.node == node and f.sync <= k < f.sync + f.count and kind in (None, f.kind)]
+
+    def _answer(self, i: int, now_ns: int) -> Sent:
+        """TPDOs of drive `i`, with what goes wrong."""
+        node, frames = self.nodes[i], self.nodes[i].answers()
+        before: Sent = []
+        for fault in self._acting(i):
+            if fault.kind == "emergency":
+                before += node.emergency(0x2310)  # continuous over current
+            elif fault.kind == "silent":
+                self._silent.add(i)
+            elif fault.kind == "reset":
+                return node.boot()
+            elif fault.kind == "late":
+                late_ns = now_ns + round(1.1 * self._bus.period_ns)
+                self._agenda.items += [(late_ns, can_id, data) for can_id, data in frames]
+                frames = []
+            elif fault.kind == "missing":
+                frames = []
+            elif fault.kind == "duplicate":
+                frames = frames * 2
+            elif fault.kind == "short":
+                frames = [(can_id, data[:-1]) for can_id, data in frames]
+        return [] if i in self._silent else before + frames
+
+    def _move(self) -> None:
+        """One period: targets, loops, plant."""
+        memory, loops, dt = self._memory, self._loops, self._period_s / SUBSTEPS
+        stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
+        enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
+        stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
+        if self.plant.prescribed_effort() is not None:  # no loop has a say
+            self.plant.step(memory.actual, ~enabled | stopping, self._period_s)
+            return
+        q, _ = self.plant.state()
+        # Quick stop: the target slows down at the joint's acceleration limit, in the same loop.
+        slower = np.sign(memory.slope) * np.maximum(np.abs(memory.slope) - self._quick_stop * self._period_s, 0.0)
+        target = np.where(stopping, memory.target + slower * self._period_s, self._targets(q, enabled & ~stopping))
+        # A drive that was just enabled begins where it stands.
+        memory.before = np.where(memory.held, q, memory.target)
+        memory.target = target
+        memory.held = ~enabled
+        demand = np.zeros(len(q))
+        slope = np.where(memory.held, 0.0, (target - memory.before) / self._period_s)
+        for k in range(SUBSTEPS):
+            q, dq = self.plant.state()
+            share = (k + 1) / SUBSTEPS
+            reference = memory.before + (target - memory.before) * share
+            # The speed fed forward goes from the last period's to this one's: a step would show as ripple in the effort,
+            # always in the same phase of the sample.
+            speed = memory.slope + (slope - memory.slope) * share
+            error = loops.feedforward * speed + loops.position * (reference - self._quantised(q)) - dq
+            memory.integral = np.where(enabled, memory.integral + loops.integral * error * dt, 0.0)
+            demand = np.where(enabled, loops.velocity * (error + memory.integral), 0.0)
+            demand = self._quantised_effort(demand)
+            memory.actual = memory.actual + (demand - memory.actual) * (1 - np.exp(-dt / loops.current_s))
+            self.plant.step(memory.actual, ~enabled | stuck, dt)
+        memory.demand, memory.slope = demand, slope
+        for i, node in enumerate(self.nodes):
+            stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
+            if stopping[i] and slope[i] == 0.0 and not stays:
+                node.state = State.SWITCH_ON_DISABLED
+
+    def _is_stuck(self, i: int) -> bool:
+        node = self.nodes[i].drive.node
+        return any(f.kind == "stuck" and f.node == node and self._answered[i] >= f.sync for f in self._faults)
+
+    def _targets(self, q: Vector, enabled: NDArray[np.bool_]) -> Vector:
+        """Joint targets out of 607Ah, the present position where a drive follows none."""
+        motor = self._robot.motor_position(q[None])[0]
+        for i, node in enumerate(self.nodes):
+            in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
+            if enabled[i] and in_csp:
+                raw = node.values[node.drive.target.index, node.drive.target.sub]
+                motor[i] = node.drive.position_codec.si(np.array(raw))
+        target: Vector = self._robot.joint_position(motor[None])[0]
+        return target
+
+    def _quantised(self, q: Vector) -> Vector:
+        """Joint positions as the encoders see them."""
+        seen: Vector = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
+        return seen
+
+    def _counts(self, q: Vector) -> NDArray[np.int64]:
+        return self._positions.raw(self._robot.motor_position(q[None])[0])
+
+    def _quantised_effort(self, effort: Vector) -> Vector:
+        """Joint efforts as the current loops are asked for them."""
+        steps = self._robot.motor_effort(effort[None])[0] / self._effort_steps
+        asked: Vector = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
+        return asked
+
+    def _sample(self) -> None:
+        """Write position and effort into the dictionaries."""
+        q, dq = self.plant.state()
+        counts = self._counts(q)
+        speed = self._robot.R @ dq
+        prescribed = self.plant.prescribed_effort()
+        motor = self._robot.motor_effort((self._memory.demand if prescribed is None else prescribed)[None])[0]
+        for i, node in enumerate(self.nodes):
+            drive = node.drive
+            node.values[drive.position.index, drive.position.sub] = int(counts[i])
+            node.values[drive.effort.entry.index, drive.effort.entry.sub] = int(drive.effort.raw(motor[i]))
+            for extra in drive.extras:
+                if extra.column.unit in ("rad/s", "m/s"):
+                    raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
+                    node.values[extra.entry.index, extra.entry.sub] = int(raw)

@@ -1,0 +1,250 @@
+"""One CiA 402 slave without I/O: object dictionary, SDO server, NMT, state machine, PDOs. Frames in, frames out."""
+
+from dataclasses import dataclass, field
+
+from ..protocol import (
+    ABORT_CONNECTION,
+    ANSWER,
+    AUTOMATIC,
+    BITS,
+    CONSUMER_HEARTBEAT,
+    CONTROLWORD,
+    FOLLOWING_ERROR_WINDOW,
+    HEARTBEAT_TIME,
+    IDENTITY,
+    MODE_DISPLAY,
+    MODE_OF_OPERATION,
+    NO_SUCH_OBJECT,
+    NO_SUCH_SUB,
+    NOT_MAPPABLE,
+    NOT_VALID,
+    PARAMETERS,
+    READ_ONLY,
+    STANDARD,
+    STOP_OPTIONS,
+    TOO_LONG_PDO,
+    TRANSITIONS,
+    UNKNOWN_COMMAND,
+    WRONG_STATE,
+    Command,
+    Pdo,
+    State,
+    abort_answer,
+    command_of,
+    pdos_of,
+    request_of,
+    value_answer,
+    written_answer,
+)
+from ..robot import Drive, parse_homed
+
+NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state that a heartbeat tells: operational, stopped, pre-operational
+RESET = (129, 130)
+CONSUMERS = 2  # heartbeats that a drive without a dictionary can supervise
+
+Sent = list[tuple[int, bytes]]
+Key = tuple[int, int]
+
+
+@dataclass(kw_only=True)
+class SimulatedNode:
+    """A drive as its master sees it. `values` are raw integers by (index, sub-index), as SDO and PDOs carry them."""
+
+    drive: Drive
+    types: dict[Key, str]
+    values: dict[Key, int]
+    read_only: frozenset[Key]
+    initial: dict[Key, int] = field(default_factory=dict)
+    nmt: int = 127
+    state: State = State.SWITCH_ON_DISABLED
+    waiting: dict[int, bytes] = field(default_factory=dict)
+    tpdos: tuple[Pdo, ...] = ()
+    rpdos: tuple[Pdo, ...] = ()
+    cleared: int = 0
+    more_status: int = 0  # bits of the statusword beside those of the state
+    boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next one comes a heartbeat time later
+
+    def boot(self) -> Sent:
+        """Back to the values of the start; the boot-up message."""
+        self.initial = self.initial or dict(self.values)
+        self.values = dict(self.initial)
+        self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
+        self.boot_up_counts = bool(self.values.get((HEARTBEAT_TIME, 0)))
+        self._map()
+        return [(0x700 + self.drive.node, b"\0")]
+
+    @property
+    def operational(self) -> bool:
+        """Whether PDOs go in and out."""
+        return self.nmt == 5
+
+    def heartbeat(self) -> Sent:
+        """The message that it lives."""
+        return [(0x700 + self.drive.node, bytes([self.nmt]))]
+
+    def emergency(self, code: int, register: int = 1) -> Sent:
+        """Go into fault and tell so (CiA 301, 7.2.7)."""
+        self.state = State.FAULT_REACTION_ACTIVE
+        return self.error(code, register)
+
+    def error(self, code: int, register: int = 1) -> Sent:
+        """An emergency message without a change of state; the objects of the last error tell it too."""
+        for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
+            if key in self.values:
+                self.values[key] = value
+        return [(0x80 + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
+
+    def receive(self, can_id: int, data: bytes) -> Sent:
+        """What it answers to a frame; SYNC is not for here."""
+        node = self.drive.node
+        if can_id == 0 and len(data) >= 2 and data[1] in (0, node):
+            if data[0] in RESET:
+                return self.boot()
+            if data[0] in NMT_STATE:
+                self.nmt = NMT_STATE[data[0]]
+                told = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
+                if not self.operational and self.state is State.OPERATION_ENABLED and told:
+                    self.state = State.SWITCH_ON_DISABLED  # no more commands can come: the power stage goes off
+        elif can_id == 0x600 + node and self.nmt != 4:
+            return [(ANSWER + node, self._serve(data))]
+        elif self.operational:
+            for pdo in self.rpdos:
+                if pdo.can_id == can_id and len(data) >= pdo.length:
+                    self.waiting[pdo.number] = data
+                    if self.values.get((PARAMETERS["rpdo"][0] + pdo.number - 1, 2), 1) > 240:
+                        self.apply()  # an event-driven one acts at once
+        return []
+
+    def apply(self) -> None:
+        """Take over the RPDOs received since the last SYNC, and act on the controlword."""
+        for pdo in self.rpdos:
+            data = self.waiting.pop(pdo.number, None)
+            if data is not None:
+                for key, value in pdo.unpack(data).items():
+                    self._set(key, value)
+
+    def answers(self) -> Sent:
+        """TPDOs of the values as they stand."""
+        return [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
+
+    def tick(self) -> None:
+        """What the state machine does by itself; the statusword follows."""
+        self.state = AUTOMATIC.get(self.state, self.state)
+        self.values[self.drive.status.index, 0] = self.statusword
+
+    @property
+    def statusword(self) -> int:
+        """Bits of the state, voltage present, remote; enabled it follows its target; homed. Less what is `cleared`."""
+        follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
+        return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
+
+    def home(self, name: str) -> None:
+        """Be homed, as the description says that the drive tells it."""
+        index, sub, bit = parse_homed(name)
+        told = 1 if bit is None else 1 << bit
+        if (index, sub) == (self.drive.status.index, self.drive.status.sub):
+            self.more_status |= told
+            self.initial[index, sub] = self.statusword
+        else:
+            self.types.setdefault((index, sub), "U32")
+            self.values[index, sub] = self.initial[index, sub] = self.values.get((index, sub), 0) | told
+        self.tick()
+
+    def _set(self, key: Key, value: int) -> None:
+        was = self.values.get(key, 0)
+        self.values[key] = value
+        if key == (CONTROLWORD, 0):
+            command = command_of(value)
+            if command is Command.FAULT_RESET and was & 0x80:
+                return  # it acts on the rising edge only
+            if command is not None:
+                self.state = TRANSITIONS.get((self.state, command), self.state)  # a drive ignores what is illegal
+        elif key == (MODE_OF_OPERATION, 0) and (MODE_DISPLAY, 0) in self.values:
+            self.values[MODE_DISPLAY, 0] = value
+
+    def _serve(self, data: bytes) -> bytes:
+        request = request_of(data)
+        key = (request.index, request.sub)
+        if request.kind == "other" or request.kind == "abort":
+            return abort_answer(0, 0, UNKNOWN_COMMAND)
+        if key not in self.values or key not in self.types:
+            known = any(index == request.index for index, _ in self.values)
+            return abort_answer(*key, NO_SUCH_SUB if known else NO_SUCH_OBJECT)
+        size = BITS[self.types[key]] // 8
+        if request.kind == "read":
+            return value_answer(*key, self.values[key], size)
+        if key in self.read_only:
+            return abort_answer(*key, READ_ONLY)
+        value = int.from_bytes(request.data[:size], "little", signed=self.types[key][0] == "I")
+        refusal = self._refuse_mapping(key, value)
+        if refusal:
+            return abort_answer(*key, refusal)
+        self._set(key, value)
+        if 0x1400 <= request.index <= 0x1BFF:
+            self._map()
+        return written_answer(*key)
+
+    def _refuse_mapping(self, key: Key, value: int) -> int:
+        """Abort code where a write to a mapping parameter is not allowed, 0 where it is."""
+        index, sub = key
+        for communication, mapping in PARAMETERS.values():
+            if mapping <= index < mapping + 0x200:
+                if not self.values.get((index - mapping + communication, 1), NOT_VALID) & NOT_VALID:
+                    return WRONG_STATE
+                if sub and self.values.get((index, 0)):
+                    return WRONG_STATE
+                if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
+                    return NOT_MAPPABLE
+                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > 64:
+                    return TOO_LONG_PDO
+        return 0
+
+    def _map(self) -> None:
+        place = f"node {self.drive.node}"
+        values = {key: value for key, value in self.values.items() if 0x1400 <= key[0] <= 0x1BFF}
+        known = {key: kind for key, kind in self.types.items() if key in self.values}
+        self.tpdos = tuple(p for p in pdos_of("tpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
+        self.rpdos = tuple(p for p in pdos_of("rpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
+
+
+def simulated_node(drive: Drive) -> SimulatedNode:
+    """A slave with the objects of the drive's dictionary, or with the usual ones where objects are written out."""
+    types: dict[Key, str] = {}
+    values: dict[Key, int] = {}
+    read_only: set[Key] = set()
+    if drive.dictionary is not None:
+        for key, entry in drive.dictionary.entries.items():
+            if entry.type:
+                types[key], values[key] = entry.type, entry.value or 0
+                if not entry.writable:
+                    read_only.add(key)
+        values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
+        for (index, sub), value in list(values.items()):  # PDOs start switched off: a master says what it wants
+            if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
+                values[index, sub] = value | NOT_VALID
+    else:
+        used = (
+            drive.status,
+            drive.control,
+            drive.position,
+            drive.target,
+            drive.effort.entry,
+            *(e.entry for e in drive.extras),
+        )
+        types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
+        types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
+        types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
+        types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
+        for communication, mapping in PARAMETERS.values():
+            for k in range(4):
+                types |= {(communication + k, 0): "U8", (communication + k, 1): "U32", (communication + k, 2): "U8"}
+                types |= {(mapping + k, sub): "U32" if sub else "U8" for sub in range(9)}
+        values = dict.fromkeys(types, 0) | {(0x1000, 0): 0x00020192, (CONSUMER_HEARTBEAT, 0): CONSUMERS}
+        values |= {(ABORT_CONNECTION, 0): 1, (FOLLOWING_ERROR_WINDOW, 0): 2**32 - 1}  # CiA 402: fault signal; off
+        values |= dict.fromkeys(((option, 0) for option in STOP_OPTIONS), 2)  # quick stop ramp
+        values |= {(first + k, 1): NOT_VALID for first, _ in PARAMETERS.values() for k in range(4)}
+    values |= {(index, 0): raw for index, raw in drive.rated.items() if (index, 0) in values}
+    node = SimulatedNode(drive=drive, types=types, values=values, read_only=frozenset(read_only))
+    node.tick()
+    node.boot()
+    return node

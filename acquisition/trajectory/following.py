@@ -1,0 +1,38 @@
+"""Along a path, one row each SYNC; when a stop is asked for, ever slower until at rest."""
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..robot import Robot
+
+Vector = NDArray[np.float64]
+
+SLOW_STOP_S = (
+    0.5  # in which a stop asked for comes to rest along the path, where acceleration limits do not need longer
+)
+
+
+def follow(path: Vector, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Vector]:
+    """Joint positions (n,) along `path` (N, n), from the moment `stopping()` on slower and slower.
+
+    Slowing down takes at most half of each joint's acceleration limit, beside what the path itself takes.
+    """
+    at, rate = 0.0, 1.0
+    speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
+    stop_s = max(SLOW_STOP_S, *(2 * v / j.si("acceleration") for v, j in zip(speed, robot.joints, strict=True)))
+    while at < len(path) - 1 and rate > 0.0:
+        yield _between(path, at)
+        if stopping():
+            rate = max(0.0, rate - period_s / stop_s)
+        at = min(at + rate, len(path) - 1.0)
+    yield _between(path, at)
+
+
+def _between(path: Vector, at: float) -> Vector:
+    """Row of a path at a place between rows."""
+    k = min(int(at), len(path) - 2) if len(path) > 1 else 0
+    then = path[min(k + 1, len(path) - 1)]
+    q: Vector = path[k] + (at - k) * (then - path[k])
+    return q

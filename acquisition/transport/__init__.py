@@ -1,0 +1,41 @@
+"""The bus as frames and times, and logs of other tools. The only room that imports python-can."""
+
+from .link import (
+    DRAIN_S,
+    QUEUE_BYTES,
+    SHARED,
+    Frame,
+    Link,
+    LockStepLink,
+    Receiver,
+    Tap,
+    block_of,
+    kernel_drops,
+    open_bus,
+    open_link,
+    queue_bytes,
+    socket_of,
+)
+from .logs import SUFFIXES, read_log
+from .wall_clock import WallClock, words_of_step
+
+__all__ = [
+    "DRAIN_S",
+    "QUEUE_BYTES",
+    "SHARED",
+    "SUFFIXES",
+    "Frame",
+    "Link",
+    "LockStepLink",
+    "Receiver",
+    "Tap",
+    "WallClock",
+    "block_of",
+    "kernel_drops",
+    "open_bus",
+    "open_link",
+    "queue_bytes",
+    "read_log",
+    "socket_of",
+    "words_of_step",
+]

@@ -1,0 +1,81 @@
+"""CAN logs of other tools as frames: candump, Vector ASC and BLF, PCAN TRC."""
+
+import logging
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..errors import AcquisitionError
+from ..recording import LARGEST_STAMP_NS
+from .link import Frame, frame_of
+
+SUFFIXES = (".log", ".asc", ".blf", ".trc")
+LARGEST_PAYLOAD = 8  # bytes, of classic CAN
+_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # that python-can reads; it takes any other for 1.0
+
+
+class _Doubts(logging.Handler):
+    """Keeps the first warning of python-can's reader of TRC, which passes over lines that it cannot read."""
+
+    def __init__(self) -> None:
+        super().__init__(logging.WARNING)
+        self.first: str | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
+        if line.strip() and not line.startswith(";"):  # it takes the last line of a header for a frame
+            self.first = self.first or record.getMessage()
+
+
+def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
+    """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF, or PCAN .trc log.
+
+    The interface of a candump's error frame is None: python-can's reader does not tell it. In the place of a frame, None
+    stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
+    (from 1) where its time is none that a recording holds, or where it has more bytes than a CAN frame.
+    """
+    import can
+
+    if path.suffix.lower() not in SUFFIXES:
+        raise AcquisitionError(f"{path}: suffix {path.suffix!r}: expected .log (candump), .asc, .blf or .trc")
+    count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _Doubts()
+    logger = logging.getLogger("can.io.trc")
+    logger.addHandler(doubts)
+    try:
+        if path.suffix.lower() == ".trc":
+            _refuse_version(path)
+        with can.LogReader(path) as reader:
+            for message in reader:
+                count += 1
+                if not 0 <= message.timestamp <= latest_s:  # nor is NaN
+                    told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
+                    raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
+                interface = None if message.channel is None else str(message.channel)
+                if getattr(message, "is_fd", False):
+                    yield interface, None
+                    continue
+                if len(message.data) > LARGEST_PAYLOAD:
+                    told = f"{path}: frame {count} (0x{message.arbitration_id:03X}): {len(message.data)} bytes"
+                    raise AcquisitionError(f"{told}: expected {LARGEST_PAYLOAD} at most, as of classic CAN")
+                yield interface, frame_of(message)
+        if doubts.first is not None:
+            raise AcquisitionError(f"{path}: damaged: {doubts.first[:200]}")
+    except AcquisitionError:
+        raise
+    except OSError as error:
+        raise AcquisitionError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except Exception as error:  # the readers meet damage with whatever their parts raise
+        told = str(error) or type(error).__name__
+        raise AcquisitionError(f"{path}: damaged after {count} frames: {told[:200]}") from error
+    finally:
+        logger.removeHandler(doubts)
+
+
+def _refuse_version(path: Path) -> None:
+    with path.open("rb") as file:
+        found = re.search(rb"(?m)^;\$FILEVERSION=([^\s]*)", file.read(4096))
+    version = found[1].decode(errors="replace") if found else "1.0"
+    if version not in _TRC_VERSIONS:
+        raise AcquisitionError(
+            f"{path}: version {version} of PCAN's format: expected one of {', '.join(_TRC_VERSIONS)}"
+        )

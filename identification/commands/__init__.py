@@ -1,0 +1,5 @@
+"""The command line: options and their values."""
+
+from .program import main
+
+__all__ = ["main"]

@@ -1,0 +1,151 @@
+"""Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise."""
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+from ..errors import IdentificationError
+
+
+def add_simulation_options(
+    parser: argparse.ArgumentParser, *, encoder_step: float = 0.0, effort_noise_percent: float = 0.0
+) -> None:
+    """Length, rate, seed and noise of a simulated recording, with the noise that is the default."""
+    parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
+    parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
+    parser.add_argument("--seed", type=whole, default=1, metavar="K", help="of reference and noise (default 1)")
+    parser.add_argument(
+        "--encoder-step",
+        type=not_negative,
+        default=encoder_step,
+        metavar="Q",
+        help=f"rad or m per count (default {encoder_step:g})",
+    )
+    parser.add_argument(
+        "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
+    )
+    parser.add_argument(
+        "--effort-noise-percent",
+        type=not_negative,
+        default=effort_noise_percent,
+        metavar="P",
+        help=f"of each torque's rms (default {effort_noise_percent:g})",
+    )
+
+
+def add_plan_options(parser: argparse.ArgumentParser) -> None:
+    """What of a recording is fitted, and how it is filtered."""
+    parser.add_argument(
+        "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
+    )
+    parser.add_argument(
+        "--cutoff-hz",
+        type=cutoff,
+        metavar="F",
+        help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
+    )
+    parser.add_argument("--decimate", type=positive, metavar="N", help="samples per decimated row")
+    parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
+
+
+def add_method_options(parser: argparse.ArgumentParser) -> None:
+    """How a recording is fitted."""
+    parser.add_argument(
+        "--method",
+        choices=["ols", "wls", "iv"],
+        default="wls",
+        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
+    )
+    parser.add_argument(
+        "--start",
+        metavar="regular|ls|FIT.json",
+        help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
+    )
+    parser.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="of iv (default 2.5)")
+    parser.add_argument("--max-iterations", type=positive, metavar="N", help="of iv (default 10)")
+    parser.add_argument(
+        "--low-speed-percent",
+        type=share,
+        metavar="P",
+        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
+    )
+    parser.add_argument(
+        "--essential", action="store_true", help="keep only the parameters the recording determines well"
+    )
+
+
+def make_folder(out: Path) -> None:
+    """A folder for results, if it is not there."""
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise IdentificationError(f"{out}: cannot be made: {error.strerror}; expected a folder") from error
+
+
+def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None, folders: bool = True) -> None:
+    """No output may take the place of an input or of another output, or name a folder that is not there.
+
+    Without `folders` these are not looked for: a picture that cannot be written must not cost its fit.
+    """
+    seen = {os.path.realpath(path) for path in inputs if path is not None}  # of a loop of links too
+    for output in outputs:
+        if output is None:
+            continue
+        if os.path.realpath(output) in seen:
+            raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
+        if folders and not output.absolute().parent.is_dir():
+            raise IdentificationError(f"{output}: no folder {output.parent}")
+        seen.add(os.path.realpath(output))
+
+
+def not_negative(text: str) -> float:
+    """A finite number from 0."""
+    return 0.0 if float(text) == 0 else above_zero(text)
+
+
+def cutoffs(text: str) -> tuple[float, ...]:
+    """Cut-offs separated by commas."""
+    return tuple(cutoff(part) for part in text.split(","))
+
+
+def factors(text: str) -> tuple[float, ...]:
+    """Numbers above 0 separated by commas."""
+    return tuple(above_zero(part) for part in text.split(","))
+
+
+def share(text: str) -> float:
+    """A percentage from 0 to below 100."""
+    value = float(text)
+    if not 0 <= value < 100:
+        raise ValueError(text)
+    return value
+
+
+def cutoff(text: str) -> float:
+    """A cut-off above 0, or 0 for `none`."""
+    return 0.0 if text == "none" else above_zero(text)
+
+
+def above_zero(text: str) -> float:
+    """A finite number above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise ValueError(text)
+    return value
+
+
+def whole(text: str) -> int:
+    """A whole number from 0."""
+    value = int(text)
+    if value < 0:
+        raise ValueError(text)
+    return value
+
+
+def positive(text: str) -> int:
+    """A whole number from 1."""
+    value = int(text)
+    if value < 1:
+        raise ValueError(text)
+    return value

@@ -1,0 +1,198 @@
+"""Recording → `Signals`: SI units, a uniform grid, float seconds. The only reader of recordings on this side."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from acquisition.recording import Recording, read_recording
+from acquisition.robot import Robot
+
+from ..errors import IdentificationError
+
+Vector = NDArray[np.float64]
+
+ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
+LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
+
+
+@dataclass(frozen=True, kw_only=True)
+class Happening:
+    """An event of the recording, `t_s` seconds from the first sample: a phase of the session, a warning, a mark."""
+
+    t_s: float
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Signals:
+    """What was measured, on a uniform grid.
+
+    Attributes:
+        t_s: (N,) time from the first sample, s.
+        q: (N, n) measured joint positions, rad or m.
+        q_ref: (N, n) reference positions, or None where the recording has none.
+        effort: (N, n) joint torques in N m, forces in N; in A or V where the drive gain is not known.
+        sample_rate_hz: rate of the grid.
+        track: (start, stop) sample range of the recorded tracking phase, or None.
+        robot: the robot's description.
+        recording: file name of the recording.
+        sha256: digest of the recording.
+        events: what happened, in the order of the recording.
+        health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
+        off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
+    """
+
+    t_s: Vector
+    q: Vector
+    q_ref: Vector | None
+    effort: Vector
+    sample_rate_hz: float
+    track: tuple[int, int] | None
+    robot: Robot
+    recording: str
+    sha256: str
+    events: tuple[Happening, ...] = ()
+    health: Mapping[str, tuple[Vector, Vector]] = field(default_factory=dict)
+    off_grid: float = 0.0
+
+    def __post_init__(self) -> None:
+        N, n = self.q.shape
+        for name, part, shape in (("t_s", self.t_s, (N,)), ("effort", self.effort, (N, n))):
+            if part.shape != shape:
+                raise IdentificationError(f"{self.recording}: {name} has shape {part.shape}; expected {shape}")
+        if n != self.robot.n:
+            raise IdentificationError(f"{self.recording}: {n} joints recorded; the robot has {self.robot.n}")
+        for name, array in (("t_s", self.t_s), ("q", self.q), ("q_ref", self.q_ref), ("effort", self.effort)):
+            if array is not None:
+                if not np.isfinite(array).all():
+                    row = int(np.argwhere(~np.isfinite(array))[0, 0])
+                    raise IdentificationError(
+                        f"{self.recording}: {name} row {row} is not finite; expected finite numbers"
+                    )
+                array.flags.writeable = False
+
+
+def load_signals(path: Path, robot: Robot | None = None) -> Signals:
+    """Read a recording; `robot` takes the place of the description stored in it.
+
+    Raises `AcquisitionError` when the file cannot be read and `IdentificationError` when its samples do not form one
+    uniform grid; both are one line.
+    """
+    recording = read_recording(path)
+    if recording.cut:
+        raise IdentificationError(
+            f"{path}: is cut: it has no proper end; `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
+        )
+    samples = recording.samples
+    if samples is None or len(samples) == 0:
+        raise IdentificationError(
+            f"{path}: holds no joint samples; expected the channel /samples (`robot-acquire decode` makes it of frames)"
+        )
+    stamps = samples["stamp_ns"]
+    grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
+    q, effort = (_at(grid, stamps, samples[name]) for name in ("position", "effort"))
+    reference = _at(grid, stamps, samples["reference"]) if "reference" in (samples.dtype.names or ()) else None
+    if robot is not None and robot.n == recording.robot.n:
+        # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
+        was = recording.robot
+        _refuse_other_units(was, robot, path)
+        q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
+        reference = None if reference is None else robot.joint_position(was.motor_position(reference))
+    return Signals(
+        t_s=grid * 1e-9,
+        q=q,
+        q_ref=reference,
+        effort=effort,
+        sample_rate_hz=rate_hz,
+        track=_phase(recording, "track", grid, int(stamps[0])),
+        robot=robot or recording.robot,
+        recording=path.name,
+        sha256=recording.sha256,
+        events=tuple(
+            Happening(t_s=1e-9 * (event.stamp_ns - int(stamps[0])), kind=event.kind, text=event.text)
+            for event in recording.events
+        ),
+        health=_health(recording, int(stamps[0])),
+        off_grid=off_grid,
+    )
+
+
+def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
+    """Another description may correct ratios and gains; what was recorded in volts never becomes amperes, nor rad m."""
+    for kind, old, new in (
+        ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
+        ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
+    ):
+        for (name, before), now in zip(old, new, strict=True):
+            if before != now:
+                raise IdentificationError(
+                    f"{path}: recorded in {before} at {kind} {name}; robot {robot.name} says {now}: expected {before}"
+                )
+
+
+def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Vector, float, float]:
+    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
+
+    The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
+    theirs within 10 %. Refuses gaps over three periods and time that does not grow.
+    """
+    if len(stamps) < 2:
+        raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
+    steps = np.diff(stamps)
+    period = float(np.median(steps))
+    bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
+    if bad.size:
+        k = int(bad[0])
+        raise IdentificationError(
+            f"{path}: {bad.size} gap(s) in the samples, the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of "
+            f"{steps[k] * 1e-6:.3f} ms; expected {period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that"
+        )
+    since = np.asarray(stamps - stamps[0], dtype=np.float64)
+    whole = steps.max() <= 1.5 * period or len(stamps) < 3
+    if whole:
+        period = float(since[-1]) / (len(stamps) - 1)
+    else:
+        period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
+    at = since / period
+    nearest = np.arange(len(stamps)) if whole else np.rint(at)
+    off = at - nearest
+    off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
+    if whole and off_grid <= ON_GRID:
+        return since, round(1e9 / period, 6), off_grid
+    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    return grid, round(1e9 / period, 6), off_grid
+
+
+def _at(grid: Vector, stamps: NDArray[np.int64], x: Vector) -> Vector:
+    """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
+    since = (stamps - stamps[0]).astype(float)
+    if len(grid) == len(since) and (grid == since).all():
+        return x
+    return np.asarray(CubicSpline(since, x)(grid))
+
+
+def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vector]]:
+    """The recorder's counters by name, over seconds from the first sample."""
+    names = dict.fromkeys(name for health in recording.health for name in health.counters)
+    found = {}
+    for name in names:
+        rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
+        t_s, counts = np.array(rows).T
+        found[name] = (t_s, counts)
+    return found
+
+
+def _phase(recording: Recording, name: str, grid: Vector, first_ns: int) -> tuple[int, int] | None:
+    """Sample range of a session phase: from the event that begins it to the next phase's event."""
+    phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
+    for k, (begin_ns, phase) in enumerate(phases):
+        if phase == name:
+            end_ns = phases[k + 1][0] if k + 1 < len(phases) else first_ns + int(grid[-1]) + 1
+            start, stop = np.searchsorted(grid, [begin_ns - first_ns, end_ns - first_ns])
+            return (int(start), int(stop)) if stop > start else None
+    return None

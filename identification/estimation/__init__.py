@@ -1,0 +1,41 @@
+"""Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
+
+from .diagnostics import (
+    InstrumentTests,
+    TorqueError,
+    are_moving,
+    autocorrelation,
+    hac_sigma,
+    instrument_tests,
+    lag_one,
+    relative_error_percent,
+    torque_errors,
+)
+from .estimators import (
+    Estimate,
+    Reduction,
+    essential_parameters,
+    instrumental_variables,
+    one_thread,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+
+__all__ = [
+    "Estimate",
+    "InstrumentTests",
+    "Reduction",
+    "TorqueError",
+    "are_moving",
+    "autocorrelation",
+    "essential_parameters",
+    "hac_sigma",
+    "instrument_tests",
+    "instrumental_variables",
+    "lag_one",
+    "one_thread",
+    "ordinary_least_squares",
+    "relative_error_percent",
+    "torque_errors",
+    "weighted_least_squares",
+]

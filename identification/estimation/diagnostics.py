@@ -1,0 +1,149 @@
+"""How far a fit can be trusted: torque errors by joint and by state of motion, residual correlation, robust deviations."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, stats
+
+from ..regression import MOVING
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TorqueError:
+    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand.
+
+    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no
+    torque. `autocorrelation` is that of the residual at a lag of one decimated sample.
+    """
+
+    name: str
+    relative_error_percent: float | None
+    moving_relative_error_percent: float | None
+    standing_relative_error_percent: float | None
+    moving_rows: int
+    standing_rows: int
+    autocorrelation: float | None
+
+
+def torque_errors(tau: Vector, predicted: Vector, speed: Vector, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
+    """Torque errors of each joint and, last and under the name `all`, of all joints; all arrays (rows, n)."""
+    moving = are_moving(speed)
+    rho = tau - predicted
+    each = [_torque_error(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
+    return (*each, _torque_error("all", tau, rho, moving))
+
+
+def are_moving(speed: Vector) -> NDArray[np.bool_]:
+    """Where joints move (rows, n): faster than 2 % of their peak speed."""
+    return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
+
+
+def lag_one(rho: Vector) -> float | None:
+    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are zero."""
+    return autocorrelation(rho, 1)
+
+
+def autocorrelation(rho: Vector, lag: int) -> float | None:
+    """That of residuals (rows,) or (rows, n) at a lag of some rows; None where they are zero."""
+    r, following = rho[:-lag].ravel(), rho[lag:].ravel()
+    size = np.linalg.norm(r) * np.linalg.norm(following)
+    return float(r @ following / size) if size > 0 else None
+
+
+def _torque_error(name: str, tau: Vector, rho: Vector, moving: NDArray[np.bool_]) -> TorqueError:
+    return TorqueError(
+        name=name,
+        relative_error_percent=relative_error_percent(tau, rho),
+        moving_relative_error_percent=relative_error_percent(tau[moving], rho[moving]),
+        standing_relative_error_percent=relative_error_percent(tau[~moving], rho[~moving]),
+        moving_rows=int(moving.sum()),
+        standing_rows=int((~moving).sum()),
+        autocorrelation=lag_one(rho),
+    )
+
+
+def relative_error_percent(tau: Vector, rho: Vector) -> float | None:
+    """100 |rho| / |tau|; None where there is no torque to compare with."""
+    norm = np.linalg.norm(tau)
+    return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
+
+
+def hac_sigma(Q: Vector, bread: Vector, rho: Vector, n: int, *, rows: int) -> Vector:
+    """Standard deviations (b,) that hold for correlated residuals (Newey and West).
+
+    beta - beta_true = bread Qᵀ rho, with Q (r, b) and the weighted rho (r,) stacked joint by joint, n joints of equally
+    many, of which `rows` count; rho is zero in the others. The scores of all joints at one instant are added first, so
+    correlation between joints counts as well as correlation in time; the window spans 1.3 sqrt(T) of the T instants. The
+    formula's deviations assume white residuals.
+    """
+    b = Q.shape[1]
+    scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
+    T = len(scores)
+    width = min(int(np.ceil(1.3 * np.sqrt(T))), T - 1) + 1
+    # Bartlett's weights 1 - lag/width are those of sums over a moving window: S is the mean product of such sums.
+    running = np.cumsum(np.concatenate([np.zeros((width, b)), scores, np.zeros((width - 1, b))]), axis=0)
+    sums = (running[width:] - running[:-width]) @ bread.T
+    variance = (sums**2).sum(axis=0) / width
+    return np.asarray(np.sqrt(rows / max(1, rows - b) * variance))
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentTests:
+    """What speaks for the instruments.
+
+    Attributes:
+        dwh_F, dwh_p_value: revised Durbin-Wu-Hausman test (Janot2016): small p says that least squares is biased. None
+            where instruments and regressor agree, so that there is nothing to test. Model error rejects as well.
+        dwh_F_effective, dwh_p_effective: the same with the residual's correlation counted.
+        strength: smallest canonical correlation of Z and W, 1 for instruments as good as W itself.
+        first_stage_F: of the direction of W that the instruments explain least; below 10 they are weak.
+    """
+
+    dwh_F: float | None
+    dwh_p_value: float | None
+    dwh_F_effective: float | None
+    dwh_p_effective: float | None
+    strength: float
+    first_stage_F: float
+
+
+def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: float) -> InstrumentTests:
+    """Tests on weighted W (r, b), Y (r,) and the orthonormal Q (r, b) of Z; `correlation` is the residual's at one row."""
+    b = W.shape[1]
+    d = np.linalg.norm(W, axis=0)
+    Qw = np.linalg.qr(W / d)[0]
+    strength = float(min(1.0, linalg.svdvals(Q.T @ Qw)[-1]))
+    first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
+    V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
+    outside = V - Qw @ (Qw.T @ V)
+    U, R, _ = linalg.qr(outside, mode="economic", pivoting=True)
+    independent = int((np.abs(np.diag(R)) > 1e-6).sum())
+    nothing = InstrumentTests(
+        dwh_F=None,
+        dwh_p_value=None,
+        dwh_F_effective=None,
+        dwh_p_effective=None,
+        strength=strength,
+        first_stage_F=float(first_stage),
+    )
+    freedom = rows - b - independent
+    if not independent or freedom < 1:
+        return nothing
+    U = U[:, :independent]
+    rho = Y - Qw @ (Qw.T @ Y)
+    explained = float(((U.T @ rho) ** 2).sum())
+    left = float(rho @ rho) - explained
+    if left <= 0:
+        return nothing
+    F = (explained / independent) / (left / freedom)
+    share = (1 - max(0.0, correlation)) / (1 + max(0.0, correlation))
+    return replace(
+        nothing,
+        dwh_F=F,
+        dwh_p_value=float(stats.f.sf(F, independent, freedom)),
+        dwh_F_effective=F * share,
+        dwh_p_effective=float(stats.f.sf(F * share, independent, max(1.0, rows * share - b - independent))),
+    )

@@ -1,0 +1,134 @@
+"""What an identification gives: an estimate, the settings it was made with, and the evidence for and against it."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..estimation import Estimate, InstrumentTests, Reduction, TorqueError
+from ..model import BaseParameters
+from ..regression import Motion, Plan
+from .plausibility import Doubt
+
+Vector = NDArray[np.float64]
+Method = Literal["ols", "wls", "iv"]
+InstrumentKind = Literal["simulated", "stepped back", "reference"]
+Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
+
+NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pass:
+    """One pass of the instrumental variable method.
+
+    Attributes:
+        instruments: `simulated`; where the robot could not be simulated with the estimate, for the `reason` given,
+            `stepped back` towards the one before, or along the `reference`.
+        residual_norm: |Y - W beta| after the pass, weighted.
+        change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
+            among those larger than two deviations; the parameter of the former.
+        gains: (n,) factors on the controller's gains, J_j(beta)/J_j(a priori).
+        tracking_percent: simulated against measured position, None where nothing was simulated.
+        condition: of ZᵀW with columns of norm one.
+        residual_percent: change of the residual norm by the pass, over the same rows.
+        residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
+    """
+
+    instruments: InstrumentKind
+    reason: str | None
+    residual_norm: float
+    change_sigma: float
+    change_percent: float
+    changed: str
+    gains: Vector
+    tracking_percent: float | None
+    condition: float
+    residual_percent: float
+    residual_settled: bool
+    parameters_settled: bool
+
+    @property
+    def settled(self) -> bool:
+        """Whether both tests hold."""
+        return self.residual_settled and self.parameters_settled
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DirectModelError:
+    """A joint of the robot simulated with the final estimate against the recording, in percent of its variation.
+
+    Position in percent of |q - mean|, torque in percent of |tau|, both relative norms.
+    """
+
+    name: str
+    position_error_percent: float | None
+    torque_error_percent: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InstrumentEvidence:
+    """What the instrumental variable method adds to a fit.
+
+    Attributes:
+        start: `regular`, `ls`, or the file the start was read from.
+        reference: `recorded`, or `surrogate` where the measured position stands in, which leaves the instruments not
+            strictly exogenous. `controller`: `described`, or `surrogate` for a PD of the stated bandwidth.
+        passes: one by one; `returned` is the number of the one whose estimate this is, counted from 1.
+        reason: why the status is what it is, None for `converged`.
+        tests: of the instruments.
+        rows_used_percent: rows left after those at low simulated speed were taken out.
+        saturated_percent: share of recorded samples at a drive's limit, None where no limit is stated.
+        direct: the direct model's errors by joint, empty where the final estimate could not be simulated.
+        simulated, q: the simulated motion with the final estimate and the measured position at its instants.
+    """
+
+    start: str
+    reference: Literal["recorded", "surrogate"]
+    controller: Literal["described", "surrogate"]
+    passes: tuple[Pass, ...]
+    returned: int
+    reason: str | None
+    tests: InstrumentTests
+    rows_used_percent: float
+    saturated_percent: float | None
+    direct: tuple[DirectModelError, ...]
+    simulated: Motion | None
+    q: Vector
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Base parameters of a robot from one recording, and the evidence for them.
+
+    `base` lists all base parameters; `estimate` has those estimated, which are fewer when only the essential ones were
+    kept. `errors` holds one entry per joint and, last, all joints together. `sigma_hac` is NaN where the recording is so
+    long that rows were reduced. `doubts` are what of the estimate no robot has. `iv` is there for the instrumental variable
+    method only.
+    """
+
+    method: Method
+    status: Status
+    plan: Plan
+    base: BaseParameters
+    estimate: Estimate
+    essential: Reduction
+    sigma_hac: Vector
+    errors: tuple[TorqueError, ...]
+    warnings: tuple[str, ...]
+    doubts: tuple[Doubt, ...] = ()
+    iv: InstrumentEvidence | None = None
+
+    @property
+    def beta(self) -> Vector:
+        """(b,) values of all base parameters, zero where one was left out."""
+        return self.estimate.among(self.base.names)
+
+    @property
+    def distrust(self) -> tuple[str, ...]:
+        """Why the result is not to be trusted: no fixed point, or what no robot has, beyond chance. Empty where it may be."""
+        why = [doubt.text for doubt in self.doubts if doubt.severe]
+        if self.status in NO_FIXED_POINT:
+            why.insert(0, f"status {self.status}" + (f": {self.iv.reason}" if self.iv and self.iv.reason else ""))
+        return tuple(why)

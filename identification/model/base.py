@@ -1,0 +1,115 @@
+"""Base parameters: the fewest parameters that give the inverse dynamic model, found numerically (Gautier1991).
+
+The regressor at random states shows which columns are zero and which are combinations of columns before them. Columns are
+tried from the base outwards, so the names are the field's own: ZZ1R, XX2R, ...; R marks a regrouped parameter.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from .inverse import Dynamics
+
+Vector = NDArray[np.float64]
+
+STATES = 200  # random states; 200 n rows are several times the number of columns
+TOLERANCE = 1e-9  # of a column's norm: what is left of a dependent column is rounding
+SEED = 2014
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BaseParameters:
+    """The base parameters beta = K chi of the standard parameters chi.
+
+    Attributes:
+        names: (b,) names; R at the end where other parameters are regrouped into it.
+        expressions: (b,) what each stands for, as a sum of standard parameters.
+        units: (b,) SI units (A or V in place of N m where the drive gain is not known).
+        columns: (b,) their columns in the regressor: W_base = W_standard[:, columns].
+        K: (b, p) regrouping matrix.
+        masses: (n,) columns of the links' masses M1 ... Mn.
+    """
+
+    names: tuple[str, ...]
+    expressions: tuple[str, ...]
+    units: tuple[str, ...]
+    columns: NDArray[np.intp]
+    K: Vector
+
+    masses: NDArray[np.intp]
+
+    @property
+    def b(self) -> int:
+        """Number of base parameters."""
+        return len(self.names)
+
+    def representative(self, beta: Vector) -> Vector:
+        """Standard parameters chi (p,) with K chi = beta: links whose masses are free to choose all weigh the same.
+
+        The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing. Free
+        masses are larger than those of beta, so that none that is regrouped with them comes out as zero.
+        """
+        chi = np.zeros(self.K.shape[1])
+        given = beta[np.isin(self.columns, self.masses)]
+        chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
+        chi[self.columns] = beta - self.K @ chi
+        return chi
+
+
+def base_parameters(dynamics: Dynamics) -> BaseParameters:
+    """Find the base parameters of a robot from its regressor at seeded random states."""
+    rng = np.random.default_rng(SEED)
+    q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
+    W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
+    norms = np.linalg.norm(W, axis=0)
+    present = [c for c in _order(dynamics) if norms[c] > TOLERANCE * norms.max()]
+    scaled = W[:, present] / norms[present]
+    R = np.linalg.qr(scaled, mode="r")
+    diagonal = np.abs(np.diag(R))
+    keep = diagonal > TOLERANCE * diagonal.max()
+    # W_dependent = W_independent C, hence beta = chi_independent + C chi_dependent.
+    C = linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0] if (~keep).any() else np.zeros((keep.sum(), 0))
+    independent, dependent = np.array(present)[keep], np.array(present, dtype=np.intp)[~keep]
+    C = C * norms[dependent] / norms[independent][:, None]
+    C[np.abs(C) < 1e-8] = 0.0
+    K = np.zeros((len(independent), dynamics.p))
+    K[np.arange(len(independent)), independent] = 1.0
+    K[:, dependent] = C
+    link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
+    by_column = np.argsort(independent)
+    K, columns = K[by_column], independent[by_column]
+    regrouped = np.count_nonzero(K, axis=1) > 1
+    return BaseParameters(
+        names=tuple(dynamics.names[c] + "R" * bool(r) for c, r in zip(columns, regrouped, strict=True)),
+        expressions=tuple(_expression(row, int(c), dynamics.names) for row, c in zip(K, columns, strict=True)),
+        units=tuple(dynamics.units[c] for c in columns),
+        columns=columns,
+        K=K,
+        masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
+    )
+
+
+def _order(dynamics: Dynamics) -> list[int]:
+    """All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it."""
+    columns = range(dynamics.p)
+    return sorted(columns, key=lambda c: (not dynamics.is_link_parameter(c), c))
+
+
+def _expression(row: Vector, own: int, names: tuple[str, ...]) -> str:
+    """`ZZ2 + Ia2 + 0.0506 (M3 + M4)`: equal coefficients share a bracket, the parameter itself comes first."""
+    groups: dict[float, list[str]] = {}
+    for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:
+        groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
+    text = ""
+    for coefficient, members in groups.items():
+        size = abs(coefficient)
+        inside = " + ".join(members)
+        if size == 1.0:
+            # A bracket only where a minus stands before a sum.
+            term = f"({inside})" if coefficient < 0 and len(members) > 1 else inside
+        else:
+            term = f"{size:.6g} ({inside})" if len(members) > 1 else f"{size:.6g} {inside}"
+        text += (" - " if coefficient < 0 else " + " if text else "") + term
+    return text

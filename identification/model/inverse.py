@@ -1,0 +1,290 @@
+"""The robot's inverse dynamic model, linear in its standard parameters. The only file that imports pinocchio.
+
+tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
+(about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
+friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0.
+What motors and friction add is in `joint_terms`.
+"""
+
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from acquisition.robot import DH, Robot
+
+from ..errors import IdentificationError
+from .joint_terms import JointTerm, joint_terms
+
+Vector = NDArray[np.float64]
+
+LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
+_FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
+_CHUNK = 256  # samples per copy out of pinocchio: 256 regressors of six joints stay in the cache
+
+
+class Dynamics:
+    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link."""
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self.model = _model_from_urdf(robot) if robot.urdf is not None else _model_from_dh(robot)
+        self.model.gravity.linear = np.array(robot.gravity)
+        self._data = self.model.createData()
+        n = robot.n
+        self.sources: list[tuple[int, int] | JointTerm] = []  # (link, place in LINK) or a term of a joint
+        for j in range(n):
+            self.sources += [(j, i) for i in range(len(LINK))]
+            self.sources += joint_terms(robot, j)
+        self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources)
+        self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources)
+        self._nonzero = self._structure()
+
+    @property
+    def p(self) -> int:
+        """Number of standard parameters."""
+        return len(self.names)
+
+    def is_link_parameter(self, column: int) -> bool:
+        """Whether a column belongs to a link (XX ... M) rather than to a motor or to friction."""
+        return not isinstance(self.sources[column], JointTerm)
+
+    @property
+    def coulomb_directions(self) -> Vector:
+        """Directions r (c, n) that Coulomb friction acts along, its speed being r·dq: of joints, and of coupled motors."""
+        terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind == "coulomb"]
+        return np.array(list(dict.fromkeys(tuple(term.direction) for term in terms))).reshape(-1, self.robot.n)
+
+    def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
+        """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""
+        return np.argwhere(self._nonzero[:, columns])
+
+    def series(self, q: Vector, dq: Vector, ddq: Vector, columns: NDArray[np.intp]) -> Vector:
+        """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n), in one pass over the samples."""
+        n, N = self.robot.n, len(q)
+        entries = self.entries(columns)
+        out = np.empty((len(entries), N))
+        places, picks = [], []
+        for e, (j, c) in enumerate(entries):
+            source = self.sources[columns[c]]
+            if isinstance(source, JointTerm):
+                out[e] = source.entry(int(j), dq, ddq)
+            else:
+                places.append(e)
+                picks.append((10 * source[0] + _FROM_PINOCCHIO[source[1]]) * n + int(j))
+        self._link_series(q, dq, ddq, np.array(places, dtype=np.intp), np.array(picks, dtype=np.intp), out)
+        return out
+
+    def regressor(self, q: Vector, dq: Vector, ddq: Vector) -> Vector:
+        """The whole regressor (N, n, p) over the motion q, dq, ddq (N, n)."""
+        columns = np.arange(self.p)
+        entries = self.entries(columns)
+        W = np.zeros((len(q), self.robot.n, self.p))
+        W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
+        return W
+
+    @property
+    def parents(self) -> tuple[int, ...]:
+        """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
+        return tuple(int(parent) for parent in self.model.parents)[1:]
+
+    def placements(self, q: Vector) -> tuple[Vector, Vector]:
+        """Where the links' frames are at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3), in the base."""
+        origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
+        for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
+            pin.forwardKinematics(self.model, self._data, qk)
+            for j, placement in enumerate(list(self._data.oMi)[1:]):
+                origins[k, j], rotations[k, j] = placement.translation, placement.rotation
+        return origins, rotations
+
+    def _link_series(
+        self, q: Vector, dq: Vector, ddq: Vector, places: NDArray[np.intp], picks: NDArray[np.intp], out: Vector
+    ) -> None:
+        """Fill out[places] with the entries `picks` of pinocchio's regressor, stored by columns."""
+        if not len(places):
+            return
+        compute, model, data = pin.computeJointTorqueRegressor, self.model, self._data
+        regressor = data.jointTorqueRegressor.T  # a view: filled anew by each call, by rows when transposed
+        buffer = np.empty((_CHUNK, *regressor.shape))
+        flat = buffer.reshape(_CHUNK, -1)
+        q, dq, ddq = (np.ascontiguousarray(x) for x in (q, dq, ddq))
+        for k in range(0, len(q), _CHUNK):
+            chunk = slice(k, k + _CHUNK)
+            rows = q[chunk]
+            for qk, vk, ak, target in zip(rows, dq[chunk], ddq[chunk], buffer, strict=False):
+                compute(model, data, qk, vk, ak)
+                target[:] = regressor
+            out[places, chunk] = flat[: len(rows), picks].T
+
+    def _structure(self) -> NDArray[np.bool_]:
+        """Which entries (n, p) of the regressor can be other than zero: joint j feels link i if j carries it."""
+        nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
+        for c, source in enumerate(self.sources):
+            if isinstance(source, JointTerm):
+                nonzero[source.rows, c] = True
+            else:
+                carriers = [joint - 1 for joint in self.model.supports[source[0] + 1] if joint > 0]
+                nonzero[carriers, c] = True
+        return nonzero
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DirectModel:
+    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
+
+    Attributes:
+        rigid: pinocchio's model with the links' inertias, and its `data`.
+        rotor: (n, n) what the rotors add to M.
+        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
+        directions: (c, n) directions r that Coulomb friction acts along, its speed being r·dq.
+        up, down: (c,) friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
+        offset: (n,) constant torque.
+    """
+
+    rigid: Any
+    data: Any
+    rotor: Vector
+    viscous: Vector
+    viscous_up: Vector
+    viscous_down: Vector
+    directions: Vector
+    up: Vector
+    down: Vector
+    offset: Vector
+
+    def inertia(self, q: Vector) -> Vector:
+        """Inertia matrices (N, n, n) at the positions q (N, n)."""
+        M = np.empty((len(q), *self.rotor.shape))
+        for k, qk in enumerate(np.ascontiguousarray(q)):
+            M[k] = pin.crba(self.rigid, self.data, qk)
+        lower = np.tril(np.ones(self.rotor.shape, dtype=bool), -1)
+        M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
+        return M + self.rotor
+
+    def inertia_and_bias(self, q: Vector, dq: Vector) -> tuple[Vector, Vector]:
+        """Upper triangle of M (n, n), and h (n,) without friction, at one state."""
+        M = pin.crba(self.rigid, self.data, q) + self.rotor
+        return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
+
+    def gravity(self, q: Vector) -> Vector:
+        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
+        g = np.tile(self.offset, (len(q), 1))
+        if self.rigid.gravity.linear.any():
+            for k, qk in enumerate(np.ascontiguousarray(q)):
+                g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
+        return g
+
+    def inverse(self, q: Vector, dq: Vector, ddq: Vector, dq_sign: Vector) -> Vector:
+        """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
+        u = self.directions @ dq_sign
+        viscous = self.viscous + self.viscous_up * (dq > 0) + self.viscous_down * (dq < 0)
+        rigid = pin.rnea(self.rigid, self.data, q, dq, ddq) + self.rotor @ ddq
+        return np.asarray(
+            rigid + viscous @ dq + self.offset + (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
+        )
+
+
+def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
+    """The equation of motion of a robot with the standard parameters chi (p,).
+
+    pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
+    """
+    n, rigid = dynamics.robot.n, dynamics.model.copy()
+    values = np.zeros((n, len(LINK)))
+    rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
+    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Vector]()
+    for source, value in zip(dynamics.sources, chi, strict=True):
+        if not isinstance(source, JointTerm):
+            values[source[0], _FROM_PINOCCHIO[source[1]]] = value
+        elif source.kind == "rotor":
+            rotor += value * source.matrix
+        elif source.kind == "viscous":
+            target = (viscous, viscous_up, viscous_down)[source.side]
+            target += value * source.matrix
+        elif source.kind == "coulomb":
+            levels = coulomb.setdefault(tuple(source.direction), np.zeros(2))
+            levels += value * np.array([source.side >= 0, source.side <= 0])
+        else:
+            offset += value * source.direction
+    mass = _FROM_PINOCCHIO[LINK.index("M")]
+    values[values[:, mass] == 0.0, mass] = 1e-6
+    for j in range(n):
+        rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
+    levels = np.array(list(coulomb.values())).reshape(-1, 2)
+    return DirectModel(
+        rigid=rigid,
+        data=rigid.createData(),
+        rotor=rotor,
+        viscous=viscous,
+        viscous_up=viscous_up,
+        viscous_down=viscous_down,
+        directions=np.array(list(coulomb)).reshape(-1, n),
+        up=levels[:, 0],
+        down=levels[:, 1],
+        offset=offset,
+    )
+
+
+def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
+    """Unit of a link parameter; where the gain is unknown, that of joint torque in A or V in place of N m or N."""
+    link, place = source
+    power = 2 if place < 6 else 1 if place < 9 else 0  # kg m², kg m, kg
+    if robot.gain_known:
+        return ("kg", "kg m", "kg m²")[power]
+    below = (1 if robot.joints[link].type == "prismatic" else 2) - power
+    return f"{robot.effort_units[link]} s²" + {2: "/m²", 1: "/m", 0: "", -1: " m"}[below]
+
+
+def _placement(dh: DH) -> pin.SE3:
+    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
+    about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(dh.alpha_deg)), np.array([dh.d_m, 0.0, 0.0]))
+    about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(dh.theta_deg)), np.array([0.0, 0.0, dh.r_m]))
+    return about_x * about_z
+
+
+def _model_from_dh(robot: Robot) -> pin.Model:
+    model, parent = pin.Model(), 0
+    for joint in robot.joints:
+        assert joint.dh is not None  # load_robot has seen to it
+        kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
+        parent = model.addJoint(parent, kind, _placement(joint.dh), joint.name)
+    return model
+
+
+def _model_from_urdf(robot: Robot) -> pin.Model:
+    """The movable joints that the description names, in its order; any others of the URDF are locked at zero."""
+    place = f"robot {robot.name}: URDF"
+    try:
+        root = ET.fromstring(robot.urdf or "")
+        for joint in root.iter("joint"):
+            moves_along = joint.get("type") not in ("fixed", "floating")  # exporters write 0 0 0 for these
+            axis = joint.find("axis") if moves_along else None
+            if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
+                raise IdentificationError(f"{place}: joint {joint.get('name')!r}: axis is zero; expected a direction")
+            if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
+                joint.set("type", "revolute")
+                limits = {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}
+                for limit in joint.findall("limit"):
+                    joint.remove(limit)
+                ET.SubElement(joint, "limit", limits)
+        whole = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+    except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
+        raise IdentificationError(f"{place} does not load: {str(error).splitlines()[0]}") from error
+    found = list(whole.names)[1:]
+    wanted = [joint.name for joint in robot.joints]
+    for name in wanted:
+        if name not in found:
+            raise IdentificationError(f"{place}: no movable joint {name!r}; expected one of {', '.join(found)}")
+    locked = [whole.getJointId(name) for name in found if name not in wanted]
+    model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
+    order = list(model.names)[1:]
+    if order != wanted:
+        raise IdentificationError(f"{place}: joints in the order {', '.join(wanted)}; expected {', '.join(order)}")
+    for said, built in zip(robot.joints, list(model.joints)[1:], strict=True):
+        prismatic = built.shortname().startswith("JointModelP")
+        if prismatic != (said.type == "prismatic") or built.nq != 1:
+            raise IdentificationError(f"{place}: joint {said.name!r} is {built.shortname()}; expected {said.type}")
+    return model

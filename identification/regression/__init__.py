@@ -1,0 +1,29 @@
+"""From signals to the over-determined system: settings, filters, regressor, the rows that count."""
+
+from .filtering import Decimation, Motion, differentiate, forward_backward_3db_hz, motion_between
+from .low_speed import fast_rows, measured_speed
+from .settings import CUTOFF_PER_BANDWIDTH, MOVING, Overrides, Plan, Span, decimation_rule, make_plan, rule_cutoff_hz
+from .system import Regression, decimated_regressor, predicted_torque, regression_of_recording, torque_of_recording
+
+__all__ = [
+    "CUTOFF_PER_BANDWIDTH",
+    "MOVING",
+    "Decimation",
+    "Motion",
+    "Overrides",
+    "Plan",
+    "Regression",
+    "Span",
+    "decimated_regressor",
+    "decimation_rule",
+    "differentiate",
+    "fast_rows",
+    "forward_backward_3db_hz",
+    "make_plan",
+    "measured_speed",
+    "motion_between",
+    "predicted_torque",
+    "regression_of_recording",
+    "rule_cutoff_hz",
+    "torque_of_recording",
+]

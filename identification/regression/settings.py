@@ -1,0 +1,186 @@
+"""What a fit does with a recording: which samples, which cut-off, which decimation; the rules of the method and overrides."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot import Edges, LowSpeed, held_against_limits, low_speed_by_method
+
+from ..data import Signals
+from ..errors import IdentificationError
+from .filtering import LARGEST_PASS, Decimation, decimation_passes, motion_between
+
+Span = Literal["motion", "all"]
+
+CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
+DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
+CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
+MOVING = 0.02  # of a joint's peak speed: below, it stands
+STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
+_BLOCK = 200_000  # samples looked through at a time for the span of motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class Overrides:
+    """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
+
+    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv.
+    """
+
+    cutoff_hz: float | None = None
+    decimation: int | None = None
+    span: Span | None = None
+    edges: Edges | None = None
+    low_speed_percent: float | LowSpeed | None = None
+
+    def over(self, others: "Overrides") -> "Overrides":
+        """These, and those of the others where these are silent."""
+        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A fit's settings, resolved.
+
+    Attributes:
+        cutoff_hz: low-pass of the position in Hz (one direction), None without.
+        decimation: samples per decimated row, n_d.
+        start, stop: range of the samples used.
+        filtered: whether the position's low-pass is that of the rule, or a lower one.
+        edges: how the decimation treats the two ends (`filtering.decimate`).
+        low_speed: rows slower than this are left out, by method (`low_speed.fast_rows`).
+        span: what that range is, in words; `span_rule` the setting it follows from.
+        warnings: rules of the method that the settings leave.
+    """
+
+    cutoff_hz: float | None
+    decimation: int
+    start: int
+    stop: int
+    filtered: bool
+    edges: Edges
+    low_speed: LowSpeed
+    span: str
+    span_rule: Span
+    warnings: tuple[str, ...]
+
+    @property
+    def decimator(self) -> Decimation:
+        """The decimation that torque and regressor go through alike."""
+        return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
+
+
+def make_plan(signals: Signals, overrides: Overrides) -> Plan:
+    """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
+
+    Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
+    first and last motion, or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end of
+    the recording.
+    """
+    fs, stored = signals.sample_rate_hz, signals.robot.identification
+    try:
+        warnings = list(held_against_limits(signals.robot, signals.t_s, signals.q, signals.recording))
+    except AcquisitionError as error:
+        raise IdentificationError(str(error)) from error
+    bandwidth_hz = signals.robot.controller.bandwidth_hz
+    cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
+    for choice in (stored.cutoff_hz, overrides.cutoff_hz):
+        cutoff_hz = cutoff_hz if choice is None else choice
+    cutoff_hz = cutoff_hz or None
+    if cutoff_hz is not None and cutoff_hz >= fs / 2:
+        if overrides.cutoff_hz is not None or stored.cutoff_hz is not None:
+            raise IdentificationError(
+                f"cut-off {cutoff_hz:g} Hz: expected below {fs / 2:g} Hz, half the rate of {signals.recording}"
+            )
+        warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, beyond half the rate, {fs / 2:g} Hz")
+        cutoff_hz = None
+    if cutoff_hz is not None and cutoff_hz < CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 - 1e-9):
+        warnings.append(
+            f"the cut-off of {cutoff_hz:g} Hz is below 5 times the bandwidth of {bandwidth_hz:g} Hz: it distorts the "
+            "accelerations, and the estimates with them"
+        )
+    N = len(signals.q)
+    cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
+    if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
+        raise IdentificationError(
+            f"cut-off {cutoff_hz:g} Hz: expected more than {CUT_PERIODS * fs / N:.2g} Hz: {CUT_PERIODS:g} periods are longer "
+            f"than the {N / fs:.3g} s of {signals.recording}"
+        )
+    if fs / bandwidth_hz > N:
+        raise IdentificationError(
+            f"robot {signals.robot.name}: controller.bandwidth_hz = {bandwidth_hz:g}: expected a period shorter than the "
+            f"{N / fs:.3g} s of {signals.recording}"
+        )
+    rule = decimation_rule(fs, bandwidth_hz)
+    decimation = overrides.decimation or stored.decimation or rule
+    kept_hz = 0.8 * fs / (2 * decimation)
+    if decimation > rule and kept_hz < DECIMATED_PER_BANDWIDTH * bandwidth_hz:
+        warnings.append(
+            f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
+        )
+    span_rule = overrides.span or stored.span
+    start, stop, span, standing = _span(signals, cutoff_hz, span_rule)
+    warnings += [f"joint {name} does not move" for name in standing]
+    border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
+    start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
+    stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
+    filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
+    given = overrides.low_speed_percent
+    if stop - start < 30 * decimation:
+        raise IdentificationError(
+            f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
+            f"expected at least {30 * decimation}, 30 decimated rows"
+        )
+    return Plan(
+        cutoff_hz=cutoff_hz,
+        decimation=decimation,
+        start=start,
+        stop=stop,
+        filtered=filtered,
+        edges=overrides.edges or stored.edges,
+        low_speed=low_speed_by_method(stored.low_speed if given is None else given),
+        span=span,
+        span_rule=span_rule,
+        warnings=tuple(warnings),
+    )
+
+
+def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
+    """Cut-off by the rule, or 0.4 times the rate where the recording does not reach that far."""
+    return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
+
+
+def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
+    """n_d = round(0.8 (f_m/2) / f_p), f_p twice the bandwidth; the next lower number that small factors make up."""
+    n_d = max(1, round(0.8 * (sample_rate_hz / 2) / (DECIMATED_PER_BANDWIDTH * bandwidth_hz)))
+    while any(r > LARGEST_PASS for r in decimation_passes(n_d)):
+        n_d -= 1
+    return n_d
+
+
+def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int, int, str, tuple[str, ...]]:
+    """First and last sample, what they are, and joints that stand, as far as that is looked into."""
+    N, fs = len(signals.q), signals.sample_rate_hz
+    if wanted == "all":
+        return 0, N, "all samples", ()
+    if signals.track is not None:
+        return *signals.track, "the recording's tracking phase", ()
+    if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
+        cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
+    speed = np.empty(signals.q.shape, dtype=np.float32)
+    for a in range(0, N, _BLOCK):
+        b = min(N, a + _BLOCK)
+        motion = motion_between(signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=a, stop=b)
+        speed[a:b] = np.abs(motion.dq)
+    peak = speed.max(axis=0)
+    if not peak.any():
+        raise IdentificationError(f"{signals.recording}: no joint moves; expected an exciting trajectory")
+    joints = signals.robot.joints
+    fastest = np.array([max(p for p, other in zip(peak, joints, strict=True) if other.type == j.type) for j in joints])
+    moves = peak > STANDS * fastest
+    moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))
+    standing = tuple(j.name for j, m in zip(joints, moves, strict=True) if not m)
+    return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion", standing

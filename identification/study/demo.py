@@ -1,0 +1,84 @@
+"""The main job with nothing but the package: simulated drives move a simulated robot, a recording is made and identified.
+
+Drives that speak CiA 402 stand in front of the rigid robot on an in-process CAN bus, in simulated time. The one place where
+this side hands something to the other: the plant that the drives move.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.master import Master
+from acquisition.recorder import InlineLog, Recorder
+from acquisition.robot import Robot, resolve
+from acquisition.session import Plan, Stop, run_active
+from acquisition.simulated import SUBSTEPS, Mechanism, dry_run
+from acquisition.trajectory import fourier_reference
+
+from ..errors import IdentificationError
+from ..methods import inertias
+from ..model import Dynamics, base_parameters, direct_model
+from ..simulation import has_controller
+from .plant import RigidBodyPlant, drive_loops, has_cascades
+from .synthetic import truth
+
+Vector = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rehearsal:
+    """A session on simulated drives: how long, which reference, how much torque noise in % of each joint's rms."""
+
+    duration_s: float = 12.0
+    seed: int = 1
+    noise_percent: float = 3.0
+
+
+def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callable[[str], None]) -> None:
+    """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
+
+    Raises `IdentificationError` or `AcquisitionError` where the description lacks `[bus]` or values, or the session fails.
+    """
+    if robot.bus is None:
+        raise IdentificationError(f"{place}: no [bus]: expected the drives to simulate")
+    if has_controller(robot.controller) and not has_cascades(robot):
+        raise IdentificationError(
+            f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
+        )
+    idm = Dynamics(robot)
+    base = base_parameters(idm)
+    model = direct_model(idm, base.representative(truth(idm, base)))
+    period_s = robot.bus.sync_period_s
+    t_s: Vector = np.arange(round(wanted.duration_s / period_s) + 1, dtype=np.float64) * period_s
+    q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=wanted.duration_s, seed=wanted.seed).at(t_s)
+    tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
+    plant = RigidBodyPlant(
+        model,
+        q_ref[0],
+        speed_scale=np.abs(dq_ref).max(axis=0),
+        step_s=period_s / SUBSTEPS,
+        disturbance=0.01 * wanted.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
+        seed=wanted.seed,
+    )
+    mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
+    bus = resolve(robot, place)
+    log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
+    simulated = dry_run(robot, bus, mechanism, tap=log.tap)
+    try:
+        say(f"simulated drives: {wanted.duration_s:g} s on the bus")
+        ending = run_active(robot, Master(simulated.link, bus), log, Plan(reference=q_ref, place="reference"), Stop())
+        log.finish(simulated.link.now_ns())
+    finally:
+        log.close()
+        simulated.close()
+    if ending.fault:
+        raise IdentificationError(f"{out}: the simulated session failed: {ending.reason}")
+
+
+def description(name: str) -> Path:
+    """The description of a robot that comes with the project: `scara` or `tx40`."""
+    installed = Path(__file__).parents[1] / "robots" / name / "robot.toml"
+    return installed if installed.exists() else Path(__file__).parents[2] / "replay_data" / name / "robot.toml"

@@ -1,0 +1,113 @@
+"""The rigid robot as what simulated drives move: effort in, position and speed out; and drives that suit it.
+
+`described_robot` is the package's entry point in the group `robot_idim.plants`, by which a dry run finds it.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot import Robot
+from acquisition.simulated import SUBSTEPS, Loops, middle_of_range
+from acquisition.trajectory import UNSTATED_RANGE
+
+from ..errors import IdentificationError
+from ..methods import inertias, not_positive
+from ..model import DirectModel, Dynamics, base_parameters, direct_model
+from ..simulation import Friction, has_controller, recorded_loop
+from .synthetic import truth
+
+Vector = NDArray[np.float64]
+
+BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
+POSES = 200  # within the limits of the joints, at which the inertias are looked at
+PLANT_STEP_S = 0.0005  # at most
+
+
+class RigidBodyPlant:
+    """The direct model stepped under given efforts, with white disturbance torque of `disturbance` (n,) rms.
+
+    Satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same seed gives the same run.
+    """
+
+    def __init__(
+        self, model: DirectModel, q: Vector, *, speed_scale: Vector, step_s: float, disturbance: Vector, seed: int
+    ) -> None:
+        """`speed_scale` (n,) is the speed that motion reaches, which sets where friction counts as sticking."""
+        self._model, self._step_s = model, step_s
+        self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
+        self._friction = Friction(model, speed_scale[None], self._dq, step_s)
+        self._disturbance, self._rng = disturbance, np.random.default_rng(seed)
+
+    def state(self) -> tuple[Vector, Vector]:
+        """Position and speed, each (n,)."""
+        return self._q.copy(), self._dq.copy()
+
+    def prescribed_effort(self) -> Vector | None:
+        """None: it obeys."""
+        return None
+
+    def step(self, effort: Vector, held: NDArray[np.bool_], duration_s: float) -> None:
+        """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
+        self._dq = np.where(held, 0.0, self._dq)
+        if held.all():
+            return
+        noise = self._disturbance * self._rng.standard_normal(len(effort))
+        steps = max(1, round(duration_s / self._step_s))
+        for _ in range(steps):
+            M, bias = self._model.inertia_and_bias(self._q, self._dq)
+            force = self._step_s * (effort + noise - bias)
+            after = self._friction.step(M + np.diag(BRAKE * held), force, self._dq)
+            if after is None:
+                raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
+            self._q, self._dq = self._q + 0.5 * self._step_s * (self._dq + after), after
+
+
+def described_robot(robot: Robot) -> tuple[RigidBodyPlant, Loops]:
+    """The robot of the description's `[parameters]` in the middle of its ranges, and loops of drives for its inertias.
+
+    Raises `AcquisitionError` where the parameters are not of this robot, or no motion is possible with them.
+    """
+    try:
+        dynamics = Dynamics(robot)
+        base = base_parameters(dynamics)
+        model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    except IdentificationError as error:
+        raise AcquisitionError(str(error)) from error
+    ranges = np.array([joint.si("position") or (-UNSTATED_RANGE, UNSTATED_RANGE) for joint in robot.joints])
+    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
+    reason = not_positive(model, poses)
+    if reason is not None:
+        raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
+    period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * PLANT_STEP_S
+    plant = RigidBodyPlant(
+        model,
+        middle_of_range(robot),
+        speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
+        step_s=min(period_s / SUBSTEPS, PLANT_STEP_S),
+        disturbance=np.zeros(robot.n),
+        seed=0,
+    )
+    return plant, drive_loops(robot, inertias(model, poses))
+
+
+def drive_loops(robot: Robot, J: Vector) -> Loops:
+    """Loops of simulated drives: those of the description, or of its bandwidth for the inertias J (n,) at the joints.
+
+    Simulated drives have cascaded loops, each on a joint of its own: a description with others is given the second.
+    """
+    if not has_controller(robot.controller) or not has_cascades(robot):
+        w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
+        return Loops(position=w, velocity=4 * w * J, integral=w)
+    loop, reduction = recorded_loop(robot), np.diag(robot.R)
+    return Loops(
+        position=loop.Kp / loop.Kd,
+        velocity=reduction**2 * loop.G * loop.Kd,
+        integral=loop.Ki / loop.Kd,
+        feedforward=loop.feedforward,
+    )
+
+
+def has_cascades(robot: Robot) -> bool:
+    """Whether the described control law is one that simulated drives have."""
+    return np.count_nonzero(robot.R) == robot.n and robot.controller.structure != "computed_torque"

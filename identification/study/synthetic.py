@@ -1,0 +1,154 @@
+"""Recordings of a simulated robot whose parameters are known: what a fit of them must give back.
+
+The robot has the values of the description's `[parameters]` and tracks a random exciting reference under its own
+controller, or under a PD of the stated bandwidth where none is described. Encoder and torque sensor add the noise that is
+asked for.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.files import whole_file
+from acquisition.recording import RecordingWriter, sample_dtype
+from acquisition.robot import Robot
+from acquisition.trajectory import fourier_reference
+
+from ..data import Signals
+from ..errors import IdentificationError
+from ..methods import inertias
+from ..model import BaseParameters, Dynamics, base_parameters, direct_model
+from ..regression import Motion, differentiate
+from ..simulation import has_controller, recorded_loop, simulate, surrogate_loop
+
+Vector = NDArray[np.float64]
+
+LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
+SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """What the sensors add: encoder step and white noise of each joint, rad or m; torque noise in % of its rms."""
+
+    encoder_step: float = 0.0
+    position: float = 0.0
+    effort_percent: float = 0.0
+
+    def on_position(self, q: Vector, rng: np.random.Generator) -> Vector:
+        """Positions as an encoder gives them."""
+        noisy = q + self.position * rng.standard_normal(q.shape)
+        return np.asarray(np.round(noisy / self.encoder_step) * self.encoder_step if self.encoder_step else noisy)
+
+    def on_effort(self, tau: Vector, rng: np.random.Generator) -> Vector:
+        """Torques as they are recorded."""
+        rms = np.sqrt(np.mean(tau**2, axis=0))
+        return np.asarray(tau + 0.01 * self.effort_percent * rms * rng.standard_normal(tau.shape))
+
+
+def known_parameters(dynamics: Dynamics) -> Vector:
+    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent.
+
+    Raises `IdentificationError` for a name that the robot does not have, or a description without values.
+    """
+    values, names = dynamics.robot.parameters, dynamics.names
+    if not values:
+        raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")
+    for name, value in values.items():
+        if name not in names:
+            raise IdentificationError(
+                f"robot {dynamics.robot.name}: parameters.{name} = {value:g}: not a standard parameter of this robot; "
+                f"expected names such as {', '.join(names[:3])} ... {names[-1]}"
+            )
+    return np.array([values.get(name, 0.0) for name in names])
+
+
+def truth(dynamics: Dynamics, base: BaseParameters) -> Vector:
+    """Base parameters (b,) of the description's `[parameters]`: K chi."""
+    return np.asarray(base.K @ known_parameters(dynamics))
+
+
+def exact_motion(dynamics: Dynamics, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
+    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
+    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
+    q, dq, ddq = fourier_reference(dynamics.robot, period_s=duration_s, seed=seed).at(t_s)
+    tau = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
+    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
+
+
+def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Vector:
+    """A random exciting reference (N, n) that begins and ends at rest."""
+    samples = duration_s * sample_rate_hz
+    if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
+        raise IdentificationError(
+            f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
+        )
+    t_s = np.arange(round(samples) + 1) / sample_rate_hz
+    return fourier_reference(robot, period_s=duration_s, seed=seed).at(t_s)[0]
+
+
+def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
+    """Signals of the robot tracking q_ref (N, n), given at the rate of the recording, which is the controller's too.
+
+    Torque at an instant is the mean of what the controller gives before and after it, as a drive's own current filter
+    shows it. Raises `IdentificationError` where the description has no values, or the robot does not follow.
+    """
+    dynamics = Dynamics(robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    if has_controller(robot.controller):
+        loop = recorded_loop(robot)
+    else:
+        J = inertias(model, q_ref[:: max(1, len(q_ref) // 300)])
+        loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
+    if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
+        raise IdentificationError(
+            f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
+            "rate of the simulated recording"
+        )
+    dq_ref = differentiate(q_ref, sample_rate_hz)
+    ddq_ref = differentiate(dq_ref, sample_rate_hz)
+    bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
+    start = (q_ref[0], dq_ref[0])
+    done = simulate(model, loop, q_ref, dq_ref, ddq_ref, start=start, bound=bound, substeps=SUBSTEPS)
+    if done.reason:
+        raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
+    rng = np.random.default_rng(seed)
+    held = done.tau[::SUBSTEPS]
+    tau = held.copy()
+    tau[1:] = 0.5 * (held[1:] + held[:-1])
+    return Signals(
+        t_s=np.arange(len(q_ref)) / sample_rate_hz,
+        q=noise.on_position(done.q[::SUBSTEPS], rng),
+        q_ref=q_ref,
+        effort=noise.on_effort(tau, rng),
+        sample_rate_hz=sample_rate_hz,
+        track=None,
+        robot=robot,
+        recording="simulated",
+        sha256="",
+    )
+
+
+def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[str, str] | None = None) -> None:
+    """Write simulated signals as a recording."""
+    samples = np.empty(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
+    samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
+    samples["position"], samples["effort"] = signals.q, signals.effort
+    if signals.q_ref is not None:
+        samples["reference"] = signals.q_ref
+    with (
+        whole_file(path) as partial,
+        RecordingWriter(
+            partial,
+            signals.robot,
+            source=source,
+            sample_rate_hz=signals.sample_rate_hz,
+            effort_provenance="simulated joint torque",
+            notes={"simulated": "true", **(notes or {})},
+        ) as writer,
+    ):
+        writer.samples(samples)
