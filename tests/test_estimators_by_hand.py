@@ -15,6 +15,7 @@ from identification.estimation.estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
+from identification.estimation.f_test import f_tail, independent_share
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -156,3 +157,21 @@ def test_a_column_of_rounding_alone_is_not_excited():
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
     with pytest.raises(IdentificationError, match="does not excite b: no torque depends on them"):
         ordinary_least_squares(W, rng.normal(size=30), np.zeros(30, dtype=int), np.array([30]), tuple("abc"))
+
+
+def test_the_tail_of_f_is_that_of_scipy_stats():
+    rng = np.random.default_rng(7)
+    for F, dropped, freedom in zip(
+        rng.exponential(4.0, 300), rng.integers(1, 100, 300), rng.uniform(1, 1e6, 300), strict=True
+    ):
+        assert f_tail(F, dropped, freedom) == pytest.approx(stats.f.sf(F, dropped, freedom), rel=1e-12, abs=1e-300)
+    assert f_tail(-1e-17, 3, 20) == 1.0  # rounding of a residual that does not grow
+    assert f_tail(np.inf, 3, 20) == 0.0
+
+
+def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_the_mean():
+    """The mean of x_k = c x_(k-1) + e_k has the variance of r (1 - c)/(1 + c) independent rows, r large."""
+    c, r = 0.6, 400
+    covariance = c ** np.abs(np.subtract.outer(np.arange(r), np.arange(r)))
+    assert independent_share(c) == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
+    assert independent_share(-0.5) == 1.0

@@ -53,3 +53,14 @@ def test_help_loads_nothing_heavy(package):
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert "usage: robot-" in done.stdout
+
+
+def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
+    """`scipy.signal` imports `scipy.stats`, which alone takes longer than a fit."""
+    code = (
+        "import sys\nimport identification.methods\n"
+        "slow = {'scipy.stats', 'scipy.signal', 'scipy.interpolate'} & set(sys.modules)\n"
+        "sys.exit(f'loaded: {slow}' if slow else 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stderr

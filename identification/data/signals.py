@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Robot
@@ -173,6 +172,8 @@ def _at(grid: Vector, stamps: NDArray[np.int64], x: Vector) -> Vector:
     since = (stamps - stamps[0]).astype(float)
     if len(grid) == len(since) and (grid == since).all():
         return x
+    from scipy.interpolate import CubicSpline
+
     return np.asarray(CubicSpline(since, x)(grid))
 
 

@@ -4,9 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
 
 from ..regression import MOVING
+from .f_test import f_tail, independent_share
 
 Vector = NDArray[np.float64]
 
@@ -139,11 +140,11 @@ def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: fl
     if left <= 0:
         return nothing
     F = (explained / independent) / (left / freedom)
-    share = (1 - max(0.0, correlation)) / (1 + max(0.0, correlation))
+    share = independent_share(correlation)
     return replace(
         nothing,
         dwh_F=F,
-        dwh_p_value=float(stats.f.sf(F, independent, freedom)),
+        dwh_p_value=f_tail(F, independent, freedom),
         dwh_F_effective=F * share,
-        dwh_p_effective=float(stats.f.sf(F * share, independent, max(1.0, rows * share - b - independent))),
+        dwh_p_effective=f_tail(F * share, independent, max(1.0, rows * share - b - independent)),
     )

@@ -11,10 +11,11 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from ..errors import IdentificationError
+from .f_test import f_tail, independent_share
 
 Vector = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
@@ -140,7 +141,7 @@ def essential_parameters(
     w = full.weights[joint_of_row]
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
     R: Vector = np.asarray(np.linalg.qr(np.c_[W, Y] * w[:, None], mode="r"))
-    b, r, independent = W.shape[1], full.rows, (1 - max(0.0, correlation)) / (1 + max(0.0, correlation))
+    b, r, independent = W.shape[1], full.rows, independent_share(correlation)
 
     def test(kept: NDArray[np.intp], rho_norm: float) -> tuple[float, float, float, float]:
         dropped = b - len(kept)
@@ -148,7 +149,7 @@ def essential_parameters(
             return (float("nan"),) * 4
         F = (rho_norm**2 - full.residual_norm**2) / dropped / (full.residual_norm**2 / (r - b))
         F_effective, freedom = F * independent, max(1.0, r * independent - b)
-        return F, float(stats.f.sf(F, dropped, r - b)), F_effective, float(stats.f.sf(F_effective, dropped, freedom))
+        return F, f_tail(F, dropped, r - b), F_effective, f_tail(F_effective, dropped, freedom)
 
     kept, tested = np.arange(b), (float("nan"),) * 4
     while len(kept) > 1:

@@ -11,7 +11,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicSpline
 
 from ..data import Signals
 from ..errors import IdentificationError
@@ -296,6 +295,8 @@ def _at(times_s: Vector, start_s: float, fs: float, x: Vector) -> Vector:
     picks = np.rint(at).astype(np.intp)
     if np.abs(at - picks).max() < 1e-6 and picks[-1] < len(x):
         return x[picks]
+    from scipy.interpolate import CubicSpline
+
     return np.asarray(CubicSpline(np.arange(len(x)), x)(np.clip(at, 0, len(x) - 1)))
 
 

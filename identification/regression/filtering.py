@@ -2,6 +2,7 @@
 
 The low-pass pads by three times the filter's order, as MATLAB's filtfilt does, and decimation keeps the last sample, as its
 decimate does. Decimation smooths the ends; MATLAB's own edge rule, on which published digits rest, is there on request.
+`scipy.signal` takes half a second to import: it is imported where a filter is designed or run.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import signal
 
 from ..errors import IdentificationError
 
@@ -52,6 +52,8 @@ def lowpass(x: Vector, cutoff_hz: float, sample_rate_hz: float) -> Vector:
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise IdentificationError(f"{len(x)} samples are too few for the filter; expected more than {padding}")
+    from scipy import signal
+
     sos = signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=sample_rate_hz, output="sos")
     # Counted from the first sample, a joint that stands still stays at exactly zero: rounding is no motion.
     filtered = signal.sosfiltfilt(sos, np.ascontiguousarray((x - x[0]).T), axis=-1, padlen=padding)
@@ -113,6 +115,8 @@ def decimate(x: Vector, factor: int, *, smooth_ends: bool = True) -> Vector:
     The ends are reflected at a line through the last samples, as far as the filter reaches. Without `smooth_ends` they are
     reflected at the end samples themselves, as MATLAB does: the noise of these two stands at full size in the rows beside.
     """
+    from scipy import signal
+
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
@@ -132,6 +136,8 @@ def decimate(x: Vector, factor: int, *, smooth_ends: bool = True) -> Vector:
 @lru_cache
 def _chebyshev(r: int) -> Vector:
     """Second order sections of the filter before every r-th sample is kept; its design costs as much as its use."""
+    from scipy import signal
+
     return np.asarray(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos"))
 
 
@@ -148,6 +154,8 @@ def _extended(x: Vector, r: int) -> tuple[Vector, int]:
 
 def decimation_reach(factor: int) -> int:
     """Samples to each side beyond which an input no longer shows in a decimated output (below 1e-12 of it)."""
+    from scipy import signal
+
     reach, stride = 0, 1
     for r in decimation_passes(factor):
         pole = np.abs(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="zpk")[1]).max()
@@ -158,6 +166,8 @@ def decimation_reach(factor: int) -> int:
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
     """Samples to each side beyond which an input no longer shows in the filtered signal (below 1e-12 of it)."""
+    from scipy import signal
+
     pole = np.abs(signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=sample_rate_hz, output="zpk")[1]).max()
     return int(np.ceil(np.log(1e-14) / np.log(pole)))
 
