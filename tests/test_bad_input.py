@@ -18,7 +18,7 @@ from acquisition.robot.robot import robot_from_files
 from identification.data.signals import load_signals
 from identification.errors import IdentificationError
 from identification.methods.idim import Iteration, identify_iv, identify_ls
-from identification.model.inverse import Dynamics, direct_model
+from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.study.synthetic import Noise, closed_loop, random_reference
 
@@ -159,14 +159,14 @@ ARM = """<robot name="r"><link name="a"/><link name="flange"/>
 def test_a_movable_joint_needs_an_axis(kind):
     urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 0")
     with pytest.raises(IdentificationError, match="joint 'shoulder': axis is zero; expected a direction"):
-        Dynamics(dataclasses.replace(robot_named("scara"), urdf=urdf))
+        InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
 
 
 @pytest.mark.parametrize("kind", ["revolute", "continuous"])
 def test_a_fixed_joint_needs_none(kind):
     """Exporters write `0 0 0` there. At q = 0 both arms are straight: inertias as of two unit masses by hand."""
     urdf = ARM.replace("TYPE", kind).replace("AXIS", "0 0 1")
-    idm = Dynamics(dataclasses.replace(robot_named("scara"), urdf=urdf))
+    idm = InverseModel(dataclasses.replace(robot_named("scara"), urdf=urdf))
     chi = np.array([{"ZZ1": 1.0, "ZZ2": 2.0, "M2": 3.0}.get(name, 0.0) for name in idm.names])
     inertia = direct_model(idm, chi).inertia(np.zeros((1, 2)))[0]
     assert inertia == pytest.approx(np.array([[1.0 + 2.0 + 3.0 * 0.5**2, 2.0], [2.0, 2.0]]), abs=1e-5)

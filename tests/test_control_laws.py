@@ -10,7 +10,7 @@ from scipy.linalg import expm
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.methods.replica import inertias
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics, direct_model
+from identification.model.inverse import InverseModel, direct_model
 from identification.simulation.loop import Loop, _Control, recorded_loop, simulate
 from identification.study.synthetic import truth
 
@@ -93,9 +93,9 @@ def path_of(kind: str) -> np.ndarray:
 @pytest.mark.parametrize("structure", LAWS)
 def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model, path = direct_model(dynamics, base.representative(truth(dynamics, base))), path_of(kind)
+    model, path = direct_model(dynamics, base.standard_parameters(truth(dynamics, base))), path_of(kind)
     references = [x[:, None].copy() for x in path]
     rest = (np.zeros(1), np.zeros(1))
     done = simulate(model, recorded_loop(robot), *references, start=rest, bound=np.ones(1), substeps=4)
@@ -110,12 +110,12 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
 def test_the_gain_update_leaves_the_motion_as_it_was(structure):
     """Twice the mass and friction under twice the gains and twice the limit: the same motion, saturated or not."""
     robot = axis(structure, "backward_difference", 3.0)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
     zero = np.zeros((TICKS, 1))
     moved = []
     for factor in (1.0, 2.0):
-        model = direct_model(dynamics, base.representative(factor * truth(dynamics, base)))
+        model = direct_model(dynamics, base.standard_parameters(factor * truth(dynamics, base)))
         loop = recorded_loop(robot).scaled(np.array([factor]))
         step = path_of("step")[0][:, None].copy()
         moved.append(simulate(model, loop, step, zero, zero, start=(zero[0], zero[0]), bound=np.ones(1)))
@@ -127,7 +127,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
 @pytest.mark.parametrize("way", [1, -1])
 def test_viscous_friction_of_each_direction_slows_its_own(way):
     """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
-    dynamics = Dynamics(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
     values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
     chi = np.array([values.get(name, 0.0) for name in dynamics.names])
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
@@ -150,7 +150,7 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
     """Two coupled motors at rest, off the reference: tau = Rᵀ G Kp R e, worked out entry by entry."""
     R, e = np.array([[2.0, 0.0], [3.0, -4.0]]), np.array([0.01, 0.02])
     model = direct_model(
-        dynamics := Dynamics(load_robot(REPLAY / "scara" / "robot.toml")),
+        dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),
         np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
     )
     loop = Loop(
@@ -173,7 +173,7 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
 @pytest.mark.parametrize("estimate", ESTIMATES)
 def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
     robot = axis("pd_velocity_feedforward", estimate, np.inf)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
     path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
     start = (path[0], speed[0])
@@ -186,7 +186,7 @@ def test_an_integral_starts_within_the_limit():
     """8 N to hold at 20 N/A take 0.4 A; of a limit of 0.3 A no more than that is in the integral."""
     for limit, effort in ((np.inf, 0.4), (0.3, 0.3)):
         robot = axis("pid", "exact", limit)
-        dynamics = Dynamics(robot)
+        dynamics = InverseModel(robot)
         model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
         pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
         loop = recorded_loop(robot)
@@ -198,7 +198,7 @@ def test_an_integral_starts_within_the_limit():
 @pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])
 def test_friction_by_direction_holds_by_direction(force, moves):
     """15 N hold against a push in the positive direction, 25 N against one in the negative direction."""
-    dynamics = Dynamics(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
     one, zero = np.ones(1), np.zeros((TICKS, 1))
@@ -213,8 +213,8 @@ def test_friction_by_direction_holds_by_direction(force, moves):
 
 def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
-    dynamics = Dynamics(load_robot(REPLAY / "scara" / "robot.toml"))
+    dynamics = InverseModel(load_robot(REPLAY / "scara" / "robot.toml"))
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
     np.testing.assert_allclose(inertias(model, poses), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)

@@ -22,7 +22,7 @@ from independent_simulator import (
 from acquisition.robot.robot import Robot
 from identification.methods.idim import Iteration, identify_iv, identify_ls
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.study.synthetic import truth
 
@@ -59,7 +59,7 @@ def simulated(name: str, duration_s: float) -> Simulated:
     reference = references(body, range(SEEDS), duration_s=duration_s, rate_hz=1000.0)
     runs = simulate(body, controller, reference, cell)
     robot = description(toml, controller if name == "tx40" else None)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     return Simulated(robot, runs, truth(dynamics, base_parameters(dynamics)))
 
 

@@ -8,7 +8,7 @@ from conftest import REPLAY, robot_named
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.errors import IdentificationError
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.study.synthetic import known_parameters
 
 RNG = np.random.default_rng(3)
@@ -21,7 +21,7 @@ def states(n: int, count: int = 50) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 @pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
 def test_regressor_gives_the_torques_of_newton_euler(name):
-    dynamics = Dynamics(robot_named(name))
+    dynamics = InverseModel(robot_named(name))
     chi = np.zeros(dynamics.p)
     model = dynamics.model
     for j in range(dynamics.robot.n):
@@ -40,7 +40,7 @@ def test_regressor_gives_the_torques_of_newton_euler(name):
 
 def test_scara_is_the_closed_form_of_the_paper():
     """Section 4 of Janot2014: a planar arm of two links, L = 0.5 m, eight parameters."""
-    dynamics = Dynamics(robot_named("scara"))
+    dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
     assert base.names == ("ZZ1R", "Fv1", "Fc1", "ZZ2", "MX2", "MY2", "Fv2", "Fc2")
     q, dq, ddq = states(2)
@@ -57,15 +57,15 @@ def test_scara_is_the_closed_form_of_the_paper():
 
 
 def test_emps_has_four_parameters_and_five_with_friction_by_direction():
-    base = base_parameters(Dynamics(robot_named("emps")))
+    base = base_parameters(InverseModel(robot_named("emps")))
     assert base.names == ("M1", "Fv1", "Fc1", "Off1")
     assert base.units == ("kg", "N s/m", "N", "N")
-    asymmetric = base_parameters(Dynamics(load_robot(REPLAY / "emps" / "robot_asymmetric.toml")))
+    asymmetric = base_parameters(InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml")))
     assert asymmetric.names == ("M1", "Fvp1", "Fcp1", "Fvn1", "Fcn1")
 
 
 def test_tx40_has_the_sixty_parameters_of_the_paper():
-    base = base_parameters(Dynamics(robot_named("tx40")))
+    base = base_parameters(InverseModel(robot_named("tx40")))
     assert base.b == 60
     expressions = dict(zip(base.names, base.expressions, strict=True))
     # Regrouping relations of Khalil2002 for these axes, written out by hand: M6 acts 0.225 m off axis 2.
@@ -79,7 +79,7 @@ def test_tx40_has_the_sixty_parameters_of_the_paper():
 
 @pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
 def test_base_parameters_give_the_torques_of_the_standard_ones(name):
-    dynamics = Dynamics(robot_named(name))
+    dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     q, dq, ddq = states(dynamics.robot.n)
     W = dynamics.regressor(q, dq, ddq)
@@ -89,7 +89,7 @@ def test_base_parameters_give_the_torques_of_the_standard_ones(name):
 
 def test_coupled_wrist_acts_as_the_authors_write_it():
     """tau5 += Ia6 ddq6 + Fvm6 dq6 + Fcm6 sign(dq5 + dq6); tau6 has ddq5 and dq5 in their place."""
-    dynamics = Dynamics(robot_named("tx40"))
+    dynamics = InverseModel(robot_named("tx40"))
     q, dq, ddq = states(6)
     W = dynamics.regressor(q, dq, ddq)
 
@@ -127,7 +127,7 @@ effort_unit = "N m"
 @pytest.mark.parametrize("matrix", [[[50, 0], [30, 40]], [[50, 0], [0, -40]], [[20, 20], [20, -20]]])
 def test_rotor_torques_do_the_work_of_the_rotors_kinetic_energy(matrix):
     """Power of the rotor columns = d/dt of sum 1/2 J (motor speed)²; for a differential both motors turn both joints."""
-    dynamics = Dynamics(robot_with_matrix(matrix))
+    dynamics = InverseModel(robot_with_matrix(matrix))
     R = np.array(matrix, dtype=float)
     J = np.array([3e-5, 7e-5])
     q, dq, ddq = states(2)
@@ -161,7 +161,7 @@ def urdf_robot(urdf: str, names: tuple[str, str] = ("j1", "j2")):
 
 
 def test_a_urdf_gives_the_same_model_as_the_table():
-    from_urdf, from_table = Dynamics(urdf_robot(URDF)), Dynamics(robot_with_matrix([[1, 0], [0, 1]]))
+    from_urdf, from_table = InverseModel(urdf_robot(URDF)), InverseModel(robot_with_matrix([[1, 0], [0, 1]]))
     assert from_urdf.names == from_table.names
     q, dq, ddq = states(2)
     np.testing.assert_allclose(from_urdf.regressor(q, dq, ddq), from_table.regressor(q, dq, ddq), atol=1e-9)
@@ -180,20 +180,20 @@ def test_a_urdf_gives_the_same_model_as_the_table():
 )
 def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):
     with pytest.raises(IdentificationError, match=message) as caught:
-        Dynamics(urdf_robot(urdf, names))
+        InverseModel(urdf_robot(urdf, names))
     assert "\n" not in str(caught.value)
 
 
 def test_unknown_gain_leaves_parameters_in_amperes():
     text = (REPLAY / "emps" / "robot.toml").read_text()
     text = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
-    dynamics = Dynamics(robot_from_files({"robot.toml": text.encode()}, "emps.toml"))
+    dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "emps.toml"))
     units = dict(zip(dynamics.names, dynamics.units, strict=True))
     assert (units["M1"], units["Fv1"], units["Fc1"]) == ("V s²/m", "V s/m", "V")
 
 
 def test_a_priori_values_must_be_standard_parameters_of_the_robot():
     text = (REPLAY / "scara" / "robot.toml").read_text().replace("ZZ2 = 0.061", "ZZ7 = 0.061")
-    dynamics = Dynamics(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
+    dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
     with pytest.raises(IdentificationError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
         known_parameters(dynamics)

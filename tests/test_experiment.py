@@ -8,8 +8,8 @@ from independent_simulator import Imperfections, described_controller, descripti
 
 from identification.methods.replica import experiment, simulated_motion
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
-from identification.regression.settings import Overrides, make_plan
+from identification.model.inverse import InverseModel
+from identification.regression.settings import Overrides, make_settings
 from identification.study.synthetic import truth
 
 
@@ -22,10 +22,10 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     runs = simulate(body, described_controller(body), reference, Imperfections())
     robot = description(toml)
     signals = runs.signals(robot, 0)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
     true = truth(dynamics, base)
-    e = experiment(signals, make_plan(signals, Overrides()), dynamics, base, true)
+    e = experiment(signals, make_settings(signals, Overrides()), dynamics, base, true)
     at = np.rint(e.times_s * 1000).astype(int)
     np.testing.assert_allclose(e.times_s, at / 1000, atol=1e-9)
     np.testing.assert_allclose(e.q_ref, reference.q[0, at], atol=1e-12)

@@ -19,7 +19,7 @@ from identification.methods.fit import Fit
 from identification.methods.idim import Iteration, identify_iv, identify_ls
 from identification.methods.replica import not_positive
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics, direct_model
+from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.simulation.loop import recorded_loop
 from identification.study.study import Run, summaries
@@ -103,7 +103,7 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypat
 def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
     robot = robot_named("tx40")
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=seed)
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), truth(dynamics, base_parameters(dynamics))
 
 
@@ -120,7 +120,7 @@ def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
 
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     robot = robot_named("scara")
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     true = truth(dynamics, base_parameters(dynamics))
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
     signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-4, effort_percent=2.0), seed=3)
@@ -190,9 +190,9 @@ def with_torque_of_the_wrong_sign() -> Fit:
 
 def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_not_called_so():
     signals, fit = signals_of(SCARA), iv_of(SCARA)
-    idm = Dynamics(signals.robot)
+    idm = InverseModel(signals.robot)
     assert fit.status == "converged"
-    assert not_positive(direct_model(idm, fit.base.representative(fit.beta)), signals.q[::500]) is None
+    assert not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)), signals.q[::500]) is None
     # A torque of the wrong sign gives inertias below zero: nothing may be called converged.
     wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "not_confirmed"
@@ -235,12 +235,12 @@ def thinned(signals: Signals, step: int) -> Signals:
 def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
     robot = robot_named("scara")
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     true = truth(dynamics, base_parameters(dynamics))
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
     signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
     slow = identify_iv(thinned(signals, 25), Overrides(), Iteration())
-    assert slow.plan.cutoff_hz is None
+    assert slow.settings.cutoff_hz is None
     assert any("no low-pass" in text for text in slow.warnings)
     assert slow.status == "converged"
     assert error_percent(slow.beta, true) < 5

@@ -19,9 +19,9 @@ from identification.estimation.estimators import (
 )
 from identification.methods.idim import identify_ls
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.regression.filtering import Motion
-from identification.regression.settings import Overrides, decimation_rule, make_plan
+from identification.regression.settings import Overrides, decimation_rule, make_settings
 from identification.regression.system import regression_of_motion, regression_of_recording
 from identification.study.synthetic import Noise, closed_loop, exact_motion, random_reference, truth, write_signals
 
@@ -33,7 +33,7 @@ def rows(r):
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("tx40", 60)])
 @pytest.mark.parametrize("solve", [ordinary_least_squares, weighted_least_squares])
 def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
-    dynamics = Dynamics(robot_named(name))
+    dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=200.0, seed=4)
     estimate = solve(*rows(regression_of_motion(motion, dynamics, base)), base.names)
@@ -52,14 +52,14 @@ def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=8)
     write_signals(out, closed_loop(robot, q_ref, 1000.0, noise=noise, seed=8), source="made for a test")
     fit = identify_ls(load_signals(out), Overrides())
-    true = truth(Dynamics(robot_named("scara")), fit.base)
+    true = truth(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 4 * fit.sigma_hac).all()
     assert fit.status == "solved"
 
 
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
-    true = truth(Dynamics(robot_named("scara")), fit.base)
+    true = truth(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 3.5 * np.fmax(fit.sigma_hac, fit.estimate.sigma)).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 
@@ -139,7 +139,7 @@ def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
 
 
 def test_a_joint_that_does_not_move_is_named():
-    dynamics = Dynamics(robot_named("scara"))
+    dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=5.0, sample_rate_hz=200.0, seed=1)
     still = motion.q.copy()
@@ -165,7 +165,7 @@ def test_parameters_that_cannot_be_told_apart_are_named():
 
 def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
     robot = robot_named(name)
-    motion = exact_motion(Dynamics(robot), duration_s=seconds, sample_rate_hz=500.0, seed=3)
+    motion = exact_motion(InverseModel(robot), duration_s=seconds, sample_rate_hz=500.0, seed=3)
     noise = 0.02 * np.random.default_rng(1).normal(size=motion.tau.shape)
     return Signals(
         t_s=motion.t_s,
@@ -182,8 +182,8 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
 
 def test_blocks_give_what_one_pass_gives(monkeypatch):
     signals = synthetic_signals()
-    dynamics = Dynamics(signals.robot)
-    base, plan = base_parameters(dynamics), make_plan(signals, Overrides(decimation=5))
+    dynamics = InverseModel(signals.robot)
+    base, plan = base_parameters(dynamics), make_settings(signals, Overrides(decimation=5))
     whole = regression_of_recording(signals, plan, dynamics, base)
     monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 1)
     assert len(list(regression_module.motion_blocks(signals, plan, 11))) > 3
@@ -235,20 +235,20 @@ def test_decimation_follows_the_rule(rate_hz, bandwidth_hz, n_d):
 
 def test_a_cutoff_below_five_bandwidths_warns_and_options_override():
     signals = synthetic_signals()
-    assert make_plan(signals, Overrides()).cutoff_hz == 25.0
-    assert make_plan(signals, Overrides()).warnings == ()
-    plan = make_plan(signals, Overrides(cutoff_hz=10.0, decimation=7))
+    assert make_settings(signals, Overrides()).cutoff_hz == 25.0
+    assert make_settings(signals, Overrides()).warnings == ()
+    plan = make_settings(signals, Overrides(cutoff_hz=10.0, decimation=7))
     assert (plan.cutoff_hz, plan.decimation) == (10.0, 7)
     assert "below 5 times the bandwidth of 5 Hz" in plan.warnings[0]
-    assert make_plan(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
+    assert make_settings(signals, Overrides(cutoff_hz=0)).cutoff_hz is None
     assert (
         "keeps 6.66667 Hz, less than twice the bandwidth of 5 Hz"
-        in make_plan(signals, Overrides(decimation=30)).warnings[0]
+        in make_settings(signals, Overrides(decimation=30)).warnings[0]
     )
     with pytest.raises(IdentificationError, match="cut-off 300 Hz: expected below 250 Hz"):
-        make_plan(signals, Overrides(cutoff_hz=300.0))
+        make_settings(signals, Overrides(cutoff_hz=300.0))
     with pytest.raises(IdentificationError, match="expected at least 60000, 30 decimated rows"):
-        make_plan(signals, Overrides(decimation=2000))
+        make_settings(signals, Overrides(decimation=2000))
 
 
 def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it():
@@ -260,16 +260,16 @@ def test_the_default_span_is_that_of_motion_and_a_tracking_phase_goes_before_it(
         q=np.concatenate([still, signals.q, np.repeat(signals.q[-1:], 2000, axis=0)]),
         effort=np.concatenate([still, signals.effort, still]),
     )
-    plan = make_plan(padded, Overrides())
+    plan = make_settings(padded, Overrides())
     assert plan.start == pytest.approx(2000, abs=200)
     assert plan.stop == pytest.approx(2000 + len(signals.q), abs=200)
     # A joint that stands has noise only, all the time: it does not tell when motion begins.
     noise = 1e-5 * np.random.default_rng(2).normal(size=len(padded.q))
     one_stands = dataclasses.replace(padded, q=np.stack([padded.q[:, 0], 0.3 + noise], axis=1))
-    stands = make_plan(one_stands, Overrides())
+    stands = make_settings(one_stands, Overrides())
     assert plan.start <= stands.start < plan.start + 500 < stands.stop <= plan.stop
     assert "joint elbow does not move" in stands.warnings
-    everything = make_plan(padded, Overrides(span="all"))
+    everything = make_settings(padded, Overrides(span="all"))
     assert (everything.start, everything.stop) == (100, len(padded.q) - 100)
-    tracked = make_plan(dataclasses.replace(padded, track=(3000, 9000)), Overrides())
+    tracked = make_settings(dataclasses.replace(padded, track=(3000, 9000)), Overrides())
     assert (tracked.start, tracked.stop, tracked.span) == (3000, 9000, "the recording's tracking phase")

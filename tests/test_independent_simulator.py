@@ -21,7 +21,7 @@ from independent_simulator import (
 from scipy.integrate import solve_ivp
 
 from identification.data.signals import load_signals
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.study.synthetic import known_parameters
 
 NAMES = ("emps", "scara", "tx40")
@@ -54,7 +54,7 @@ def test_the_closed_form_of_the_scara_is_that_of_the_chain():
 @pytest.mark.parametrize("name", NAMES)
 def test_inverse_dynamics_are_those_of_pinocchio(name):
     """The conventions of both are the same: frames, coupled wrist, signs, names of parameters."""
-    dynamics, body = Dynamics(robot_named(name)), plant(toml(name), smooth=1e-9)
+    dynamics, body = InverseModel(robot_named(name)), plant(toml(name), smooth=1e-9)
     q, dq, ddq = states(body.n)
     expected = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
     np.testing.assert_allclose(body.inverse(q, dq, ddq), expected, atol=1e-12 * np.abs(expected).max())

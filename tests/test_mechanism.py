@@ -15,7 +15,7 @@ from acquisition.session.recording_session import Wanted, record
 from acquisition.session.session import Stop
 from acquisition.simulated.mechanism import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.study.synthetic import known_parameters
 
 
@@ -45,7 +45,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     assert np.degrees(error[:3]).max() < (0.3 if name == "tx40" else 3.0)
     # The effort is that of the described dynamics along the motion: at rest after it friction and gravity alone.
     still = samples[samples["stamp_ns"] < stamps["track"]][-20:]
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     zero = np.zeros((1, robot.n))
     gravity = (dynamics.regressor(still["position"][-1:], zero, zero) @ known_parameters(dynamics))[0]
     friction = [robot.parameters[f"Fc{j + 1}"] + robot.parameters.get("Fcm6", 0.0) for j in range(robot.n)]

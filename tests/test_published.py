@@ -49,7 +49,7 @@ def test_tx40_agrees_with_the_earlier_identification(tx40):
     value = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
     sigma = dict(zip(fit.estimate.names, fit.estimate.sigma, strict=True))
     assert len(value) == 60
-    assert fit.plan.span == "the span between first and last motion"
+    assert fit.settings.span == "the span between first and last motion"
     assert fit.errors[-1].relative_error_percent <= 5.6
     assert value["ZZ1R"] == pytest.approx(1.24, abs=0.03)
     for name, earlier in EARLIER.items():

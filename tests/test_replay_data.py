@@ -11,7 +11,7 @@ from fits_of_records import iv_of, signals_of
 from identification.commands.program import main
 from identification.data.signals import load_signals
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.study.synthetic import truth
 
 
@@ -28,7 +28,7 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     off = np.abs(fit.beta - [p["value"] for p in true]) / sigma
     assert (off < 3).sum() >= count - (2 if count == 60 else 0)
     # The truth is that of the description's [parameters].
-    idm = Dynamics(signals.robot)
+    idm = InverseModel(signals.robot)
     np.testing.assert_allclose([p["value"] for p in true], truth(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15)
 
 

@@ -12,7 +12,7 @@ from identification.errors import IdentificationError
 from identification.methods.idim import Iteration, identify_iv
 from identification.methods.replica import inertias, not_positive, regular_start
 from identification.model.base import base_parameters
-from identification.model.inverse import DirectModel, Dynamics, direct_model
+from identification.model.inverse import DirectModel, InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.simulation.loop import Loop, _Control, recorded_loop, simulate, surrogate_loop
 from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
@@ -27,12 +27,12 @@ def free(n: int, period_s: float = 1 / RATE) -> Loop:
 
 
 def model_of(name: str, **values: float):
-    dynamics = Dynamics(robot_named(name))
+    dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     chi = known_parameters(dynamics)
     for key, value in values.items():
         chi[[c for c, n in enumerate(dynamics.names) if n.startswith(key)]] = value
-    return dynamics, base, direct_model(dynamics, base.representative(base.K @ chi))
+    return dynamics, base, direct_model(dynamics, base.standard_parameters(base.K @ chi))
 
 
 def still(n: int, seconds: float) -> np.ndarray:
@@ -96,10 +96,10 @@ def test_a_light_wrist_does_not_chatter():
 @pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
 def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
-    dynamics = Dynamics(robot_named(name))
+    dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     beta = truth(dynamics, base)
-    model = direct_model(dynamics, base.representative(beta))
+    model = direct_model(dynamics, base.standard_parameters(beta))
     q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
     dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
     ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
@@ -151,9 +151,9 @@ def controller_robot(structure: str, **keys: object):
 def test_every_control_law_holds_against_a_push(structure, gains, settles, estimate):
     """A constant force: laws with an integral come back to the reference, the others rest at force / stiffness."""
     robot = controller_robot(structure, **gains, velocity_estimate=f'"{estimate}"')
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     loop = recorded_loop(robot)
     zero = still(1, 6.0)
     pushed = dataclasses.replace(model, offset=np.array([8.0]))
@@ -169,9 +169,9 @@ def test_every_control_law_holds_against_a_push(structure, gains, settles, estim
 
 def test_saturation_limits_the_torque():
     robot = controller_robot("pd", position_gain=[50_000.0], velocity_gain=[2000.0])
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     zero = still(1, 0.3)
     done = simulate(
         model, recorded_loop(robot), zero, zero, zero, start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
@@ -183,9 +183,9 @@ def test_saturation_limits_the_torque():
 def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
     """With the exact model e'' + Kd e' + Kp e = 0, whatever the ratio: 60² = 4 · 900 gives e0 (1 + 30 t) exp(-30 t)."""
     robot = controller_robot("computed_torque", position_gain=[900.0], velocity_gain=[60.0])
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     zero, t = still(1, 0.3), np.arange(300) / RATE
     for substeps in (1, 4):
         start = (np.array([1e-3]), np.zeros(1))
@@ -325,12 +325,12 @@ effort_unit = "N m"
 @pytest.mark.parametrize("mass", [1e-3, 1.0, 2.0, 7.0])
 def test_a_representative_robot_has_no_link_without_mass(mass):
     """M2R = M2 + M3, and M3 is free to choose: whatever M2R is, M2 must not come out as zero."""
-    dynamics = Dynamics(robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml"))
+    dynamics = InverseModel(robot_from_files({"robot.toml": TURN_SLIDE_TURN.encode()}, "robot.toml"))
     base = base_parameters(dynamics)
     assert "M2R" in base.names
     assert "M3" not in base.names
     beta = np.array([{"M2R": mass}.get(name, 0.1) for name in base.names])
-    chi = base.representative(beta)
+    chi = base.standard_parameters(beta)
     np.testing.assert_allclose(base.K @ chi, beta, atol=1e-12)
     assert (np.abs(chi[base.masses[1:]]) > 0.5).all()
     q = np.array([[0.2, 0.1, 0.4]])
@@ -341,7 +341,7 @@ def test_a_representative_robot_has_no_link_without_mass(mass):
 
 
 def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
-    dynamics = Dynamics(robot_named("scara"))
+    dynamics = InverseModel(robot_named("scara"))
     massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
     assert not_positive(direct_model(dynamics, massless), np.zeros((1, 2))) is None
     broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
@@ -357,12 +357,12 @@ def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
 
 
 def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
-    dynamics = Dynamics(robot_named("scara"))
+    dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
     beta = truth(dynamics, base)
     for name, value in (("ZZ2", -0.01), ("Fc1", 0.0), ("Fc2", 0.0)):
         beta[base.names.index(name)] = value
-    model = direct_model(dynamics, base.representative(beta))
+    model = direct_model(dynamics, base.standard_parameters(beta))
     zero = still(2, 0.1)
     assert "not positive on the trajectory" in not_positive(model, zero[:1])
     done = simulate(model, free(2), zero, zero, zero, start=(zero[0], zero[0]), bound=np.ones(2))
@@ -384,15 +384,15 @@ def test_direct_model_is_the_inverse_of_the_inverse_model():
 
 
 def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint():
-    dynamics = Dynamics(robot_named("tx40"))
+    dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     beta = regular_start(dynamics, base)
     start = {name: value for name, value in zip(base.names, np.round(beta, 12), strict=True) if value}
     assert start == {"ZZ1R": 1.0, "ZZ2R": 1.0, "Ia3": 1.0, "Ia4": 1.0, "Ia5": 2.0, "Ia6": 1.0}
     J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
-    M = direct_model(dynamics, base.representative(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
+    M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
     np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
-    assert not_positive(direct_model(dynamics, base.representative(beta)), np.zeros((1, 6))) is None
+    assert not_positive(direct_model(dynamics, base.standard_parameters(beta)), np.zeros((1, 6))) is None
 
 
 def test_a_controller_described_in_part_names_what_is_missing():

@@ -16,9 +16,9 @@ from identification.errors import IdentificationError
 from identification.estimation.estimators import joint_weights, weighted_least_squares
 from identification.methods.fit import Fit
 from identification.methods.idim import Iteration, identify_iv, identify_ls
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.regression.low_speed import fast_rows, measured_speed
-from identification.regression.settings import Overrides, make_plan
+from identification.regression.settings import Overrides, make_settings
 from identification.regression.system import regression_of_recording
 from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 
@@ -27,7 +27,7 @@ TX40 = REPLAY / "tx40" / "session.mcap"
 
 
 def off_percent(fit: Fit, signals: Signals) -> float:
-    true = truth(Dynamics(signals.robot), fit.base)
+    true = truth(InverseModel(signals.robot), fit.base)
     return float(100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true))
 
 
@@ -42,7 +42,7 @@ def test_the_cutoff_alone_does_not_decide_on_the_ends():
         signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(effort_percent=5.0), seed=seed)
         for cutoff_hz in errors:
             fit = identify_ls(signals, Overrides(cutoff_hz=cutoff_hz))
-            assert fit.plan.edges == "smooth"
+            assert fit.settings.edges == "smooth"
             errors[cutoff_hz].append(off_percent(fit, signals))
     assert np.mean(errors[25.0]) == pytest.approx(np.mean(errors[25.0025]), rel=0.1)
 
@@ -53,7 +53,7 @@ def test_a_description_asks_for_matlabs_edges():
     asked = dataclasses.replace(signals, robot=dataclasses.replace(signals.robot, identification=given))
     fits = [identify_ls(s, Overrides()) for s in (signals, asked)]
     by_option = identify_ls(signals, Overrides(edges="matlab"))
-    assert [fit.plan.edges for fit in fits] == ["smooth", "matlab"]
+    assert [fit.settings.edges for fit in fits] == ["smooth", "matlab"]
     assert (fits[0].beta != fits[1].beta).any()
     np.testing.assert_array_equal(fits[1].beta, by_option.beta)
 
@@ -77,9 +77,9 @@ def test_a_row_is_slow_where_a_direction_that_acts_on_its_joint_is():
 
 def test_least_squares_goes_by_the_filtered_measured_speed():
     signals = load_signals(SCARA)
-    plan = make_plan(signals, Overrides(cutoff_hz=0))
+    plan = make_settings(signals, Overrides(cutoff_hz=0))
     speed, noise = measured_speed(signals, plan)
-    smooth, none = measured_speed(signals, make_plan(signals, Overrides()))
+    smooth, none = measured_speed(signals, make_settings(signals, Overrides()))
     assert (noise > 0).all()
     assert not none.any()
     # At the instants of the rows, the speed of the reference, which the drives lag by some milliseconds.
@@ -98,13 +98,13 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     assert ls.estimate.rows == pytest.approx(iv.estimate.rows, rel=0.06)
     assert ls.estimate.rows < 0.9 * rows
     # Least squares on the rows that instrumental variables use: of the simulated speed.
-    m, plan, D = iv.iv.simulated, ls.plan, Dynamics(signals.robot).coulomb_directions
+    m, plan, D = iv.iv.simulated, ls.settings, InverseModel(signals.robot).coulomb_directions
     steps = round(plan.decimation / (m.t_s[1] - m.t_s[0]) / signals.sample_rate_hz)
     kept = dataclasses.replace(plan.decimator, factor=steps).kept(m.dq)
     fast = fast_rows(kept @ D.T, np.zeros(len(D)), D, None)
     used = fast.T.reshape(-1).astype(float)
     assert used.sum() == iv.estimate.rows
-    observed = regression_of_recording(signals, plan, Dynamics(signals.robot), ls.base)
+    observed = regression_of_recording(signals, plan, InverseModel(signals.robot), ls.base)
     on_its_rows = weighted_least_squares(
         observed.W * used[:, None], observed.Y * used, observed.joint_of_row, fast.sum(axis=0), ls.base.names
     )

@@ -14,7 +14,7 @@ from acquisition.robot.robot import robot_from_files
 from identification.data.signals import Signals
 from identification.methods.idim import Iteration, identify_iv, identify_ls
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.regression.filtering import Motion, decimate, differentiate, lowpass, motion_between
 from identification.regression.settings import Overrides
 from identification.regression.system import predicted_torque
@@ -45,7 +45,7 @@ def made_up(types=("revolute", "prismatic"), unit="N m", samples=4000, reference
     q = (size * np.sin(2 * np.pi * f * t[:, None] + phase)).sum(axis=0)
     dq = differentiate(q, FS)
     motion = Motion(t_s=t, q=q, dq=dq, ddq=differentiate(dq, FS), tau=np.zeros_like(q))
-    idm = Dynamics(robot)
+    idm = InverseModel(robot)
     base = base_parameters(idm)
     tau = predicted_torque(motion, idm, base, rng.uniform(0.5, 2, base.b))
     return Signals(
@@ -254,14 +254,14 @@ def test_titles_say_joint_unit_and_error(written):
 def test_short_curves_are_written_sample_by_sample(written):
     signals = made_up(reference=True)
     fit, file = fitted(signals), written(signals)
-    plan = fit.plan
+    plan = fit.settings
     span = np.arange(plan.start, plan.stop)
     q = lowpass(signals.q, plan.cutoff_hz, FS)  # in one pass over the whole
     dq = differentiate(q, FS)
     whole = motion_between(
         signals.q, signals.effort, cutoff_hz=plan.cutoff_hz, sample_rate_hz=FS, start=plan.start, stop=plan.stop
     )
-    predicted = predicted_torque(whole, Dynamics(signals.robot), fit.base, fit.beta)
+    predicted = predicted_torque(whole, InverseModel(signals.robot), fit.base, fit.beta)
     for j, joint in enumerate(signals.robot.joints):
         expected = {
             ("torque", "measured"): (np.arange(len(q)), signals.effort),
@@ -282,15 +282,17 @@ def test_short_curves_are_written_sample_by_sample(written):
 def test_the_residual_is_the_one_whose_error_is_reported(written):
     signals = made_up()
     fit, file = fitted(signals), written(signals)
-    Y = decimate(signals.effort[fit.plan.start : fit.plan.stop].T, fit.plan.decimation)
+    Y = decimate(signals.effort[fit.settings.start : fit.settings.stop].T, fit.settings.decimation)
     for j, joint in enumerate(signals.robot.joints):
         k, rho = file.curve("torque", joint.name, "residual")
         assert 100 * np.linalg.norm(rho) / np.linalg.norm(Y[j]) == pytest.approx(fit.errors[j].relative_error_percent)
         t, predicted = file.curve("torque", joint.name, "model_idm")
-        np.testing.assert_array_equal(t, np.arange(fit.plan.start, fit.plan.stop))
-        np.testing.assert_allclose(rho, Y[j] - decimate(predicted, fit.plan.decimation), atol=1e-9 * np.abs(Y[j]).max())
-        assert k[-1] == fit.plan.stop - 1
-        assert set(np.diff(k)) == {fit.plan.decimation}
+        np.testing.assert_array_equal(t, np.arange(fit.settings.start, fit.settings.stop))
+        np.testing.assert_allclose(
+            rho, Y[j] - decimate(predicted, fit.settings.decimation), atol=1e-9 * np.abs(Y[j]).max()
+        )
+        assert k[-1] == fit.settings.stop - 1
+        assert set(np.diff(k)) == {fit.settings.decimation}
 
 
 def test_blocks_of_a_long_recording_leave_no_seam(written, monkeypatch):
@@ -397,7 +399,7 @@ def test_the_residual_is_shown_against_white_noise(written):
 
     r = values("autocorrelation", "front")
     middle = values("autocorrelation", "front", "abscissa") + values("autocorrelation", "front", "widths") / 2
-    period_s = fitted(signals).plan.decimation / FS
+    period_s = fitted(signals).settings.decimation / FS
     np.testing.assert_allclose(middle, period_s * np.arange(1, len(r) + 1), rtol=1e-6)
     for k in (1, 5):
         assert r[k - 1] == pytest.approx(rho[k:] @ rho[:-k] / np.linalg.norm(rho[k:]) / np.linalg.norm(rho[:-k]))
@@ -419,7 +421,7 @@ def test_a_few_far_residuals_do_not_squeeze_the_distribution(written, monkeypatc
     rho[:12, 0] = 1000.0
     rho[12:20, 0], speed[12:20, 0] = 1000.0, 0.0  # standing: not counted at all
     monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (rho, np.zeros_like(rho), speed))
-    file = written(signals, replace(fitted(signals), plan=replace(fitted(signals).plan, decimation=1)))
+    file = written(signals, replace(fitted(signals), settings=replace(fitted(signals).settings, decimation=1)))
     title = file.views["/residual/joint\\ 1.x/distribution"][1]
     sigma = float(title.split("sigma ")[1].split(",")[0])
     assert sigma == pytest.approx(0.3, rel=0.1)
@@ -505,10 +507,10 @@ def test_spectra_show_a_sine_where_it_is_and_the_cut_offs_of_the_fit(written):
     strokes = [np.array(s) for s in file.static["/spectrum/position/strokes"]["LineStrips2D:strips"]]
     labels = file.static["/spectrum/position/labels"]["Points2D:labels"]
     places = dict(zip(labels, file.static["/spectrum/position/labels"]["Points2D:positions"], strict=True))
-    assert {"bandwidth 10 Hz", f"low-pass {fit.plan.cutoff_hz:g} Hz"} < set(labels)
+    assert {"bandwidth 10 Hz", f"low-pass {fit.settings.cutoff_hz:g} Hz"} < set(labels)
     curve = max(strokes, key=len)
     peak = curve[curve[:, 1].argmin(), 0]
     decade = places["100"][0] - places["10"][0]
     assert places["10"][0] + np.log10(8.0) * decade == pytest.approx(peak, abs=decade / 40)
     effort = file.static["/spectrum/effort/labels"]["Points2D:labels"]
-    assert f"decimation {0.4 * FS / fit.plan.decimation:g} Hz" in effort
+    assert f"decimation {0.4 * FS / fit.settings.decimation:g} Hz" in effort

@@ -14,7 +14,7 @@ from acquisition.robot.robot import robot_from_files
 from identification.commands.program import main
 from identification.data.signals import Happening, load_signals
 from identification.errors import IdentificationError
-from identification.model.inverse import Dynamics
+from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.report.comparison import Value, Values, difference_lines, differences, values_of_fit
 from identification.view.charts import trust_drawing
@@ -43,7 +43,7 @@ def urdf_robot(shape):
 
 
 def test_placements_are_those_of_the_table():
-    dynamics = Dynamics(robot_named("scara"))
+    dynamics = InverseModel(robot_named("scara"))
     q = np.array([[0.3, 0.4], [0.0, -1.2]])
     places, turns = dynamics.placements(q)
     np.testing.assert_allclose(places[:, 1], 0.5 * np.c_[np.cos(q[:, 0]), np.sin(q[:, 0]), [0, 0]], atol=1e-12)
@@ -64,10 +64,10 @@ def test_a_robot_is_drawn_from_its_table(name):
     assert all(min(s.size) > 0 and np.isfinite(s.center).all() for s in scene.solids)
     (robot_shown,) = scene.robots
     assert np.diff(robot_shown.t_s).min() > 0.99 / 50
-    places, _ = Dynamics(robot).placements(robot_shown.q)
+    places, _ = InverseModel(robot).placements(robot_shown.q)
     np.testing.assert_allclose(robot_shown.places, places)
     # Each link's rod ends where the next joint is.
-    for j, parent in enumerate(Dynamics(robot).parents):
+    for j, parent in enumerate(InverseModel(robot).parents):
         rods = [s for s in scene.solids if s.link == parent and s.kind == "capsule"]
         if parent and rods and np.linalg.norm(places[0, j] - places[0, parent - 1]) > 1e-9:
             reach = max(np.linalg.norm(s.center) + s.size[0] for s in rods)
@@ -101,7 +101,7 @@ def test_both_robots_stand_where_their_data_says(tmp_path):
         found = file.moving[f"/robot/{key}/2"]
         at = np.array([t.total_seconds() for t in found["time"]])
         k = np.array([np.abs(t_s - t).argmin() for t in at])
-        places, _ = Dynamics(signals.robot).placements(q[k])
+        places, _ = InverseModel(signals.robot).placements(q[k])
         np.testing.assert_allclose(np.array(found["Transform3D:translation"])[:, 0], places[:, 1], atol=1e-6)
     assert file.moving["/robot/simulated/2"]["time"][0].total_seconds() == 0.0, "never at the origin for want of a pose"
 

@@ -264,12 +264,12 @@ def _base(options: argparse.Namespace) -> None:
     with _progress() as status:
         from acquisition.robot import load_robot
 
-        from ..model import Dynamics, base_parameters
+        from ..model import InverseModel, base_parameters
         from ..report import base_json, base_table, write_json
 
         status.update("base parameters")
         robot = load_robot(options.robot)
-        base = base_parameters(Dynamics(robot))
+        base = base_parameters(InverseModel(robot))
     if options.json:
         write_json(options.json, {"robot": robot.name, "parameters": base_json(base)})
     _print(base_table(base, robot.name))

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..data import Signals, load_signals
-from ..model import Dynamics, base_parameters
+from ..model import InverseModel, base_parameters
 from ..report import StoredFit
 
 
@@ -14,7 +14,7 @@ def as_fitted(
 
     `kept`: the user chose the description. The lines say what a reader must know; `place` names the fit in them.
     """
-    other = stored.other_meaning(base_parameters(Dynamics(signals.robot)))
+    other = stored.other_meaning(base_parameters(InverseModel(signals.robot)))
     if not other:
         return signals, []
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")

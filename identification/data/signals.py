@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Robot
 
+from ..arrays import Array
 from ..errors import IdentificationError
-
-Vector = NDArray[np.float64]
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
 LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
@@ -46,17 +45,17 @@ class Signals:
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
-    t_s: Vector
-    q: Vector
-    q_ref: Vector | None
-    effort: Vector
+    t_s: Array
+    q: Array
+    q_ref: Array | None
+    effort: Array
     sample_rate_hz: float
     track: tuple[int, int] | None
     robot: Robot
     recording: str
     sha256: str
     events: tuple[Happening, ...] = ()
-    health: Mapping[str, tuple[Vector, Vector]] = field(default_factory=dict)
+    health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
@@ -134,7 +133,7 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
                 )
 
 
-def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Vector, float, float]:
+def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
     """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
 
     The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
@@ -167,7 +166,7 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Vec
     return grid, round(1e9 / period, 6), off_grid
 
 
-def _at(grid: Vector, stamps: NDArray[np.int64], x: Vector) -> Vector:
+def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
     """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
     since = (stamps - stamps[0]).astype(float)
     if len(grid) == len(since) and (grid == since).all():
@@ -177,7 +176,7 @@ def _at(grid: Vector, stamps: NDArray[np.int64], x: Vector) -> Vector:
     return np.asarray(CubicSpline(since, x)(grid))
 
 
-def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vector]]:
+def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
     """The recorder's counters by name, over seconds from the first sample."""
     names = dict.fromkeys(name for health in recording.health for name in health.counters)
     found = {}
@@ -188,7 +187,7 @@ def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Vector, Vect
     return found
 
 
-def _phase(recording: Recording, name: str, grid: Vector, first_ns: int) -> tuple[int, int] | None:
+def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
     """Sample range of a session phase: from the event that begins it to the next phase's event."""
     phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
     for k, (begin_ns, phase) in enumerate(phases):

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from ..arrays import Array
 from ..regression import MOVING
 from .f_test import f_tail, independent_share
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +28,7 @@ class TorqueError:
     autocorrelation: float | None
 
 
-def torque_errors(tau: Vector, predicted: Vector, speed: Vector, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
+def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
     """Torque errors of each joint and, last and under the name `all`, of all joints; all arrays (rows, n)."""
     moving = are_moving(speed)
     rho = tau - predicted
@@ -37,24 +36,24 @@ def torque_errors(tau: Vector, predicted: Vector, speed: Vector, names: tuple[st
     return (*each, _torque_error("all", tau, rho, moving))
 
 
-def are_moving(speed: Vector) -> NDArray[np.bool_]:
+def are_moving(speed: Array) -> NDArray[np.bool_]:
     """Where joints move (rows, n): faster than 2 % of their peak speed."""
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
-def lag_one(rho: Vector) -> float | None:
+def lag_one(rho: Array) -> float | None:
     """Autocorrelation of residuals (rows,) or (rows, n) at a lag of one row; None where they are zero."""
     return autocorrelation(rho, 1)
 
 
-def autocorrelation(rho: Vector, lag: int) -> float | None:
+def autocorrelation(rho: Array, lag: int) -> float | None:
     """That of residuals (rows,) or (rows, n) at a lag of some rows; None where they are zero."""
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
 
 
-def _torque_error(name: str, tau: Vector, rho: Vector, moving: NDArray[np.bool_]) -> TorqueError:
+def _torque_error(name: str, tau: Array, rho: Array, moving: NDArray[np.bool_]) -> TorqueError:
     return TorqueError(
         name=name,
         relative_error_percent=relative_error_percent(tau, rho),
@@ -66,13 +65,13 @@ def _torque_error(name: str, tau: Vector, rho: Vector, moving: NDArray[np.bool_]
     )
 
 
-def relative_error_percent(tau: Vector, rho: Vector) -> float | None:
+def relative_error_percent(tau: Array, rho: Array) -> float | None:
     """100 |rho| / |tau|; None where there is no torque to compare with."""
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
-def hac_sigma(Q: Vector, bread: Vector, rho: Vector, n: int, *, rows: int) -> Vector:
+def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int) -> Array:
     """Standard deviations (b,) that hold for correlated residuals (Newey and West).
 
     beta - beta_true = bread Qᵀ rho, with Q (r, b) and the weighted rho (r,) stacked joint by joint, n joints of equally
@@ -111,7 +110,7 @@ class InstrumentTests:
     first_stage_F: float
 
 
-def instrument_tests(Q: Vector, W: Vector, Y: Vector, rows: int, correlation: float) -> InstrumentTests:
+def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float) -> InstrumentTests:
     """Tests on weighted W (r, b), Y (r,) and the orthonormal Q (r, b) of Z; `correlation` is the residual's at one row."""
     b = W.shape[1]
     d = np.linalg.norm(W, axis=0)

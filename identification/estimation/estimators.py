@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy import linalg
 from threadpoolctl import threadpool_limits
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from .f_test import f_tail, independent_share
 
-Vector = NDArray[np.float64]
 F = TypeVar("F", bound=Callable[..., Any])
 
 RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
@@ -49,28 +49,28 @@ class Estimate:
     """
 
     names: tuple[str, ...]
-    beta: Vector
-    covariance: Vector
-    weights: Vector
+    beta: Array
+    covariance: Array
+    weights: Array
     residual_norm: float
     condition_number: float
     condition_number_scaled: float
     rows: int
-    Q: Vector
-    bread: Vector
+    Q: Array
+    bread: Array
 
     @property
-    def sigma(self) -> Vector:
+    def sigma(self) -> Array:
         """(b,) standard deviations by the formula."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     @property
-    def sigma_percent(self) -> Vector:
+    def sigma_percent(self) -> Array:
         """(b,) standard deviations in percent of the values; infinite for a value of zero."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(100.0 * self.sigma / np.abs(self.beta))
 
-    def among(self, names: tuple[str, ...]) -> Vector:
+    def among(self, names: tuple[str, ...]) -> Array:
         """Values of `names`, zero for those not estimated."""
         values = dict(zip(self.names, self.beta, strict=True))
         return np.array([values.get(name, 0.0) for name in names])
@@ -93,20 +93,20 @@ class Reduction:
 
 
 def ordinary_least_squares(
-    W: Vector, Y: Vector, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
+    W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
 ) -> Estimate:
     """Least squares with all rows alike. W (r, b), Y (r,), joint_of_row (r,); `rows` (n,) counts the samples per joint."""
     return _solve(W, Y, joint_of_row, rows, names, np.ones(len(rows)))
 
 
 def weighted_least_squares(
-    W: Vector, Y: Vector, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
+    W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
 ) -> Estimate:
     """Least squares with the rows of joint j divided by s_j, the deviation that joint's own least squares leaves."""
     return _solve(W, Y, joint_of_row, rows, names, joint_weights(W, Y, joint_of_row, rows))
 
 
-def joint_weights(W: Vector, Y: Vector, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp]) -> Vector:
+def joint_weights(W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
     """1/s_j (n,): s_j² = |Y_j - W_j b_j|² / (r_j - b_j), b_j the rank of that joint's columns."""
     s = np.empty(len(rows))
     for j in range(len(rows)):
@@ -123,8 +123,8 @@ def joint_weights(W: Vector, Y: Vector, joint_of_row: NDArray[np.intp], rows: ND
 
 
 def essential_parameters(
-    W: Vector,
-    Y: Vector,
+    W: Array,
+    Y: Array,
     joint_of_row: NDArray[np.intp],
     rows: NDArray[np.intp],
     full: Estimate,
@@ -140,7 +140,7 @@ def essential_parameters(
     """
     w = full.weights[joint_of_row]
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
-    R: Vector = np.asarray(np.linalg.qr(np.c_[W, Y] * w[:, None], mode="r"))
+    R: Array = np.asarray(np.linalg.qr(np.c_[W, Y] * w[:, None], mode="r"))
     b, r, independent = W.shape[1], full.rows, independent_share(correlation)
 
     def test(kept: NDArray[np.intp], rho_norm: float) -> tuple[float, float, float, float]:
@@ -169,12 +169,12 @@ def essential_parameters(
 
 
 def _solve(
-    W: Vector,
-    Y: Vector,
+    W: Array,
+    Y: Array,
     joint_of_row: NDArray[np.intp],
     rows: NDArray[np.intp],
     names: tuple[str, ...],
-    weights: Vector,
+    weights: Array,
 ) -> Estimate:
     w = weights[joint_of_row]
     Ww, Yw = W * w[:, None], Y * w
@@ -187,13 +187,13 @@ def _solve(
 
 
 def instrumental_variables(
-    Z: Vector,
-    W: Vector,
-    Y: Vector,
+    Z: Array,
+    W: Array,
+    Y: Array,
     joint_of_row: NDArray[np.intp],
     names: tuple[str, ...],
-    weights: Vector,
-    used: Vector,
+    weights: Array,
+    used: Array,
 ) -> Estimate:
     """beta = (ZᵀW)⁻¹ ZᵀY, with Z, W and Y weighted by 1/s_j; `used` (r,) is 1 for rows that count and 0 for others.
 
@@ -213,7 +213,7 @@ def instrumental_variables(
     return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W * used[:, None]), condition)
 
 
-def _factors(Z: Vector, W: Vector) -> tuple[Vector, Vector, Vector]:
+def _factors(Z: Array, W: Array) -> tuple[Array, Array, Array]:
     """Q of Z = Q R, A = QᵀW/d with columns scaled by d = |W_i|; for Z = W, A is upper triangular."""
     d = _norms(W)
     Q = np.asarray(linalg.qr(Z / _norms(Z), mode="economic")[0])
@@ -221,14 +221,14 @@ def _factors(Z: Vector, W: Vector) -> tuple[Vector, Vector, Vector]:
 
 
 def _estimate(
-    Q: Vector,
-    A: Vector,
-    d: Vector,
-    W: Vector,
-    Y: Vector,
+    Q: Array,
+    A: Array,
+    d: Array,
+    W: Array,
+    Y: Array,
     r: int,
     names: tuple[str, ...],
-    weights: Vector,
+    weights: Array,
     condition: float,
     condition_scaled: float,
 ) -> Estimate:
@@ -251,24 +251,24 @@ def _estimate(
     )
 
 
-def _covariance(W: Vector, Y: Vector, r: int) -> tuple[Vector, Vector, float]:
+def _covariance(W: Array, Y: Array, r: int) -> tuple[Array, Array, float]:
     """beta, C and |rho| of a reduced model, W being its R factor; r samples stand behind the rows."""
     Q, A, d = _factors(W, W)
     estimate = _estimate(Q, A, d, W, Y, r, (), np.ones(1), np.nan, np.nan)
     return estimate.beta, estimate.covariance, estimate.residual_norm
 
 
-def _condition(W: Vector) -> float:
+def _condition(W: Array) -> float:
     """cond(W), that of its R factor."""
     return float(np.linalg.cond(np.linalg.qr(W, mode="r")))
 
 
-def _norms(W: Vector) -> Vector:
+def _norms(W: Array) -> Array:
     norms = np.linalg.norm(W, axis=0)
     return np.asarray(np.where(norms > 0, norms, 1.0))
 
 
-def _refuse_rank_deficiency(W: Vector, names: tuple[str, ...]) -> Vector:
+def _refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     """Singular values of the column-scaled W; an error names the parameters that cannot be told apart."""
     norms = np.linalg.norm(W, axis=0)
     unseen = [name for name, norm in zip(names, norms, strict=True) if norm <= 1e-12 * norms.max()]

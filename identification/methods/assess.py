@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..estimation import (
     Estimate,
@@ -16,20 +16,20 @@ from ..estimation import (
     relative_error_percent,
     torque_errors,
 )
-from ..model import Dynamics
-from ..regression import Motion, Plan, Regression, torque_of_recording
+from ..model import InverseModel
+from ..regression import Motion, Regression, Settings, torque_of_recording
 from .fit import DirectModelError, Fit, InstrumentEvidence, Method, Pass, Status
 from .plausibility import physical_doubts
 from .replica import Experiment, Instruments, SimulatedMotion
-
-Vector = NDArray[np.float64]
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def predicted_rows(signals: Signals, plan: Plan, idm: Dynamics, observed: Regression, estimate: Estimate) -> Vector:
+def predicted_rows(
+    signals: Signals, plan: Settings, idm: InverseModel, observed: Regression, estimate: Estimate
+) -> Array:
     """Decimated torque (rows, n) that an estimate predicts for the rows of `observed`."""
     if not observed.reduced:
         among = [observed.base.names.index(name) for name in estimate.names]
@@ -39,15 +39,15 @@ def predicted_rows(signals: Signals, plan: Plan, idm: Dynamics, observed: Regres
 
 def judged(
     signals: Signals,
-    idm: Dynamics,
-    plan: Plan,
+    idm: InverseModel,
+    plan: Settings,
     observed: Regression,
     method: Method,
     estimate: Estimate,
     reduction: Reduction,
     *,
     status: Status = "solved",
-    used: Vector | None = None,
+    used: Array | None = None,
     weighted: Estimate | None = None,
     iv: InstrumentEvidence | None = None,
     warnings: tuple[str, ...] = (),
@@ -68,7 +68,7 @@ def judged(
     return Fit(
         method=method,
         status=status,
-        plan=plan,
+        settings=plan,
         base=observed.base,
         estimate=estimate,
         essential=reduction,
@@ -86,7 +86,7 @@ def judged(
     )
 
 
-def _robust_sigma(observed: Regression, estimate: Estimate, predicted: Vector, used: Vector) -> Vector:
+def _robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:
     """HAC deviations (b,) from the rows that are `used` (r,); NaN where rows are reduced."""
     if observed.reduced:
         return np.full(len(estimate.names), np.nan)
@@ -98,9 +98,9 @@ def _robust_sigma(observed: Regression, estimate: Estimate, predicted: Vector, u
 def compared(
     estimate: Estimate,
     z: Instruments,
-    before: Vector,
+    before: Array,
     observed: Regression,
-    used: Vector,
+    used: Array,
     tolerance_percent: float,
 ) -> Pass:
     """A pass that led from the parameters simulated to `estimate`, and whether it settled.
@@ -138,8 +138,8 @@ def compared(
 
 def judged_iv(
     signals: Signals,
-    idm: Dynamics,
-    plan: Plan,
+    idm: InverseModel,
+    plan: Settings,
     observed: Regression,
     estimate: Estimate,
     reduction: Reduction,
@@ -147,7 +147,7 @@ def judged_iv(
     final: SimulatedMotion,
     passes: tuple[Pass, ...],
     returned: int,
-    used: Vector,
+    used: Array,
     start: str,
     failure: str | None,
 ) -> Fit:

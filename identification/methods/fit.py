@@ -3,15 +3,12 @@
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Reduction, TorqueError
 from ..model import BaseParameters
-from ..regression import Motion, Plan
+from ..regression import Motion, Settings
 from .plausibility import Doubt
 
-Vector = NDArray[np.float64]
 Method = Literal["ols", "wls", "iv"]
 InstrumentKind = Literal["simulated", "stepped back", "reference"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
@@ -42,7 +39,7 @@ class Pass:
     change_sigma: float
     change_percent: float
     changed: str
-    gains: Vector
+    gains: Array
     tracking_percent: float | None
     condition: float
     residual_percent: float
@@ -95,7 +92,7 @@ class InstrumentEvidence:
     saturated_percent: float | None
     direct: tuple[DirectModelError, ...]
     simulated: Motion | None
-    q: Vector
+    q: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,18 +107,18 @@ class Fit:
 
     method: Method
     status: Status
-    plan: Plan
+    settings: Settings
     base: BaseParameters
     estimate: Estimate
     essential: Reduction
-    sigma_hac: Vector
+    sigma_hac: Array
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
     doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
 
     @property
-    def beta(self) -> Vector:
+    def beta(self) -> Array:
         """(b,) values of all base parameters, zero where one was left out."""
         return self.estimate.among(self.base.names)
 

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import (
@@ -26,13 +26,13 @@ from ..estimation import (
     torque_errors,
     weighted_least_squares,
 )
-from ..model import BaseParameters, Dynamics, base_parameters
+from ..model import BaseParameters, InverseModel, base_parameters
 from ..regression import (
     Overrides,
-    Plan,
     Regression,
+    Settings,
     fast_rows,
-    make_plan,
+    make_settings,
     regression_of_recording,
     rule_cutoff_hz,
     torque_of_recording,
@@ -41,7 +41,6 @@ from .assess import compared, joint_tracking_percent, judged, judged_iv, predict
 from .fit import Fit, Pass
 from .replica import Experiment, Instruments, SimulatedMotion, experiment, instruments, regular_start, simulated_motion
 
-Vector = NDArray[np.float64]
 Say = Callable[[str], None]
 
 
@@ -63,7 +62,7 @@ class Iteration:
     """
 
     start: str = "regular"
-    values: Callable[[BaseParameters], Vector] | None = None
+    values: Callable[[BaseParameters], Array] | None = None
     tolerance_percent: float = 2.5
     max_iterations: int = 10
     gain_update: bool = True
@@ -83,8 +82,8 @@ def identify_ls(
     `essential` keeps only the parameters that the recording determines well. `say` is told what is being done. Raises
     `IdentificationError` where the recording is too short or excites too little.
     """
-    plan = make_plan(signals, overrides)
-    idm = Dynamics(signals.robot)
+    plan = make_settings(signals, overrides)
+    idm = InverseModel(signals.robot)
     base = base_parameters(idm)  # (2): tau = IDM(q, dq, ddq) beta
     observed = regression_of_recording(signals, plan, idm, base, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     weighted = weighted_least_squares(*observed.counted, base.names)
@@ -108,8 +107,8 @@ def identify_iv(
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
     """
-    plan = make_plan(signals, overrides)
-    idm = Dynamics(signals.robot)
+    plan = make_settings(signals, overrides)
+    idm = InverseModel(signals.robot)
     base = base_parameters(idm)  # (2)
     observed = regression_of_recording(signals, plan, idm, base, say)  # (5), (6)
     if observed.reduced:
@@ -123,14 +122,14 @@ def identify_iv(
     if iteration.values is not None:
         beta = iteration.values(base)
 
-    def solved(z: Instruments, rows: Vector) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solved(z: Instruments, rows: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         few = tuple(names[i] for i in kept)
         return instrumental_variables(z.Z[:, kept], W[:, kept], Y, joint_of_row, few, ls.weights, rows)
 
     passes: list[Pass] = []
     tried: list[Instruments] = []
     estimate, used, before = ls, np.ones(len(Y)), beta
-    good: Vector | None = None
+    good: Array | None = None
     failure: str | None = None
     while not (passes and passes[-1].settled) and len(passes) < iteration.max_iterations:
         say(f"pass {len(passes) + 1}: simulating the robot")
@@ -175,14 +174,14 @@ def identify_iv(
     )
 
 
-def _reduced(signals: Signals, plan: Plan, idm: Dynamics, observed: Regression, full: Estimate) -> Reduction:
+def _reduced(signals: Signals, plan: Settings, idm: InverseModel, observed: Regression, full: Estimate) -> Reduction:
     """The essential parameters, by least squares on the rows that count."""
     rho = (observed.tau - predicted_rows(signals, plan, idm, observed, full)) * full.weights * observed.fast
     return essential_parameters(*observed.counted, full, correlation=lag_one(rho) or 0.0)
 
 
 def _solvable(
-    solved: Callable[[Instruments, Vector], Estimate], tried: list[Instruments], used: Vector
+    solved: Callable[[Instruments, Array], Estimate], tried: list[Instruments], used: Array
 ) -> dict[int, Estimate]:
     """The passes' estimates on the same rows, by number, counted from 1; without those that these rows do not determine."""
     found = {}
@@ -209,7 +208,7 @@ def _best_pass(
     return min(found, key=lambda one: one[0])[1:] if found else None
 
 
-def _prior(signals: Signals, overrides: Overrides, plan: Plan, beta_ls: Vector) -> Vector:
+def _prior(signals: Signals, overrides: Overrides, plan: Settings, beta_ls: Array) -> Array:
     """Parameters (b,) whose inertias the controller's gains are taken to be set for: least squares at the rule's cut-off.
 
     Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
@@ -224,14 +223,14 @@ def _prior(signals: Signals, overrides: Overrides, plan: Plan, beta_ls: Vector) 
 
 
 def validate(
-    signals: Signals, overrides: Overrides, values: Callable[[BaseParameters], Vector]
-) -> tuple[Plan, tuple[TorqueError, ...]]:
+    signals: Signals, overrides: Overrides, values: Callable[[BaseParameters], Array]
+) -> tuple[Settings, tuple[TorqueError, ...]]:
     """Torque errors that given base parameters leave on a recording; nothing is fitted.
 
     `values` gives the parameters (b,) in the order of the robot's base parameters.
     """
-    plan = make_plan(signals, overrides)
-    idm = Dynamics(signals.robot)
+    plan = make_settings(signals, overrides)
+    idm = InverseModel(signals.robot)
     base = base_parameters(idm)
     tau, predicted, speed = torque_of_recording(signals, plan, idm, base, values(base))
     return plan, torque_errors(tau, predicted, speed, tuple(j.name for j in signals.robot.joints))

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..estimation import Estimate
-from ..model import BaseParameters, Dynamics, JointTerm
-from ..regression import Plan
-
-Vector = NDArray[np.float64]
+from ..model import BaseParameters, InverseModel, JointTerm
+from ..regression import Settings
 
 POSES = 300  # positions of the trajectory at which M must be positive
 BEYOND = 3.0  # deviations below zero that chance does not explain
@@ -30,13 +29,13 @@ class Doubt:
     severe: bool
 
 
-def poses_of(q: Vector) -> Vector:
+def poses_of(q: Array) -> Array:
     """Some 300 positions (P, n) of a trajectory (N, n) at which M is looked at."""
     return q[:: max(1, len(q) // POSES)]
 
 
 def physical_doubts(
-    signals: Signals, plan: Plan, idm: Dynamics, base: BaseParameters, estimate: Estimate, sigma_hac: Vector
+    signals: Signals, plan: Settings, idm: InverseModel, base: BaseParameters, estimate: Estimate, sigma_hac: Array
 ) -> tuple[Doubt, ...]:
     """What of an estimate no robot has; `sigma_hac` (b,) may be NaN. Each text names the joint to look at."""
     spread = np.fmax(estimate.sigma, sigma_hac)
@@ -67,7 +66,7 @@ def _question(name: str) -> str:
 
 
 def _inertia_doubt(
-    idm: Dynamics, columns: NDArray[np.intp], beta: Vector, covariance: Vector, q: Vector
+    idm: InverseModel, columns: NDArray[np.intp], beta: Array, covariance: Array, q: Array
 ) -> Doubt | None:
     """None where M is positive at all poses (P, n)."""
     P, n = q.shape

@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, Dynamics, direct_model
+from ..model import BaseParameters, DirectModel, InverseModel, direct_model
 from ..regression import (
     Decimation,
     Motion,
-    Plan,
+    Settings,
     decimated_regressor,
     differentiate,
     measured_speed,
@@ -28,8 +28,6 @@ from ..regression import (
 from ..simulation import Loop, has_controller, recorded_loop, simulate, surrogate_loop
 from .fit import InstrumentKind
 from .plausibility import poses_of
-
-Vector = NDArray[np.float64]
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
@@ -56,26 +54,26 @@ class Experiment:
         directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
     """
 
-    dynamics: Dynamics
+    dynamics: InverseModel
     base: BaseParameters
     reference: Literal["recorded", "surrogate"]
-    q_ref: Vector
-    dq_ref: Vector
-    ddq_ref: Vector
-    start: tuple[Vector, Vector]
-    q: Vector
-    poses: Vector
+    q_ref: Array
+    dq_ref: Array
+    ddq_ref: Array
+    start: tuple[Array, Array]
+    q: Array
+    poses: Array
     loop: Loop | None
-    J_prior: Vector
+    J_prior: Array
     J_known: bool
     bandwidth_hz: float
-    grid_s: Vector
-    times_s: Vector
+    grid_s: Array
+    times_s: Array
     substeps: int
     decimation: Decimation
     saturated_percent: float | None
-    directions: Vector
-    slip_noise: Vector
+    directions: Array
+    slip_noise: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,7 +85,7 @@ class SimulatedMotion:
 
     motion: Motion | None
     reason: str | None
-    gains: Vector
+    gains: Array
     tracking_percent: float | None
 
 
@@ -99,16 +97,18 @@ class Instruments:
     given. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
-    beta: Vector
-    Z: Vector
-    slip: Vector
+    beta: Array
+    Z: Array
+    slip: Array
     kind: InstrumentKind
     reason: str | None
-    gains: Vector
+    gains: Array
     tracking_percent: float | None
 
 
-def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParameters, beta_ls: Vector) -> Experiment:
+def experiment(
+    signals: Signals, plan: Settings, dynamics: InverseModel, base: BaseParameters, beta_ls: Array
+) -> Experiment:
     """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
 
     Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
@@ -149,7 +149,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
         reference = (measured.q, measured.dq, measured.ddq)
     at = [_at(times_s, plan.start / fs, fs, x) for x in reference]
     q = measured.q[grid - plan.start]
-    prior = direct_model(dynamics, base.representative(beta_ls))
+    prior = direct_model(dynamics, base.standard_parameters(beta_ls))
     J_prior = inertias(prior, poses_of(q))
     J_known = bool((J_prior > 0).all())
     if not J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
@@ -178,7 +178,7 @@ def experiment(signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParam
     )
 
 
-def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update: bool = True) -> Instruments:
+def instruments(e: Experiment, beta: Array, good: Array | None, *, gain_update: bool = True) -> Instruments:
     """Instruments along the closed loop simulated with `beta` (b,).
 
     Where the robot cannot be simulated with it, or leaves its reference, this pass steps back: half, a quarter, an eighth
@@ -210,9 +210,9 @@ def instruments(e: Experiment, beta: Vector, good: Vector | None, *, gain_update
     )
 
 
-def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -> SimulatedMotion:
+def simulated_motion(e: Experiment, beta: Array, *, gain_update: bool = True) -> SimulatedMotion:
     """The closed loop simulated with `beta` (b,), if M(q, beta) is positive on the trajectory and the loop follows."""
-    model = direct_model(e.dynamics, e.base.representative(beta))
+    model = direct_model(e.dynamics, e.base.standard_parameters(beta))
     J, reason = inertias(model, e.poses), not_positive(model, e.poses)
     gains = J / e.J_prior if gain_update else np.ones(len(J))
     if reason is not None:
@@ -232,13 +232,13 @@ def simulated_motion(e: Experiment, beta: Vector, *, gain_update: bool = True) -
     return SimulatedMotion(motion=motion, reason=None, gains=gains, tracking_percent=float(error))
 
 
-def inertias(model: DirectModel, poses: Vector) -> Vector:
+def inertias(model: DirectModel, poses: Array) -> Array:
     """J_j (n,): the largest diagonal entry of M for each joint over the poses (P, n)."""
     M = model.inertia(poses)
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
-def not_positive(model: DirectModel, poses: Vector) -> str | None:
+def not_positive(model: DirectModel, poses: Array) -> str | None:
     """None where M is positive definite at all poses (P, n), else a line that says so."""
     M = model.inertia(poses)
     if not np.isfinite(M).all():
@@ -249,7 +249,7 @@ def not_positive(model: DirectModel, poses: Vector) -> str | None:
     )
 
 
-def regular_start(dynamics: Dynamics, base: BaseParameters, J: Vector | None = None) -> Vector:
+def regular_start(dynamics: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
     """Base parameters (b,) of a robot of which nothing is known but that each motor turns J (n,) at its joint, 1 by default.
 
     J is in kg m² (or kg). With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40.
@@ -272,7 +272,7 @@ def regular_start(dynamics: Dynamics, base: BaseParameters, J: Vector | None = N
     return np.asarray(base.K @ chi)
 
 
-def _on_grid(e: Experiment, x: Vector, substeps: int) -> Vector:
+def _on_grid(e: Experiment, x: Array, substeps: int) -> Array:
     """x (K substeps, n) from the controller's first instant on, at the instruments' instants: picked or linear in between."""
     h = (e.times_s[1] - e.times_s[0]) / substeps
     ratio = (e.grid_s[1] - e.grid_s[0]) / h
@@ -289,7 +289,7 @@ def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
     return max((m for m in divisors if fs / m >= RATE_PER_BANDWIDTH * bandwidth_hz), default=1)
 
 
-def _at(times_s: Vector, start_s: float, fs: float, x: Vector) -> Vector:
+def _at(times_s: Array, start_s: float, fs: float, x: Array) -> Array:
     """x (N, n), sampled at fs from start_s on, at other times (K,): picked, or a cubic spline in between."""
     at = (times_s - start_s) * fs
     picks = np.rint(at).astype(np.intp)
@@ -300,7 +300,7 @@ def _at(times_s: Vector, start_s: float, fs: float, x: Vector) -> Vector:
     return np.asarray(CubicSpline(np.arange(len(x)), x)(np.clip(at, 0, len(x) - 1)))
 
 
-def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> None:
+def _refuse_foreign_reference(q_ref: Array, q: Array, signals: Signals) -> None:
     """A reference far from the measured position belongs to another recording, or to other units."""
     joints = signals.robot.joints
     for j, joint in enumerate(joints):
@@ -314,7 +314,7 @@ def _refuse_foreign_reference(q_ref: Vector, q: Vector, signals: Signals) -> Non
             )
 
 
-def _saturated_percent(signals: Signals, plan: Plan) -> float | None:
+def _saturated_percent(signals: Signals, plan: Settings) -> float | None:
     limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
     if not np.isfinite(limits).any():
         return None

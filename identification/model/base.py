@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from .inverse import Dynamics
-
-Vector = NDArray[np.float64]
+from ..arrays import Array
+from .inverse import InverseModel
 
 STATES = 200  # random states; 200 n rows are several times the number of columns
 TOLERANCE = 1e-9  # of a column's norm: what is left of a dependent column is rounding
@@ -36,7 +35,7 @@ class BaseParameters:
     expressions: tuple[str, ...]
     units: tuple[str, ...]
     columns: NDArray[np.intp]
-    K: Vector
+    K: Array
 
     masses: NDArray[np.intp]
 
@@ -45,7 +44,7 @@ class BaseParameters:
         """Number of base parameters."""
         return len(self.names)
 
-    def representative(self, beta: Vector) -> Vector:
+    def standard_parameters(self, beta: Array) -> Array:
         """Standard parameters chi (p,) with K chi = beta: links whose masses are free to choose all weigh the same.
 
         The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing. Free
@@ -58,7 +57,7 @@ class BaseParameters:
         return chi
 
 
-def base_parameters(dynamics: Dynamics) -> BaseParameters:
+def base_parameters(dynamics: InverseModel) -> BaseParameters:
     """Find the base parameters of a robot from its regressor at seeded random states."""
     rng = np.random.default_rng(SEED)
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
@@ -91,13 +90,13 @@ def base_parameters(dynamics: Dynamics) -> BaseParameters:
     )
 
 
-def _order(dynamics: Dynamics) -> list[int]:
+def _order(dynamics: InverseModel) -> list[int]:
     """All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it."""
     columns = range(dynamics.p)
     return sorted(columns, key=lambda c: (not dynamics.is_link_parameter(c), c))
 
 
-def _expression(row: Vector, own: int, names: tuple[str, ...]) -> str:
+def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
     """`ZZ2 + Ia2 + 0.0506 (M3 + M4)`: equal coefficients share a bracket, the parameter itself comes first."""
     groups: dict[float, list[str]] = {}
     for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:

@@ -16,17 +16,16 @@ from numpy.typing import NDArray
 
 from acquisition.robot import DH, Robot
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from .joint_terms import JointTerm, joint_terms
-
-Vector = NDArray[np.float64]
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 _FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
 _CHUNK = 256  # samples per copy out of pinocchio: 256 regressors of six joints stay in the cache
 
 
-class Dynamics:
+class InverseModel:
     """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link."""
 
     def __init__(self, robot: Robot) -> None:
@@ -53,7 +52,7 @@ class Dynamics:
         return not isinstance(self.sources[column], JointTerm)
 
     @property
-    def coulomb_directions(self) -> Vector:
+    def coulomb_directions(self) -> Array:
         """Directions r (c, n) that Coulomb friction acts along, its speed being r·dq: of joints, and of coupled motors."""
         terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind == "coulomb"]
         return np.array(list(dict.fromkeys(tuple(term.direction) for term in terms))).reshape(-1, self.robot.n)
@@ -62,7 +61,7 @@ class Dynamics:
         """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""
         return np.argwhere(self._nonzero[:, columns])
 
-    def series(self, q: Vector, dq: Vector, ddq: Vector, columns: NDArray[np.intp]) -> Vector:
+    def series(self, q: Array, dq: Array, ddq: Array, columns: NDArray[np.intp]) -> Array:
         """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n), in one pass over the samples."""
         n, N = self.robot.n, len(q)
         entries = self.entries(columns)
@@ -78,7 +77,7 @@ class Dynamics:
         self._link_series(q, dq, ddq, np.array(places, dtype=np.intp), np.array(picks, dtype=np.intp), out)
         return out
 
-    def regressor(self, q: Vector, dq: Vector, ddq: Vector) -> Vector:
+    def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
         """The whole regressor (N, n, p) over the motion q, dq, ddq (N, n)."""
         columns = np.arange(self.p)
         entries = self.entries(columns)
@@ -91,7 +90,7 @@ class Dynamics:
         """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
-    def placements(self, q: Vector) -> tuple[Vector, Vector]:
+    def placements(self, q: Array) -> tuple[Array, Array]:
         """Where the links' frames are at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3), in the base."""
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
         for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
@@ -101,7 +100,7 @@ class Dynamics:
         return origins, rotations
 
     def _link_series(
-        self, q: Vector, dq: Vector, ddq: Vector, places: NDArray[np.intp], picks: NDArray[np.intp], out: Vector
+        self, q: Array, dq: Array, ddq: Array, places: NDArray[np.intp], picks: NDArray[np.intp], out: Array
     ) -> None:
         """Fill out[places] with the entries `picks` of pinocchio's regressor, stored by columns."""
         if not len(places):
@@ -146,16 +145,16 @@ class DirectModel:
 
     rigid: Any
     data: Any
-    rotor: Vector
-    viscous: Vector
-    viscous_up: Vector
-    viscous_down: Vector
-    directions: Vector
-    up: Vector
-    down: Vector
-    offset: Vector
+    rotor: Array
+    viscous: Array
+    viscous_up: Array
+    viscous_down: Array
+    directions: Array
+    up: Array
+    down: Array
+    offset: Array
 
-    def inertia(self, q: Vector) -> Vector:
+    def inertia(self, q: Array) -> Array:
         """Inertia matrices (N, n, n) at the positions q (N, n)."""
         M = np.empty((len(q), *self.rotor.shape))
         for k, qk in enumerate(np.ascontiguousarray(q)):
@@ -164,12 +163,12 @@ class DirectModel:
         M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
         return M + self.rotor
 
-    def inertia_and_bias(self, q: Vector, dq: Vector) -> tuple[Vector, Vector]:
+    def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Upper triangle of M (n, n), and h (n,) without friction, at one state."""
         M = pin.crba(self.rigid, self.data, q) + self.rotor
         return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
 
-    def gravity(self, q: Vector) -> Vector:
+    def gravity(self, q: Array) -> Array:
         """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
         g = np.tile(self.offset, (len(q), 1))
         if self.rigid.gravity.linear.any():
@@ -177,7 +176,7 @@ class DirectModel:
                 g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
         return g
 
-    def inverse(self, q: Vector, dq: Vector, ddq: Vector, dq_sign: Vector) -> Vector:
+    def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
         """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
         u = self.directions @ dq_sign
         viscous = self.viscous + self.viscous_up * (dq > 0) + self.viscous_down * (dq < 0)
@@ -187,7 +186,7 @@ class DirectModel:
         )
 
 
-def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
+def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """The equation of motion of a robot with the standard parameters chi (p,).
 
     pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
@@ -195,7 +194,7 @@ def direct_model(dynamics: Dynamics, chi: Vector) -> DirectModel:
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
     rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
-    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Vector]()
+    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Array]()
     for source, value in zip(dynamics.sources, chi, strict=True):
         if not isinstance(source, JointTerm):
             values[source[0], _FROM_PINOCCHIO[source[1]]] = value

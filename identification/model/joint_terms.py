@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from acquisition.robot import Robot
 
-Vector = NDArray[np.float64]
+from ..arrays import Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,8 +28,8 @@ class JointTerm:
     name: str
     unit: str
     kind: Literal["rotor", "viscous", "coulomb", "offset"]
-    matrix: Vector
-    direction: Vector
+    matrix: Array
+    direction: Array
     side: int = 0
 
     @property
@@ -37,7 +37,7 @@ class JointTerm:
         """Joints whose torque the parameter can change."""
         return np.flatnonzero(self.matrix.any(axis=1) | (self.direction != 0))
 
-    def entry(self, j: int, dq: Vector, ddq: Vector) -> Vector | float:
+    def entry(self, j: int, dq: Array, ddq: Array) -> Array | float:
         """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,)."""
         if self.kind == "rotor":
             return np.asarray(ddq @ self.matrix[j])
@@ -64,11 +64,11 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     nothing, none = np.zeros((n, n)), np.zeros(n)
 
     def through_matrix(
-        name: str, unit: str, kind: Literal["rotor", "viscous"], matrix: Vector, side: int = 0
+        name: str, unit: str, kind: Literal["rotor", "viscous"], matrix: Array, side: int = 0
     ) -> JointTerm:
         return JointTerm(name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, direction=none, side=side)
 
-    def along(name: str, kind: Literal["coulomb", "offset"], direction: Vector, side: int = 0) -> JointTerm:
+    def along(name: str, kind: Literal["coulomb", "offset"], direction: Array, side: int = 0) -> JointTerm:
         return JointTerm(name=f"{name}{j + 1}", unit=effort, kind=kind, matrix=nothing, direction=direction, side=side)
 
     terms: list[JointTerm] = []
@@ -97,7 +97,7 @@ def inertia_unit(robot: Robot, j: int) -> str:
     return "kg m²" if robot.joints[j].type == "revolute" else "kg"
 
 
-def _motor_rows(robot: Robot) -> Vector:
+def _motor_rows(robot: Robot) -> Array:
     """Motor matrix (n, n) with each row divided by its entry at the motor's own joint, or else by its largest."""
     own = np.diag(robot.R).copy()
     for m in np.flatnonzero(own == 0):
@@ -105,7 +105,7 @@ def _motor_rows(robot: Robot) -> Vector:
     return np.asarray(robot.R / own[:, None])
 
 
-def _without_diagonal(matrix: Vector, joints: list[int]) -> Vector:
+def _without_diagonal(matrix: Array, joints: list[int]) -> Array:
     matrix = matrix.copy()
     matrix[joints, joints] = 0.0
     return matrix

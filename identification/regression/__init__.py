@@ -2,7 +2,16 @@
 
 from .filtering import Decimation, Motion, differentiate, forward_backward_3db_hz, motion_between
 from .low_speed import fast_rows, measured_speed
-from .settings import CUTOFF_PER_BANDWIDTH, MOVING, Overrides, Plan, Span, decimation_rule, make_plan, rule_cutoff_hz
+from .settings import (
+    CUTOFF_PER_BANDWIDTH,
+    MOVING,
+    Overrides,
+    Settings,
+    Span,
+    decimation_rule,
+    make_settings,
+    rule_cutoff_hz,
+)
 from .system import Regression, decimated_regressor, predicted_torque, regression_of_recording, torque_of_recording
 
 __all__ = [
@@ -11,15 +20,15 @@ __all__ = [
     "Decimation",
     "Motion",
     "Overrides",
-    "Plan",
     "Regression",
+    "Settings",
     "Span",
     "decimated_regressor",
     "decimation_rule",
     "differentiate",
     "fast_rows",
     "forward_backward_3db_hz",
-    "make_plan",
+    "make_settings",
     "measured_speed",
     "motion_between",
     "predicted_torque",

@@ -9,11 +9,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import IdentificationError
-
-Vector = NDArray[np.float64]
 
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
@@ -26,11 +24,11 @@ LARGEST_PASS = 13  # a decimation by more goes in several passes
 class Motion:
     """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n); rad or m, s, N m or N."""
 
-    t_s: Vector
-    q: Vector
-    dq: Vector
-    ddq: Vector
-    tau: Vector
+    t_s: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
 
     def __post_init__(self) -> None:
         for array in (self.q, self.dq, self.ddq, self.tau):
@@ -39,7 +37,7 @@ class Motion:
             array.flags.writeable = False
 
 
-def lowpass(x: Vector, cutoff_hz: float, sample_rate_hz: float) -> Vector:
+def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """Butterworth of order 4, forward and backward, along axis 0 (time).
 
     `cutoff_hz` is the -3 dB frequency of the filter in one direction, as in `butter` and `filtfilt` of MATLAB and in the
@@ -67,7 +65,7 @@ def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
     return float(sample_rate_hz / np.pi * np.arctan(x * np.tan(np.pi * cutoff_hz / sample_rate_hz)))
 
 
-def differentiate(x: Vector, sample_rate_hz: float) -> Vector:
+def differentiate(x: Array, sample_rate_hz: float) -> Array:
     """Central differences along axis 0 (no phase shift), one-sided at the two ends."""
     return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
@@ -83,11 +81,11 @@ class Decimation:
         """Number of rows that so many samples give."""
         return -(-samples // self.factor)
 
-    def filtered(self, x: Vector) -> Vector:
+    def filtered(self, x: Array) -> Array:
         """x decimated along its last axis: low-pass, then every `factor`-th sample."""
         return decimate(x, self.factor, smooth_ends=self.smooth_ends)
 
-    def kept(self, x: Vector) -> Vector:
+    def kept(self, x: Array) -> Array:
         """The samples of x (N, n) at the instants that are kept, unfiltered."""
         return x[(len(x) - 1) % self.factor :: self.factor]
 
@@ -106,7 +104,7 @@ def decimation_passes(factor: int) -> tuple[int, ...]:
     return min(plans, key=lambda plan: (max(plan) > LARGEST_PASS, len(plan), max(plan)))
 
 
-def decimate(x: Vector, factor: int, *, smooth_ends: bool = True) -> Vector:
+def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     """Parallel decimation along the LAST axis: zero-phase Chebyshev low-pass, then every `factor`-th sample.
 
     Order 8, 0.05 dB, cut-off 0.8/factor of half the rate; the last sample is kept, as MATLAB's `decimate` does. The
@@ -134,14 +132,14 @@ def decimate(x: Vector, factor: int, *, smooth_ends: bool = True) -> Vector:
 
 
 @lru_cache
-def _chebyshev(r: int) -> Vector:
+def _chebyshev(r: int) -> Array:
     """Second order sections of the filter before every r-th sample is kept; its design costs as much as its use."""
     from scipy import signal
 
     return np.asarray(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos"))
 
 
-def _extended(x: Vector, r: int) -> tuple[Vector, int]:
+def _extended(x: Array, r: int) -> tuple[Array, int]:
     """x with both ends extended by odd reflection at the end of a line fitted to its last 6 r samples; by how many."""
     reach, near = min(END_REACH * r, x.shape[-1] - 1), min(6 * r, x.shape[-1])
     # Weights that give the value at the end of the line through `near` samples.
@@ -173,7 +171,7 @@ def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
 
 
 def motion_between(
-    q: Vector, tau: Vector, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
+    q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
 ) -> Motion:
     """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
 

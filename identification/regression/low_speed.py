@@ -7,20 +7,19 @@ measured speed behind the low-pass; instrumental variables go by the simulated o
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import Dynamics
+from ..model import InverseModel
 from .filtering import motion_between
-from .settings import Plan, rule_cutoff_hz
-
-Vector = NDArray[np.float64]
+from .settings import Settings, rule_cutoff_hz
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
 _BLOCK = 200_000  # samples filtered at a time
 
 
-def fast_rows(slip: Vector, noise: Vector, directions: Vector, percent: float | None) -> NDArray[np.bool_]:
+def fast_rows(slip: Array, noise: Array, directions: Array, percent: float | None) -> NDArray[np.bool_]:
     """Which rows (rows, n) of each joint count, from the speeds `slip` (rows, c) of the directions (c, n) of Coulomb friction.
 
     A row is slow where a direction that acts on its joint is slower than `percent` of that direction's peak. None takes
@@ -35,7 +34,7 @@ def fast_rows(slip: Vector, noise: Vector, directions: Vector, percent: float | 
     return np.asarray(slow.astype(float) @ (directions != 0) == 0)
 
 
-def measured_speed(signals: Signals, plan: Plan) -> tuple[Vector, Vector]:
+def measured_speed(signals: Signals, plan: Settings) -> tuple[Array, Array]:
     """Filtered joint speeds (rows, n) at the instants of the decimated rows, and the noise (n,) of those in the regressor.
 
     Filtered by the fit's own low-pass, or by the rule's where the fit goes without or with a higher one: the noise is what
@@ -62,7 +61,7 @@ def measured_speed(signals: Signals, plan: Plan) -> tuple[Vector, Vector]:
     return speed, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
 
 
-def measured_fast_rows(signals: Signals, plan: Plan, dynamics: Dynamics) -> NDArray[np.bool_]:
+def measured_fast_rows(signals: Signals, plan: Settings, dynamics: InverseModel) -> NDArray[np.bool_]:
     """Which rows (rows, n) count for least squares: by the measured speed."""
     directions = dynamics.coulomb_directions
     speed, noise = measured_speed(signals, plan)

@@ -42,7 +42,7 @@ class Overrides:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Plan:
+class Settings:
     """A fit's settings, resolved.
 
     Attributes:
@@ -73,7 +73,7 @@ class Plan:
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
 
-def make_plan(signals: Signals, overrides: Overrides) -> Plan:
+def make_settings(signals: Signals, overrides: Overrides) -> Settings:
     """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
 
     Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
@@ -134,7 +134,7 @@ def make_plan(signals: Signals, overrides: Overrides) -> Plan:
             f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
             f"expected at least {30 * decimation}, 30 decimated rows"
         )
-    return Plan(
+    return Settings(
         cutoff_hz=cutoff_hz,
         decimation=decimation,
         start=start,

@@ -6,13 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
-from ..model import BaseParameters, Dynamics
+from ..model import BaseParameters, InverseModel
 from .filtering import Decimation, Motion, decimation_reach, motion_between
 from .low_speed import measured_fast_rows
-from .settings import Plan
-
-Vector = NDArray[np.float64]
+from .settings import Settings
 
 _SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
@@ -36,12 +35,12 @@ class Regression:
         base: the base parameters.
     """
 
-    W: Vector
-    Y: Vector
+    W: Array
+    Y: Array
     joint_of_row: NDArray[np.intp]
     fast: NDArray[np.bool_]
-    tau: Vector
-    speed: Vector
+    tau: Array
+    speed: Array
     base: BaseParameters
 
     def __post_init__(self) -> None:
@@ -55,7 +54,7 @@ class Regression:
         return self.tau.size != len(self.Y)
 
     @property
-    def counted(self) -> tuple[Vector, Vector, NDArray[np.intp], NDArray[np.intp]]:
+    def counted(self) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
         """W, Y, joint_of_row for least squares, zero in rows that do not count, and how many samples (n,) do per joint."""
         rows = self.fast.sum(axis=0)
         if self.reduced or self.fast.all():
@@ -64,12 +63,12 @@ class Regression:
         return self.W * used[:, None], self.Y * used, self.joint_of_row, rows
 
     @property
-    def used(self) -> Vector:
+    def used(self) -> Array:
         """1 for rows (r,) that count for least squares, 0 for others."""
         return np.ones(len(self.Y)) if self.reduced else self.fast.T.reshape(-1).astype(float)
 
 
-def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameters) -> Regression:
+def regression_of_motion(motion: Motion, dynamics: InverseModel, base: BaseParameters) -> Regression:
     """W and Y of a motion held in memory, every sample of it, not decimated."""
     every = np.ones(motion.q.shape, dtype=bool)
     return _stacked([_block(motion, slice(None), dynamics, base, Decimation(), every)], base)
@@ -77,8 +76,8 @@ def regression_of_motion(motion: Motion, dynamics: Dynamics, base: BaseParameter
 
 def regression_of_recording(
     signals: Signals,
-    plan: Plan,
-    dynamics: Dynamics,
+    plan: Settings,
+    dynamics: InverseModel,
     base: BaseParameters,
     say: Callable[[str], None] = lambda text: None,
 ) -> Regression:
@@ -101,10 +100,10 @@ def regression_of_recording(
 
 
 def torque_of_recording(
-    signals: Signals, plan: Plan, dynamics: Dynamics, base: BaseParameters, beta: Vector
-) -> tuple[Vector, Vector, Vector]:
+    signals: Signals, plan: Settings, dynamics: InverseModel, base: BaseParameters, beta: Array
+) -> tuple[Array, Array, Array]:
     """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
-    parts: list[tuple[Vector, ...]] = []
+    parts: list[tuple[Array, ...]] = []
     for motion, inside, _ in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
         predicted = predicted_torque(motion, dynamics, base, beta)
         measured, modelled = (plan.decimator.filtered(tau.T)[:, inside].T for tau in (motion.tau, predicted))
@@ -113,10 +112,10 @@ def torque_of_recording(
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
 
-def predicted_torque(motion: Motion, dynamics: Dynamics, base: BaseParameters, beta: Vector) -> Vector:
+def predicted_torque(motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array) -> Array:
     """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta."""
     entries = dynamics.entries(base.columns)
-    tau: Vector = np.zeros_like(motion.q)
+    tau: Array = np.zeros_like(motion.q)
     step = max(1, _SERIES_BLOCK // (4 * len(entries)))
     for k in range(0, len(tau), step):
         part = slice(k, k + step)
@@ -127,7 +126,7 @@ def predicted_torque(motion: Motion, dynamics: Dynamics, base: BaseParameters, b
     return tau
 
 
-def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters, decimation: Decimation) -> Vector:
+def decimated_regressor(motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation) -> Array:
     """Regressor (n, b, rows) of the base parameters along a motion, every column decimated."""
     entries = dynamics.entries(base.columns)
     series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
@@ -139,7 +138,7 @@ def decimated_regressor(motion: Motion, dynamics: Dynamics, base: BaseParameters
     return W
 
 
-def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[Motion, slice, float]]:
+def motion_blocks(signals: Signals, plan: Settings, series: int) -> Iterator[tuple[Motion, slice, float]]:
     """Cut the plan's span into blocks: each block's motion, which of its decimated rows count, and the share done.
 
     A block reaches beyond the rows that count as far as the decimation filter does, so blocks give what one pass
@@ -171,16 +170,16 @@ def motion_blocks(signals: Signals, plan: Plan, series: int) -> Iterator[tuple[M
 class _Block:
     """The decimated rows of a block: W (n, b, rows), Y (n, rows), speed and fast (rows, n)."""
 
-    W: Vector
-    Y: Vector
-    speed: Vector
+    W: Array
+    Y: Array
+    speed: Array
     fast: NDArray[np.bool_]
 
 
 def _block(
     motion: Motion,
     inside: slice,
-    dynamics: Dynamics,
+    dynamics: InverseModel,
     base: BaseParameters,
     decimation: Decimation,
     fast: NDArray[np.bool_],

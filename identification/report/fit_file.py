@@ -19,7 +19,7 @@ from ..errors import IdentificationError
 from ..estimation import TorqueError
 from ..methods import NO_FIXED_POINT, Doubt, Fit, InstrumentEvidence
 from ..model import BaseParameters
-from ..regression import Overrides, Plan, Span, forward_backward_3db_hz
+from ..regression import Overrides, Settings, Span, forward_backward_3db_hz
 
 FORMAT = 1
 
@@ -141,7 +141,7 @@ def fit_json(signals: Signals, fit: Fit) -> dict[str, Any]:
         **errors_json(fit.errors, signals.robot.effort_units),
         "condition_number": e.condition_number,
         "condition_number_scaled": e.condition_number_scaled,
-        **plan_json(signals, fit.plan),
+        **plan_json(signals, fit.settings),
         "rows": e.rows,
         **(iv_json(fit.iv) if fit.iv else {}),
         "parameters": [
@@ -214,7 +214,7 @@ def errors_json(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> dict
     }
 
 
-def plan_json(signals: Signals, plan: Plan) -> dict[str, Any]:
+def plan_json(signals: Signals, plan: Settings) -> dict[str, Any]:
     """The settings a fit was made with."""
     both = forward_backward_3db_hz(plan.cutoff_hz, signals.sample_rate_hz) if plan.cutoff_hz else None
     return {

@@ -13,7 +13,7 @@ from ..data import ON_GRID, Signals
 from ..estimation import TorqueError
 from ..methods import Fit, InstrumentEvidence
 from ..model import BaseParameters
-from ..regression import Plan, forward_backward_3db_hz
+from ..regression import Settings, forward_backward_3db_hz
 from ..study import FALSE_ERROR, Run, Study, summaries
 from .fit_file import base_json
 
@@ -56,7 +56,7 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
     )
     status = f"status: {fit.status}" + (f": {fit.iv.reason}" if fit.iv and fit.iv.reason else "")
     lines = [
-        *plan_lines(signals, fit.plan, used="fitted"),
+        *plan_lines(signals, fit.settings, used="fitted"),
         condition,
         kept,
         *(iv_lines(fit.iv) if fit.iv else []),
@@ -74,7 +74,7 @@ def fit_tables(signals: Signals, fit: Fit) -> RenderableType:
 def rows_told(fit: Fit) -> str:
     """How many rows counted, and which were left out."""
     whole = fit.errors[-1]
-    percent = fit.plan.low_speed.iv if fit.iv else fit.plan.low_speed.ls
+    percent = fit.settings.low_speed.iv if fit.iv else fit.settings.low_speed.ls
     slow = (
         "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
     )
@@ -226,7 +226,7 @@ def errors_table(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Tab
     return table
 
 
-def plan_lines(signals: Signals, plan: Plan, *, used: str = "judged on") -> list[str]:
+def plan_lines(signals: Signals, plan: Settings, *, used: str = "judged on") -> list[str]:
     """The settings in words; `used` says what is done with the span."""
     fs = signals.sample_rate_hz
     if plan.cutoff_hz is None:

@@ -22,15 +22,13 @@ Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from acquisition.robot import Controller, Robot
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel
-
-Vector = NDArray[np.float64]
 
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
 MODE_PASSES = 8  # of the search for which directions stick; nearly always one or two are needed
@@ -42,19 +40,19 @@ class Loop:
     """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or m)."""
 
     period_s: float
-    R: Vector
-    G: Vector
-    Kp: Vector
-    Kd: Vector
-    Ki: Vector
-    position_share: Vector  # alpha: how the position error enters the integral
+    R: Array
+    G: Array
+    Kp: Array
+    Kd: Array
+    Ki: Array
+    position_share: Array  # alpha: how the position error enters the integral
     feedforward: float  # phi
-    saturation: Vector
+    saturation: Array
     velocity_estimate: str
     computed_torque: bool
     gravity: bool = False  # whether the model's gravity along the reference is added
 
-    def scaled(self, factor: Vector) -> "Loop":
+    def scaled(self, factor: Array) -> "Loop":
         """The same loop for other inertias: gains and saturation times `factor` (n,), the gain update.
 
         Gains of computed torque stay: they are of accelerations, and the model in the loop has the other inertias.
@@ -64,7 +62,7 @@ class Loop:
             self, Kp=self.Kp * gains, Kd=self.Kd * gains, Ki=self.Ki * gains, saturation=self.saturation * factor
         )
 
-    def inertias(self, bandwidth_hz: float) -> Vector:
+    def inertias(self, bandwidth_hz: float) -> Array:
         """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal.
 
         Ones for computed torque, whose gains tell nothing of inertias.
@@ -81,10 +79,10 @@ class Simulated:
     There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
     """
 
-    q: Vector
-    dq: Vector
-    ddq: Vector
-    tau: Vector
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
     reason: str | None
 
 
@@ -130,7 +128,7 @@ def has_controller(controller: Controller) -> bool:
 SURROGATE_DAMPING = 0.8
 
 
-def surrogate_loop(bandwidth_hz: float, J: Vector, rate_hz: float) -> Loop:
+def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> Loop:
     """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth, zeta 0.8, inertias J (n,)."""
     w, n = 2 * np.pi * bandwidth_hz, len(J)
     return Loop(
@@ -153,12 +151,12 @@ def surrogate_loop(bandwidth_hz: float, J: Vector, rate_hz: float) -> Loop:
 def simulate(
     model: DirectModel,
     loop: Loop,
-    q_ref: Vector,
-    dq_ref: Vector,
-    ddq_ref: Vector,
+    q_ref: Array,
+    dq_ref: Array,
+    ddq_ref: Array,
     *,
-    start: tuple[Vector, Vector],
-    bound: Vector,
+    start: tuple[Array, Array],
+    bound: Array,
     substeps: int = 1,
 ) -> Simulated:
     """Follow a reference (N, n) given once per controller period, from the `start` position and speed, (n,) each.
@@ -199,7 +197,7 @@ def simulate(
     return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
 
 
-def _lost(q: Vector, q_ref: Vector, bound: Vector, t_s: float) -> str:
+def _lost(q: Array, q_ref: Array, bound: Array, t_s: float) -> str:
     j = int(np.argmin(np.abs(q - q_ref) < bound))
     return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
 
@@ -208,7 +206,7 @@ class _Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
     def __init__(
-        self, model: DirectModel, loop: Loop, q_ref: Vector, dq_ref: Vector, ddq_ref: Vector, q: Vector, v: Vector
+        self, model: DirectModel, loop: Loop, q_ref: Array, dq_ref: Array, ddq_ref: Array, q: Array, v: Array
     ) -> None:
         self._model, self._loop, self._T = model, loop, loop.period_s
         self._q_ref, self._dq_ref, self._ddq_ref = q_ref, dq_ref, ddq_ref
@@ -235,7 +233,7 @@ class _Control:
             self._plain, B = True, self._to_joints
             self._ahead, self._P, self._D = self._ahead @ B.T, B @ self._P, B @ self._D
 
-    def torque(self, k: int, q: Vector, v: Vector) -> Vector:
+    def torque(self, k: int, q: Array, v: Array) -> Array:
         """Joint torques (n,) that the controller gives at its instant k."""
         loop, dq = self._loop, v
         if self._plain:
@@ -265,7 +263,7 @@ class _Control:
             u = limited
         return np.asarray(self._to_joints.dot(u))
 
-    def _motor_effort(self, tau: Vector) -> Vector:
+    def _motor_effort(self, tau: Array) -> Array:
         """Motor efforts (n, ...) that give the joint torques (n, ...)."""
         return np.asarray(np.linalg.solve(self._to_joints, tau))
 
@@ -277,7 +275,7 @@ class Friction:
     modes of the step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
     """
 
-    def __init__(self, model: DirectModel, dq_ref: Vector, v: Vector, h: float) -> None:
+    def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float) -> None:
         self._model, self._h, self._S, self._ST = model, h, model.directions, model.directions.T.copy()
         self._v_s = STICTION * np.maximum(np.abs(dq_ref @ self._ST).max(axis=0, initial=0.0), 1e-9)
         self._resists = (model.up + model.down) > 0
@@ -286,7 +284,7 @@ class Friction:
         self._V, self._hV = model.viscous, h * model.viscous
         self._turn(np.sign(self._S @ v))
 
-    def _turn(self, mode: Vector) -> None:
+    def _turn(self, mode: Array) -> None:
         """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
         model, h = self._model, self._h
         self._mode, self._stuck = mode, bool((mode == 0).any())
@@ -295,7 +293,7 @@ class Friction:
         self._slipping = h * (level @ self._S + model.offset)
         self._creep = h * (self._ST * (self._slope * stuck)) @ self._S
 
-    def step(self, M: Vector, force: Vector, v: Vector) -> Vector | None:
+    def step(self, M: Array, force: Array, v: Array) -> Array | None:
         """Speed (n,) after a step under the impulse `force`; None where no positive definite matrix is to be solved with."""
         if self._one_sided:
             self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)

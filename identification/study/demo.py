@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.master import Master
 from acquisition.recorder import InlineLog, Recorder
@@ -18,14 +17,13 @@ from acquisition.session import Plan, Stop, run_active
 from acquisition.simulated import SUBSTEPS, Mechanism, dry_run
 from acquisition.trajectory import fourier_reference
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import inertias
-from ..model import Dynamics, base_parameters, direct_model
+from ..model import InverseModel, base_parameters, direct_model
 from ..simulation import has_controller
 from .plant import RigidBodyPlant, drive_loops, has_cascades
 from .synthetic import truth
-
-Vector = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +46,11 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
         raise IdentificationError(
             f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
         )
-    idm = Dynamics(robot)
+    idm = InverseModel(robot)
     base = base_parameters(idm)
-    model = direct_model(idm, base.representative(truth(idm, base)))
+    model = direct_model(idm, base.standard_parameters(truth(idm, base)))
     period_s = robot.bus.sync_period_s
-    t_s: Vector = np.arange(round(wanted.duration_s / period_s) + 1, dtype=np.float64) * period_s
+    t_s: Array = np.arange(round(wanted.duration_s / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=wanted.duration_s, seed=wanted.seed).at(t_s)
     tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
     plant = RigidBodyPlant(

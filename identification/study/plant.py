@@ -11,13 +11,12 @@ from acquisition.robot import Robot
 from acquisition.simulated import SUBSTEPS, Loops, middle_of_range
 from acquisition.trajectory import UNSTATED_RANGE
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import inertias, not_positive
-from ..model import DirectModel, Dynamics, base_parameters, direct_model
+from ..model import DirectModel, InverseModel, base_parameters, direct_model
 from ..simulation import Friction, has_controller, recorded_loop
 from .synthetic import truth
-
-Vector = NDArray[np.float64]
 
 BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
 POSES = 200  # within the limits of the joints, at which the inertias are looked at
@@ -31,7 +30,7 @@ class RigidBodyPlant:
     """
 
     def __init__(
-        self, model: DirectModel, q: Vector, *, speed_scale: Vector, step_s: float, disturbance: Vector, seed: int
+        self, model: DirectModel, q: Array, *, speed_scale: Array, step_s: float, disturbance: Array, seed: int
     ) -> None:
         """`speed_scale` (n,) is the speed that motion reaches, which sets where friction counts as sticking."""
         self._model, self._step_s = model, step_s
@@ -39,15 +38,15 @@ class RigidBodyPlant:
         self._friction = Friction(model, speed_scale[None], self._dq, step_s)
         self._disturbance, self._rng = disturbance, np.random.default_rng(seed)
 
-    def state(self) -> tuple[Vector, Vector]:
+    def state(self) -> tuple[Array, Array]:
         """Position and speed, each (n,)."""
         return self._q.copy(), self._dq.copy()
 
-    def prescribed_effort(self) -> Vector | None:
+    def prescribed_effort(self) -> Array | None:
         """None: it obeys."""
         return None
 
-    def step(self, effort: Vector, held: NDArray[np.bool_], duration_s: float) -> None:
+    def step(self, effort: Array, held: NDArray[np.bool_], duration_s: float) -> None:
         """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
         self._dq = np.where(held, 0.0, self._dq)
         if held.all():
@@ -69,9 +68,9 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, Loops]:
     Raises `AcquisitionError` where the parameters are not of this robot, or no motion is possible with them.
     """
     try:
-        dynamics = Dynamics(robot)
+        dynamics = InverseModel(robot)
         base = base_parameters(dynamics)
-        model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+        model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     except IdentificationError as error:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-UNSTATED_RANGE, UNSTATED_RANGE) for joint in robot.joints])
@@ -91,7 +90,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, Loops]:
     return plant, drive_loops(robot, inertias(model, poses))
 
 
-def drive_loops(robot: Robot, J: Vector) -> Loops:
+def drive_loops(robot: Robot, J: Array) -> Loops:
     """Loops of simulated drives: those of the description, or of its bandwidth for the inertias J (n,) at the joints.
 
     Simulated drives have cascaded loops, each on a joint of its own: a description with others is given the second.

@@ -13,18 +13,15 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.robot import Robot, robot_from_files
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, regular_start
-from ..model import BaseParameters, Dynamics, base_parameters, direct_model
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .synthetic import Noise, closed_loop, random_reference, truth
-
-Vector = NDArray[np.float64]
-
 
 FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 
@@ -69,12 +66,12 @@ class Run:
     error_ls: float = float("nan")
     error_iv: float = float("nan")
     error_tuned_ls: float = float("nan")
-    beta_ls: Vector
-    beta_iv: Vector
-    sigma_ls: Vector
-    sigma_iv: Vector
-    hac_ls: Vector
-    hac_iv: Vector
+    beta_ls: Array
+    beta_iv: Array
+    sigma_ls: Array
+    sigma_iv: Array
+    hac_ls: Array
+    hac_iv: Array
 
 
 _PER_METHOD = ("beta", "sigma", "hac", "error")
@@ -137,7 +134,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     gain_error = float(rng.choice(study.gain_errors))
     fs, seed = study.sample_rate_hz, int(rng.integers(2**31))
     q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed)
-    idm = Dynamics(robot)
+    idm = InverseModel(robot)
     base = base_parameters(idm)
     true = truth(idm, base)
     bandwidth_hz = robot.controller.bandwidth_hz
@@ -163,7 +160,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     except IdentificationError as error:
         return replace(run, reason=str(error))
 
-    def off(beta: Vector) -> float:
+    def off(beta: Array) -> float:
         return float(np.linalg.norm(beta - true) / np.linalg.norm(true))
 
     run = replace(
@@ -175,7 +172,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         hac_ls=ls.sigma_hac,
     )
     poses = q_ref[:: max(1, len(q_ref) // 300)]
-    J = inertias(direct_model(idm, base.representative(true)), poses)
+    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
     wrong = regular_start(idm, base, start * J)
     try:
         iv = identify_iv(
@@ -191,7 +188,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         status=iv.status,
         reason=iv.iv.reason,
         passes=len(iv.iv.passes),
-        positive=not_positive(direct_model(idm, base.representative(iv.beta)), poses) is None,
+        positive=not_positive(direct_model(idm, base.standard_parameters(iv.beta)), poses) is None,
         error_iv=off(iv.beta),
         beta_iv=iv.beta,
         sigma_iv=iv.estimate.sigma,
@@ -199,9 +196,9 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     )
 
 
-def study_truth(robot: Robot) -> tuple[BaseParameters, Vector]:
+def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
     """The base parameters of the robot and the values (b,) a study simulates with."""
-    idm = Dynamics(robot)
+    idm = InverseModel(robot)
     base = base_parameters(idm)
     return base, truth(idm, base)
 
@@ -220,7 +217,7 @@ def _misinformed(robot: Robot, factor: float) -> Robot:
     return replace(robot, controller=msgspec.structs.replace(c, **scaled))
 
 
-def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
+def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     """One summary per cut-off and method."""
     found = []
     for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
@@ -252,7 +249,7 @@ def summaries(runs: Sequence[Run], true: Vector) -> list[Summary]:
     return found
 
 
-def _stacked(runs: Sequence[Run], name: str, true: Vector) -> Vector:
+def _stacked(runs: Sequence[Run], name: str, true: Array) -> Array:
     """An attribute of all runs (runs, ...); a row of NaN where there are no runs."""
     return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
 
@@ -262,7 +259,7 @@ def _false(run: Run) -> bool:
     return run.status == "converged" and not (run.positive and run.error_iv <= FALSE_ERROR * run.error_tuned_ls)
 
 
-def study_json(study: Study, runs: Sequence[Run], names: Sequence[str], true: Vector) -> dict[str, Any]:
+def study_json(study: Study, runs: Sequence[Run], names: Sequence[str], true: Array) -> dict[str, Any]:
     """A study as JSON: settings, truth, summaries, every run."""
 
     def plain(value: Any) -> Any:

@@ -10,21 +10,19 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from acquisition.files import whole_file
 from acquisition.recording import RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import fourier_reference
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..methods import inertias
-from ..model import BaseParameters, Dynamics, base_parameters, direct_model
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import Motion, differentiate
 from ..simulation import has_controller, recorded_loop, simulate, surrogate_loop
-
-Vector = NDArray[np.float64]
 
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
@@ -38,18 +36,18 @@ class Noise:
     position: float = 0.0
     effort_percent: float = 0.0
 
-    def on_position(self, q: Vector, rng: np.random.Generator) -> Vector:
+    def on_position(self, q: Array, rng: np.random.Generator) -> Array:
         """Positions as an encoder gives them."""
         noisy = q + self.position * rng.standard_normal(q.shape)
         return np.asarray(np.round(noisy / self.encoder_step) * self.encoder_step if self.encoder_step else noisy)
 
-    def on_effort(self, tau: Vector, rng: np.random.Generator) -> Vector:
+    def on_effort(self, tau: Array, rng: np.random.Generator) -> Array:
         """Torques as they are recorded."""
         rms = np.sqrt(np.mean(tau**2, axis=0))
         return np.asarray(tau + 0.01 * self.effort_percent * rms * rng.standard_normal(tau.shape))
 
 
-def known_parameters(dynamics: Dynamics) -> Vector:
+def known_parameters(dynamics: InverseModel) -> Array:
     """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent.
 
     Raises `IdentificationError` for a name that the robot does not have, or a description without values.
@@ -66,12 +64,12 @@ def known_parameters(dynamics: Dynamics) -> Vector:
     return np.array([values.get(name, 0.0) for name in names])
 
 
-def truth(dynamics: Dynamics, base: BaseParameters) -> Vector:
+def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
     """Base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))
 
 
-def exact_motion(dynamics: Dynamics, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
+def exact_motion(dynamics: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
     """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
     t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
     q, dq, ddq = fourier_reference(dynamics.robot, period_s=duration_s, seed=seed).at(t_s)
@@ -79,7 +77,7 @@ def exact_motion(dynamics: Dynamics, *, duration_s: float, sample_rate_hz: float
     return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
-def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Vector:
+def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Array:
     """A random exciting reference (N, n) that begins and ends at rest."""
     samples = duration_s * sample_rate_hz
     if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
@@ -90,15 +88,15 @@ def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, 
     return fourier_reference(robot, period_s=duration_s, seed=seed).at(t_s)[0]
 
 
-def closed_loop(robot: Robot, q_ref: Vector, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
+def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
     """Signals of the robot tracking q_ref (N, n), given at the rate of the recording, which is the controller's too.
 
     Torque at an instant is the mean of what the controller gives before and after it, as a drive's own current filter
     shows it. Raises `IdentificationError` where the description has no values, or the robot does not follow.
     """
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     if has_controller(robot.controller):
         loop = recorded_loop(robot)
     else:

@@ -11,7 +11,7 @@ from scipy import signal
 
 from ..data import Signals
 from ..methods import Fit, Pass
-from ..regression import Plan
+from ..regression import Settings
 from ..report import Values, differences
 from ..study import Run
 from .panels import BLUE, GREEN, GREY, JOINTS, LIGHT, ORANGE, PURPLE, RED, Color, Drawing
@@ -250,7 +250,7 @@ def study_drawing(runs: Sequence[Run]) -> Drawing:
     return sheet.drawing(("study",), title, SHEET)
 
 
-def spectrum_drawings(signals: Signals, plan: Plan | None) -> list[Drawing]:
+def spectrum_drawings(signals: Signals, plan: Settings | None) -> list[Drawing]:
     """Spectra of position and effort of all joints over the span of the plan, with its cut-offs."""
     robot, fs = signals.robot, signals.sample_rate_hz
     start, stop = (plan.start, plan.stop) if plan else (0, len(signals.q))

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from ..data import Signals
 from ..estimation import are_moving, autocorrelation
 from ..methods import Fit
-from ..model import Dynamics
-from ..regression import Motion, Plan, motion_between, predicted_torque, torque_of_recording
+from ..model import InverseModel
+from ..regression import Motion, Settings, motion_between, predicted_torque, torque_of_recording
 from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Bars, Curve, Line, Plot
 
 Vector = NDArray[np.float64]
@@ -48,7 +48,7 @@ class Observed:
     moving: NDArray[np.bool_]
 
 
-def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
+def observed(signals: Signals, plan: Settings | None, fit: Fit | None) -> Observed:
     """What the plots of a recording show; `plan` says how it is, or would be, filtered."""
     n, N, fs = signals.robot.n, len(signals.q), signals.sample_rate_hz
     measured = _thinned(signals, None, 0, N, step=thinning(N))
@@ -75,7 +75,7 @@ def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - fit.iv.q)):
             kept = [extremes(x[:, j], step) for j in range(n)]
             simulated[quantity] = [(t_s[k], x[k, j]) for j, k in enumerate(kept)]
-    tau, predicted, speed = torque_of_recording(signals, plan, Dynamics(signals.robot), fit.base, fit.beta)
+    tau, predicted, speed = torque_of_recording(signals, plan, InverseModel(signals.robot), fit.base, fit.beta)
     return Observed(
         measured=measured,
         filtered=filtered,
@@ -88,11 +88,18 @@ def observed(signals: Signals, plan: Plan | None, fit: Fit | None) -> Observed:
 
 
 def _thinned(
-    signals: Signals, plan: Plan | None, start: int, stop: int, *, step: int, stride: int = 1, fit: Fit | None = None
+    signals: Signals,
+    plan: Settings | None,
+    start: int,
+    stop: int,
+    *,
+    step: int,
+    stride: int = 1,
+    fit: Fit | None = None,
 ) -> dict[str, list[Line]]:
     """Lines of every `stride`-th sample between start and stop, thinned by `step`; a fit gives its prediction as tau."""
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
-    idm = Dynamics(signals.robot) if fit else None
+    idm = InverseModel(signals.robot) if fit else None
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         b = min(stop, a + size)
@@ -126,7 +133,7 @@ def thinning(N: int) -> int:
     return 1 if N <= 2 * BUCKETS else -(-N // BUCKETS)
 
 
-def model_stride(signals: Signals, plan: Plan) -> int:
+def model_stride(signals: Signals, plan: Settings) -> int:
     """Of how many filtered samples one is drawn: all of a short recording, 20 a period of the cut-off of a long one."""
     if thinning(len(signals.q)) == 1 or plan.cutoff_hz is None:
         return 1
@@ -149,7 +156,7 @@ def tracking_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, 
     """Did joint j follow: its position measured, filtered, simulated, and its reference where one was recorded."""
     joint = signals.robot.joints[j]
     curves = [Curve(key="measured", color=MEASURED, line=seen.measured["q"][j], width=2.5)]
-    if fit is not None and fit.plan.cutoff_hz is not None:
+    if fit is not None and fit.settings.cutoff_hz is not None:
         # The key puts it after, so in front of, what is measured.
         curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=seen.filtered["q"][j]))
     # The robot's own tracking and the simulation's, in few words: six of these panels share a screen's width.
@@ -199,7 +206,7 @@ def motion_plots(signals: Signals, fit: Fit | None, seen: Observed, j: int) -> l
         errors.insert(0, Curve(key="measured", color=MEASURED, line=(ends, np.zeros(2))))  # as long as the other plots
         title = f"off the measured position: {joint.name} [{joint.position_unit}]"
         plots.append(Plot(path=("error", joint.name), title=title, curves=tuple(errors)))
-    filters = bool(seen.filtered) and (fit is None or fit.plan.cutoff_hz is not None)
+    filters = bool(seen.filtered) and (fit is None or fit.settings.cutoff_hz is not None)
     for quantity, per in (("dq", "/s"), ("ddq", "/s²")):
         raw = seen.measured[quantity][j]
         drowns = filters and bool(np.abs(raw[1]).max() > DROWNED * np.abs(seen.filtered[quantity][j][1]).max())
@@ -224,7 +231,7 @@ def residual_bars(signals: Signals, fit: Fit, seen: Observed, j: int) -> list[Ba
     T = len(rho)
     if not rho.any():
         return []
-    period_s, bound = fit.plan.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
+    period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
     lags = np.arange(1.0, min(LAGS, T - 1) + 1)
     r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
     told = f", lag-1 {r[0]:.2f}" if len(r) else ""

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..data import Signals
 from ..methods import Fit
-from ..regression import Plan
+from ..regression import Settings
 from ..report import Difference, Value, Values, difference_lines, differences, fit_json, iv_lines, plan_lines, rows_told
 from ..study import Run, summaries
 from .curves import model_stride, thinning
@@ -28,7 +28,7 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
         *(f"- **warning: {warning}**" for warning in fit.warnings),
         f"- {fit.method.upper()}, {fit.status}{reason}: {len(parameters)} parameters, {len(kept['names'])} of them essential",
         *(f"- {own.label} and {values.label}: {line}" for values in others for line in _compared(own, values)),
-        *(f"- {line}" for line in plan_lines(signals, fit.plan, used="fitted")),
+        *(f"- {line}" for line in plan_lines(signals, fit.settings, used="fitted")),
         f"- cond(W) {told['condition_number']:.4g}, scaled {told['condition_number_scaled']:.4g}; {rows_told(fit)}",
         *(f"- {line}" for line in (iv_lines(fit.iv) if fit.iv else [])),
         *([f"- {line}"] if (line := health_line(signals)) else []),
@@ -68,13 +68,13 @@ def fit_markdown(signals: Signals, fit: Fit, own: Values, others: Sequence[Value
             if signals.q_ref is not None and fit.iv and fit.iv.simulated
             else []
         ),
-        *_drawn(signals, fit.plan, "Filtered curves and IDM"),
+        *_drawn(signals, fit.settings, "Filtered curves and IDM"),
         f"\n`{signals.recording}` sha256 `{signals.sha256}`",
     ]
     return "\n".join(lines) + "\n"
 
 
-def recording_markdown(signals: Signals, plan: Plan | None, refusal: str | None) -> str:
+def recording_markdown(signals: Signals, plan: Settings | None, refusal: str | None) -> str:
     """What is known of a recording before a fit; `refusal` says why it cannot be fitted."""
     robot, warnings = signals.robot, plan.warnings if plan else ()
     reference = "with" if signals.q_ref is not None else "without"
@@ -136,7 +136,7 @@ def _direct(fit: Fit) -> list[str]:
     ]
 
 
-def _drawn(signals: Signals, plan: Plan | None, filtered: str) -> list[str]:
+def _drawn(signals: Signals, plan: Settings | None, filtered: str) -> list[str]:
     """How the curves come from the samples, and what of them is shown."""
     N, fs = len(signals.q), signals.sample_rate_hz
     step, stride = thinning(N), model_stride(signals, plan) if plan else 1

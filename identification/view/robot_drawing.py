@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from ..data import Signals
 from ..methods import Fit
-from ..model import Dynamics
+from ..model import InverseModel
 from .panels import Moving, Part, Scene, Solid
 
 Vector = NDArray[np.float64]
@@ -25,7 +25,7 @@ _SMALL = 1e-6
 
 def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     """The measured robot and, where the fit has one, the simulated one as its ghost."""
-    dynamics, fs, N = Dynamics(signals.robot), signals.sample_rate_hz, len(signals.q)
+    dynamics, fs, N = InverseModel(signals.robot), signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [_moving(dynamics, "measured", signals.t_s[k], signals.q[k])]
     if fit is not None and fit.iv is not None and fit.iv.simulated is not None:
@@ -78,7 +78,7 @@ def pose_stride(N: int, rate_hz: float) -> int:
     return max(1, round(rate_hz / POSES_PER_S), -(-N // MOST_POSES))
 
 
-def _moving(dynamics: Dynamics, key: str, t_s: Vector, q: Vector, *, ghost: bool = False) -> Moving:
+def _moving(dynamics: InverseModel, key: str, t_s: Vector, q: Vector, *, ghost: bool = False) -> Moving:
     places, turns = dynamics.placements(q)
     quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(*places.shape[:2], 4)
     return Moving(key=key, t_s=t_s, q=q, places=places, turns=quaternions, ghost=ghost)
@@ -93,14 +93,14 @@ def _drawable(urdf: str | None) -> str | None:
     return urdf if shapes and not any(shape.tag == "mesh" for shape in shapes) else None
 
 
-def _up(dynamics: Dynamics) -> Vector:
+def _up(dynamics: InverseModel) -> Vector:
     """Against gravity; the base's z where there is none."""
     g = dynamics.robot.gravity
     size = float(np.linalg.norm(g))
     return -g / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
 
-def _scale(dynamics: Dynamics, q: Vector) -> float:
+def _scale(dynamics: InverseModel, q: Vector) -> float:
     """A length that the robot's parts are drawn in proportion to: its links put end to end, and its slides' travel."""
     places, _ = dynamics.placements(np.zeros((1, dynamics.robot.n)))
     before = [np.zeros(3) if k == 0 else places[0, k - 1] for k in dynamics.parents]
@@ -110,7 +110,7 @@ def _scale(dynamics: Dynamics, q: Vector) -> float:
     return length if length > _SMALL else 1.0
 
 
-def _solids(dynamics: Dynamics, q: Vector) -> tuple[tuple[Solid, ...], float]:
+def _solids(dynamics: InverseModel, q: Vector) -> tuple[tuple[Solid, ...], float]:
     """Solids of base and links, each in the frame of its link, and the height of the floor along `up`."""
     robot, n, L = dynamics.robot, dynamics.robot.n, _scale(dynamics, q)
     places, turns = (x[0] for x in dynamics.placements(np.zeros((1, n))))
@@ -155,7 +155,7 @@ def _solids(dynamics: Dynamics, q: Vector) -> tuple[tuple[Solid, ...], float]:
     return tuple(out), floor
 
 
-def _tool(dynamics: Dynamics, j: int, axes: Vector, rho: float, L: float, turns: Vector) -> list[Solid]:
+def _tool(dynamics: InverseModel, j: int, axes: Vector, rho: float, L: float, turns: Vector) -> list[Solid]:
     """What the last link j ends in: an arm to the side of parallel axes, else a flange with two fingers that show turns."""
     joints, parent = dynamics.robot.joints, dynamics.parents[j]
     if joints[j].type == "prismatic":
@@ -179,7 +179,7 @@ def _tool(dynamics: Dynamics, j: int, axes: Vector, rho: float, L: float, turns:
     return [flange, *fingers]
 
 
-def _axes(dynamics: Dynamics) -> Vector:
+def _axes(dynamics: InverseModel) -> Vector:
     """(n, 3) the joints' axes in the frames of their links."""
     n = dynamics.robot.n
     places, turns = dynamics.placements(np.concatenate([np.zeros((1, n)), np.eye(n)]))

@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data import Signals
-from ..regression import Plan
+from ..regression import Settings
 from .panels import BLUE, GREEN, GREY, JOINTS, ORANGE, Color, Curve, Lanes, Log, Plot
 
 Vector = NDArray[np.float64]
@@ -15,7 +15,7 @@ EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no 
 TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
 
 
-def span_lanes(signals: Signals, plan: Plan | None, *, fitted: bool) -> Lanes | None:
+def span_lanes(signals: Signals, plan: Settings | None, *, fitted: bool) -> Lanes | None:
     """The session's phases and what of the recording the fit uses, or would use; None where neither is known."""
     end_s = float(signals.t_s[-1])
     lanes: dict[str, list[tuple[float, str, Color]]] = {}

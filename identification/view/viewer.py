@@ -23,7 +23,7 @@ from acquisition.files import whole_file
 from ..data import Signals
 from ..errors import IdentificationError
 from ..methods import Fit
-from ..regression import Overrides, Plan, make_plan
+from ..regression import Overrides, Settings, make_settings
 from ..report import Values, differences, true_values, values_of_fit
 from ..study import Run
 from .charts import parameter_drawing, passes_drawing, spectrum_drawings, study_drawing, trust_drawing
@@ -54,7 +54,7 @@ def write_fit_rrd(
     """
     # A viewer holds one layout per application, and titles here carry results: each fit is an application of its own.
     compared = (beside.estimate.beta.tobytes() if beside else b"") + (truth.tobytes() if truth is not None else b"")
-    told = f"{signals.sha256} {fit.method} {fit.plan} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
+    told = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
 
     def pages(show: "_Show") -> list[Any]:
@@ -70,7 +70,7 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
     """
     refusal, plan = None, None
     try:
-        plan = make_plan(signals, overrides)
+        plan = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = str(error)
 
@@ -138,7 +138,7 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
 
 def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, truth: Vector | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
-    n, seen = signals.robot.n, observed(signals, fit.plan, fit)
+    n, seen = signals.robot.n, observed(signals, fit.settings, fit)
     own = values_of_fit(fit)
     others = [values_of_fit(beside)] if beside else []
     others += [true_values(fit, truth)] if truth is not None else []
@@ -158,12 +158,12 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, trut
         _answer(show, signals, fit, *curves, side),
         rrb.Horizontal(*trust, column_shares=[3, 1][: len(trust)], name="parameters"),
         *([rrb.Vertical(*residual, name="residual")] if residual else []),
-        *_signal_pages(show, signals, fit.plan, fitted=True),
+        *_signal_pages(show, signals, fit.settings, fitted=True),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
     ]
 
 
-def _recording_pages(show: _Show, signals: Signals, plan: Plan | None, refusal: str | None) -> list[Any]:
+def _recording_pages(show: _Show, signals: Signals, plan: Settings | None, refusal: str | None) -> list[Any]:
     n, seen = signals.robot.n, observed(signals, plan, None)
     report = Note(path=("report",), title="report", text=recording_markdown(signals, plan, refusal))
     curves = (
@@ -193,7 +193,7 @@ def _answer(
     return rrb.Horizontal(rrb.Vertical(follow, explained, row_shares=[4, 5]), side, column_shares=[5, 2], name=name)
 
 
-def _signal_pages(show: _Show, signals: Signals, plan: Plan | None, *, fitted: bool) -> list[Any]:
+def _signal_pages(show: _Show, signals: Signals, plan: Settings | None, *, fitted: bool) -> list[Any]:
     """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; what there is of it."""
     spectra = [show(drawing) for drawing in spectrum_drawings(signals, plan)]
     lanes = span_lanes(signals, plan, fitted=fitted)

@@ -22,7 +22,7 @@ from acquisition.trajectory.reference import fourier_reference
 from identification.data.signals import load_signals
 from identification.methods.idim import Iteration, identify_iv, identify_ls
 from identification.model.base import base_parameters
-from identification.model.inverse import Dynamics, direct_model
+from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.study.synthetic import known_parameters, truth
 
@@ -33,7 +33,7 @@ pytestmark = pytest.mark.skipif(
 SAMPLES = 45_000
 
 
-def floor(dynamics: Dynamics, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Callable[[], None]:
+def floor(dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray) -> Callable[[], None]:
     model, data, compute = dynamics.model, dynamics.model.createData(), pin.computeJointTorqueRegressor
 
     def run() -> None:
@@ -60,7 +60,7 @@ def ratio(run: Callable[[], object], beside: Callable[[], object], *, rounds: in
 
 
 def test_regressor(capsys):
-    dynamics = Dynamics(robot_named("tx40"))
+    dynamics = InverseModel(robot_named("tx40"))
     base = base_parameters(dynamics)
     q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, SAMPLES, 6))
     found, floor_s = ratio(lambda: dynamics.series(q, dq, ddq, base.columns), floor(dynamics, q, dq, ddq))
@@ -70,7 +70,7 @@ def test_regressor(capsys):
 
 def test_fit_of_the_tx40_recording(tx40, capsys):
     signals = load_signals(tx40)
-    dynamics = Dynamics(signals.robot)
+    dynamics = InverseModel(signals.robot)
     q = np.ascontiguousarray(signals.q)
     found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
     with capsys.disabled():
@@ -80,9 +80,9 @@ def test_fit_of_the_tx40_recording(tx40, capsys):
 def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
     """Floor of a pass: bare loops of computeJointTorqueRegressor and of aba over the samples of the recording."""
     signals = load_signals(tx40)
-    dynamics = Dynamics(signals.robot)
+    dynamics = InverseModel(signals.robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.representative(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     q = np.ascontiguousarray(signals.q)
     regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
     passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
@@ -103,7 +103,7 @@ def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
     """One hour at 1 kHz of the simulated TX40, noise on the torque, written block by block."""
     robot = robot_named("tx40")
-    dynamics = Dynamics(robot)
+    dynamics = InverseModel(robot)
     chi, columns = known_parameters(dynamics), np.arange(dynamics.p)
     entries = dynamics.entries(columns)
     reference = fourier_reference(robot, period_s=20.0, seed=1)
