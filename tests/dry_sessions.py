@@ -10,7 +10,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.master.master import Master
 from acquisition.recorder.process import InlineLog
 from acquisition.recorder.recorder import Recorded, Recorder
-from acquisition.recording.file import Recording, read_recording
+from acquisition.recording.reader import Recording, read_recording
 from acquisition.robot.drives import Bus
 from acquisition.robot.robot import Robot
 from acquisition.session.session import Ending, Plan, Stop, run_active

@@ -5,8 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.file import Recording, RecordingWriter, read_recording
+from acquisition.recording.reader import Recording, read_recording
 from acquisition.recording.rows import EXTENDED, FRAME, SENT, Block, sample_dtype
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot
 
 

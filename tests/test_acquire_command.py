@@ -13,8 +13,9 @@ from conftest import REPLAY, robot_named
 from made_up_recordings import some_frames, some_samples, write
 
 from acquisition.commands.program import main
-from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import SENT
+from acquisition.recording.writer import RecordingWriter
 
 SCARA = REPLAY / "scara" / "robot.toml"
 MAP = """

@@ -13,7 +13,8 @@ from conftest import REPLAY, ROOT, robot_named
 from test_identify_command import refused, run
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.reader import read_recording
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import robot_from_files
 from identification.data.signals import load_signals
 from identification.errors import IdentificationError

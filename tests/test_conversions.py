@@ -10,7 +10,7 @@ from acquisition.commands.program import main
 from acquisition.errors import AcquisitionError
 from acquisition.files.columns import read_columns
 from acquisition.importing.conversions import decode_recording, export_csv, import_log
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import ERROR, SENT
 from acquisition.transport.logs import read_log
 
@@ -214,7 +214,7 @@ def test_can_fd_frames_are_left_out(tmp_path):
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
     from made_up_recordings import some_samples
 
-    from acquisition.recording.file import RecordingWriter
+    from acquisition.recording.writer import RecordingWriter
 
     for name in ("a.mcap", "b.mcap"):
         with RecordingWriter(tmp_path / name, ROBOT, source="", sample_rate_hz=500.0, effort_provenance="") as writer:

@@ -12,7 +12,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.importing.conversions import decode_recording, export_csv
 from acquisition.recorder.decoding import decode
 from acquisition.recorder.recorder import Recorder
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import SENT
 from acquisition.recording.summary import overview
 from acquisition.robot.extra_objects import extra_columns

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.recording.file import RecordingWriter
 from acquisition.recording.rows import sample_dtype
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
 from identification.commands.program import main
 
@@ -82,7 +82,7 @@ def test_base_prints_expressions(capsys, tmp_path):
 
 
 def test_simulation_is_repeatable(capsys, tmp_path):
-    from acquisition.recording.file import read_recording
+    from acquisition.recording.reader import read_recording
 
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_asymmetric.toml"
@@ -102,7 +102,7 @@ def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
 
 
 def made_samples(count: int = 4000) -> np.ndarray:
-    from acquisition.recording.file import read_recording
+    from acquisition.recording.reader import read_recording
 
     return np.array(read_recording(SESSION).samples[:count])
 

@@ -9,7 +9,7 @@ from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing.tables import Imported, import_tables
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import Robot, robot_from_files
 
 ROBOT = """

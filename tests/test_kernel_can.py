@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 from made_up_buses import bus_text
 
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import SENT
 
 UML = ROOT.parent / "shared" / "tools" / "uml_can.sh"

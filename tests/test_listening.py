@@ -15,7 +15,7 @@ from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.master.listening import service_of, sign_of_master
 from acquisition.protocol.cia402 import State
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, REMOTE, SENT
 from acquisition.robot.bus import BusFile
 from acquisition.session.replaying import replay

@@ -9,7 +9,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import AcquisitionError
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import load_robot
 from acquisition.session.recording_session import Wanted, record
 from acquisition.session.session import Stop

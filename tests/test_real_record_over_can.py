@@ -8,8 +8,9 @@ from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
 
 from acquisition.importing.conversions import decode_recording
-from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import sample_dtype
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
 from acquisition.session.session import Plan
 from acquisition.simulated.plants import TablePlant

@@ -15,8 +15,9 @@ from made_up_recordings import some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, load_robot
 
 

@@ -17,7 +17,8 @@ from mcap.writer import Writer
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import content as mcap_content
-from acquisition.recording.file import read_recording, recover
+from acquisition.recording.reader import read_recording
+from acquisition.recording.recovery import recover
 from acquisition.robot.robot import Robot
 
 

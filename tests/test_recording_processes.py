@@ -24,7 +24,7 @@ from conftest import ROOT
 from made_up_buses import bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.file import Recording, read_recording
+from acquisition.recording.reader import Recording, read_recording
 from acquisition.recording.rows import FRAME, SENT, Block
 from acquisition.robot.bus import BusFile
 from acquisition.transport.link import Receiver, open_bus, open_link

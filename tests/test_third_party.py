@@ -31,7 +31,7 @@ from test_recording_processes import (
     wait_for,
 )
 
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.simulated import supervision as simulated_supervision
 from acquisition.simulated.lock_step import serve
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.recording.file import RecordingWriter, read_recording
+from acquisition.recording.reader import read_recording
+from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import LowSpeed, Robot, robot_from_files
 from identification.commands.program import main
 from identification.data.signals import Signals, load_signals

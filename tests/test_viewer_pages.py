@@ -142,7 +142,8 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
-    from acquisition.recording.file import RecordingWriter, read_recording
+    from acquisition.recording.reader import read_recording
+    from acquisition.recording.writer import RecordingWriter
 
     recording, path = read_recording(SESSION), tmp_path / "log.mcap"
     samples = np.array(recording.samples[:3000])

@@ -1,8 +1,10 @@
 """The recording: the MCAP file's rows, content, reader, writer, recovery, overview."""
 
-from .file import Recording, RecordingWriter, read_recording, recover
+from .reader import Recording, read_recording
+from .recovery import recover
 from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE, SENT, Block, sample_dtype
 from .summary import as_tables, overview
+from .writer import RecordingWriter
 
 __all__ = [
     "ERROR",

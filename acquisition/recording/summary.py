@@ -12,7 +12,7 @@ from rich.text import Text
 
 from ..errors import one_line
 from ..robot import extra_columns
-from .file import Event, Health, Recording
+from .reader import Event, Health, Recording
 from .rows import SENT, Gap, gaps
 
 _SHOWN = 20  # gaps and events in the tables; the JSON has all

@@ -20,7 +20,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.recorder.decoding import decode
 from acquisition.recorder.process import _record
 from acquisition.recorder.recorder import Recorder
-from acquisition.recording.file import read_recording
+from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import FRAME
 from acquisition.transport.link import Receiver, _enlarge_queue, kernel_drops
 

@@ -16,8 +16,8 @@ import pinocchio as pin
 import pytest
 from conftest import robot_named
 
-from acquisition.recording.file import RecordingWriter
 from acquisition.recording.rows import sample_dtype
+from acquisition.recording.writer import RecordingWriter
 from acquisition.trajectory.reference import fourier_reference
 from identification.data.signals import load_signals
 from identification.methods.idim import Iteration, identify_iv, identify_ls

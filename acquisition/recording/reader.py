@@ -1,0 +1,172 @@
+"""Reads a recording, as far as it goes where the file has no proper end."""
+
+import json
+import math
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from ..errors import AcquisitionError
+from ..robot import Robot, robot_from_files
+from .content import Messages, read_content
+from .rows import FRAME, Block, check_frames, check_samples
+from .schema import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc, sample_layouts
+
+
+class _EventText(msgspec.Struct):
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something that happened: a session phase, a drive's emergency message, an operator's mark."""
+
+    stamp_ns: int
+    kind: str
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Health:
+    """Counters of the recorder at `stamp_ns`, by name."""
+
+    stamp_ns: int
+    counters: Mapping[str, float]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recording:
+    """What a recording holds.
+
+    Attributes:
+        samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; `None` if there are none.
+        frames: rows of `FRAME` by CAN channel.
+        metadata: the record `recording`: source, created, versions, `effort_provenance`.
+        attachments: by name; names are labels, never paths.
+        robot: built from the attachments.
+        sample_rate_hz: nominal rate of the samples.
+        cut: the file has no proper end: this is what stands before the cut.
+        sha256: of the file, hexadecimal.
+    """
+
+    samples: Block | None
+    frames: Mapping[str, Block]
+    events: tuple[Event, ...]
+    health: tuple[Health, ...]
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, bytes]
+    robot: Robot
+    sample_rate_hz: float
+    cut: bool
+    sha256: str
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording; CRCs are checked. A file without its end reads as far as it goes, with `cut` set.
+
+    Raises `AcquisitionError` when the file cannot be read, is no recording, is damaged, is of a newer schema version,
+    or holds blocks that do not fit their layout.
+    """
+    place = str(path)
+    content = read_content(path, "recording", _check_metadata, _is_read)
+    metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
+    told = " (the file is cut before its description)" if cut else ""
+    if metadata is None:
+        raise AcquisitionError(
+            f"{place}: holds no metadata record 'recording'{told}: expected a recording of robot-acquire"
+        )
+    if "robot.toml" not in attachments:
+        raise AcquisitionError(f"{place}: holds no robot.toml{told}: expected the robot's description as an attachment")
+    robot = robot_from_files(attachments, f"{place}: robot.toml")
+    if metadata.get("effort_unit") != json.dumps(robot.effort_units):
+        expected = json.dumps(robot.effort_units)
+        raise AcquisitionError(f"{place}: effort_unit = {metadata.get('effort_unit')}: expected {expected}")
+    samples, frames = None, {}
+    for topic, blocks in topics.items():
+        if not blocks.stamps_ns:
+            continue
+        if topic == "/samples":
+            samples = _rows(blocks, sample_layouts(robot), f"{place}: {topic}")
+            check_samples(samples, -1, f"{place}: {topic}")
+        elif match := FRAMES_TOPIC.fullmatch(topic):
+            frames[match[1]] = _rows(blocks, [FRAME], f"{place}: {topic}")
+            check_frames(frames[match[1]], f"{place}: {topic}")
+    events = _decoded(topics, "/events", _EventText, place)
+    health = _decoded(topics, "/health", dict[str, float | None], place)
+    return Recording(
+        samples=samples,
+        frames=frames,
+        events=tuple(Event(stamp_ns=stamp, kind=e.kind, text=e.text) for stamp, e in events),
+        health=tuple(
+            Health(stamp_ns=stamp, counters={k: math.nan if v is None else v for k, v in counters.items()})
+            for stamp, counters in health
+        ),
+        metadata=metadata,
+        attachments=attachments,
+        robot=robot,
+        sample_rate_hz=_rate(metadata, place),
+        cut=cut,
+        sha256=content.sha256,
+    )
+
+
+def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
+    """Concatenated rows. The schema's text is compared with the layouts this version writes, never evaluated."""
+    for dtype in known:
+        if repr(dtype.descr) == blocks.layout:
+            break
+    else:
+        raise AcquisitionError(f"{place}: layout {blocks.layout[:200]!r}: expected {known[-1].descr}")
+    if any(end % dtype.itemsize for end in blocks.ends):
+        raise AcquisitionError(
+            f"{place}: {len(blocks.data)} bytes: expected blocks of whole rows of {dtype.itemsize} bytes"
+        )
+    rows = np.frombuffer(blocks.data, dtype)
+    rows.flags.writeable = False
+    return rows
+
+
+def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, place: str) -> list[tuple[int, Any]]:
+    try:
+        return [
+            (stamp, msgspec.json.decode(text, type=kind))
+            for stamp, text in (topics[topic].items() if topic in topics else [])
+        ]
+    except (msgspec.MsgspecError, ValueError, RecursionError) as error:
+        raise AcquisitionError(f"{place}: {topic}: {error}") from error
+
+
+def _is_read(topic: str) -> bool:
+    """All but the channels for viewers."""
+    return topic in ("/samples", "/events", "/health") or FRAMES_TOPIC.fullmatch(topic) is not None
+
+
+def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
+    text = metadata.get("schema_version", "")
+    if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
+        raise AcquisitionError(f"{place}: schema_version = {text!r}: expected a whole number from 1")
+    if int(text) > SCHEMA_VERSION:
+        raise AcquisitionError(
+            f"{place}: schema_version = {text}: expected {SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
+        )
+    if metadata.get("crc32") != metadata_crc(metadata):
+        raise AcquisitionError(
+            f"{place}: metadata: crc32 = {metadata.get('crc32')!r}: expected {metadata_crc(metadata)!r}"
+        )
+
+
+def _rate(metadata: Mapping[str, str], place: str) -> float:
+    text = metadata.get("sample_rate_hz", "")
+    try:
+        rate_hz = float(text)
+    except ValueError:
+        rate_hz = math.nan
+    if not 0 < rate_hz < math.inf:
+        raise AcquisitionError(f"{place}: sample_rate_hz = {text!r}: expected a positive number")
+    return rate_hz

@@ -1,0 +1,41 @@
+"""A whole file of what a cut recording still holds."""
+
+from pathlib import Path
+
+from ..errors import AcquisitionError
+from ..files import whole_file
+from .reader import Recording, read_recording
+from .writer import RecordingWriter
+
+
+def recover(cut_path: Path, out_path: Path) -> Recording:
+    """Write to `out_path` a whole file of what the cut file `cut_path` still holds; return what that is.
+
+    Raises `AcquisitionError` as `read_recording` does, when the file is not cut, and when `out_path` cannot be written.
+    """
+    recording = read_recording(cut_path)
+    if not recording.cut:
+        raise AcquisitionError(f"{cut_path}: has its proper end: nothing to recover")
+    known = ("source", "effort_provenance")
+    notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"recovered_from": recording.sha256}
+    with (
+        whole_file(out_path) as partial,
+        RecordingWriter(
+            partial,
+            recording.robot,
+            source=recording.metadata.get("source", ""),
+            sample_rate_hz=recording.sample_rate_hz,
+            effort_provenance=recording.metadata.get("effort_provenance", ""),
+            notes=notes,
+            attachments=recording.attachments,
+        ) as writer,
+    ):
+        if recording.samples is not None:
+            writer.samples(recording.samples)
+        for channel, frames in recording.frames.items():
+            writer.frames(channel, frames)
+        for event in recording.events:
+            writer.event(event.stamp_ns, event.kind, event.text)
+        for health in recording.health:
+            writer.health(health.stamp_ns, health.counters)
+    return recording

@@ -1,0 +1,182 @@
+"""Writes a recording: one MCAP file that holds everything a fit needs."""
+
+import json
+import math
+import os
+import platform
+from collections.abc import Iterator, Mapping
+from datetime import UTC, datetime
+from importlib import metadata as packages
+from pathlib import Path
+from typing import Any, Self
+
+import msgspec
+import numpy as np
+from mcap.writer import Writer
+
+from ..errors import AcquisitionError
+from ..robot import Robot
+from .rows import FRAME, Block, check_frames, check_samples
+from .schema import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc, sample_layouts
+
+JOINT_STATE_RATE_HZ = 100.0
+
+_TEXT_SCHEMA = {"type": "object", "properties": {"kind": {"type": "string"}, "text": {"type": "string"}}}
+
+
+class RecordingWriter:
+    """Writes a recording; a context manager. `flush` makes what was written so far survive a kill or a power cut.
+
+    Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use it within
+    `whole_file` where the file must be whole or not there), and `AcquisitionError` for blocks that do not fit.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        robot: Robot,
+        *,
+        source: str,
+        sample_rate_hz: float,
+        effort_provenance: str,
+        notes: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
+        """`notes` are further metadata (bus, bitrate); `attachments` go beside the robot's own files, by name."""
+        from rosbags.typesys import (
+            Stores,
+            get_typestore,
+        )  # slow to import: needed for writing only, and not while it goes on
+
+        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._robot, self._place = robot, str(path)
+        self._layout: np.dtype[np.void] | None = None
+        self._last_stamp_ns = -1
+        self._step = max(1, math.ceil(sample_rate_hz / JOINT_STATE_RATE_HZ - 1e-9))
+        self._until_joint_state = 0
+        self._channels: dict[str, int] = {}
+        self._file = path.open("wb")
+        self._writer = Writer(self._file, enable_data_crcs=True)
+        self._writer.start(profile="", library="robot-idim")
+        description = {
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software": _software(),
+            **(notes or {}),
+            "schema_version": str(SCHEMA_VERSION),
+            "source": source,
+            "sample_rate_hz": repr(float(sample_rate_hz)),
+            "robot": robot.name,
+            "joints": json.dumps([j.name for j in robot.joints]),
+            "position_unit": json.dumps([j.position_unit for j in robot.joints]),
+            "effort_unit": json.dumps(robot.effort_units),
+            "effort_provenance": effort_provenance,
+        }
+        self._writer.add_metadata("recording", description | {"crc32": metadata_crc(description)})
+        for name, content in {**(attachments or {}), **robot.files}.items():
+            self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
+        self.flush()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def samples(self, block: Block) -> None:
+        """Add rows of `sample_dtype` and their JointState messages."""
+        n, place = self._robot.n, f"{self._place}: /samples"
+        if block.dtype not in sample_layouts(self._robot):
+            raise AcquisitionError(f"{place}: rows of {block.dtype}: expected sample_dtype of {n} joints")
+        if self._layout not in (None, block.dtype):
+            raise AcquisitionError(f"{place}: rows of {block.dtype}: expected {self._layout} as in the block before")
+        if len(block) == 0:
+            return
+        check_samples(block, self._last_stamp_ns, place)
+        self._layout, self._last_stamp_ns = block.dtype, int(block["stamp_ns"][-1])
+        for part in _parts(block):
+            self._block("/samples", "robot_idim/samples", part, int(part["stamp_ns"][0]))
+            shown = part[self._until_joint_state :: self._step]
+            self._until_joint_state = (self._until_joint_state - len(part)) % self._step
+            self._joint_states("/joint_states/measured", shown, "position", self._robot.gain_known)
+            if "reference" in (part.dtype.names or ()):
+                self._joint_states("/joint_states/reference", shown, "reference", False)
+
+    def frames(self, channel: str, block: Block) -> None:
+        """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
+        topic = f"/can/{channel}/frames"
+        if not FRAMES_TOPIC.fullmatch(topic):
+            raise AcquisitionError(f"{self._place}: CAN channel {channel!r}: expected letters, digits and _ . - only")
+        if block.dtype != FRAME:
+            raise AcquisitionError(f"{self._place}: {topic}: rows of {block.dtype}: expected {FRAME}")
+        if len(block):
+            check_frames(block, f"{self._place}: {topic}")
+            tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
+            for part in (part for tenth in np.split(block, tenths) for part in _parts(tenth)):
+                self._block(topic, "robot_idim/frames", part, int(part["time_ns"][0]))
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened at `stamp_ns`."""
+        self._json("/events", "robot_idim/event", _TEXT_SCHEMA, stamp_ns, {"kind": kind, "text": text})
+
+    def health(self, stamp_ns: int, counters: Mapping[str, float]) -> None:
+        """Note the recorder's counters at `stamp_ns`; one that is not finite is stored as unknown and read as NaN."""
+        self._json("/health", "robot_idim/health", {"type": "object"}, stamp_ns, dict(counters))
+
+    def flush(self) -> None:
+        """Bring everything written so far to the disk."""
+        self._writer.flush()
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """End the file properly. Harmless when it is closed already."""
+        if self._file.closed:
+            return
+        with self._file:
+            self._writer.finish()
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def _channel(self, topic: str, encoding: str, schema: str, schema_encoding: str, text: str) -> int:
+        if topic not in self._channels:
+            schema_id = self._writer.register_schema(schema, schema_encoding, text.encode())
+            self._channels[topic] = self._writer.register_channel(topic, encoding, schema_id)
+        return self._channels[topic]
+
+    def _block(self, topic: str, schema: str, block: Block, stamp_ns: int) -> None:
+        channel = self._channel(topic, "numpy", schema, "numpy", repr(block.dtype.descr))
+        self._writer.add_message(channel, stamp_ns, block.tobytes(), stamp_ns)
+
+    def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
+        if stamp_ns < 0:
+            raise AcquisitionError(f"{self._place}: {topic}: stamp_ns = {stamp_ns}: expected a time from 0")
+        channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
+        self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
+
+    def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
+        store, kind = self._types, "sensor_msgs/msg/JointState"
+        text = store.generate_msgdef(kind, ros_version=2)[0]
+        channel = self._channel(topic, "cdr", kind, "ros2msg", text)
+        header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+        names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
+        for row in rows:
+            stamp_ns = int(row["stamp_ns"])
+            stamp = header(time(*divmod(stamp_ns, 1_000_000_000)), "")
+            # A JointState's effort is in N m or N by definition: amperes and volts have no place there.
+            state = store.types[kind](stamp, names, row[field], nothing, row["effort"] if effort else nothing)
+            self._writer.add_message(channel, stamp_ns, bytes(store.serialize_cdr(state, kind)), stamp_ns)
+
+
+def _parts(block: Block) -> Iterator[Block]:
+    """Pieces small enough for a chunk of about a mebibyte."""
+    return (block[k : k + 2000] for k in range(0, len(block), 2000))
+
+
+def _software() -> str:
+    versions = [f"python {platform.python_version()}"]
+    for name in ("robot-idim", "numpy", "mcap", "rosbags"):
+        try:
+            versions.append(f"{name} {packages.version(name)}")
+        except packages.PackageNotFoundError:
+            versions.append(f"{name} (not installed as a package)")
+    return ", ".join(versions)
