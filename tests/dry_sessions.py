@@ -13,12 +13,14 @@ from acquisition.recorder.recorder import Recorded, Recorder
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.robot.drives import Bus
 from acquisition.robot.robot import Robot
-from acquisition.session.session import Ending, Plan, Stop, run_active
-from acquisition.simulated.drives import SimulatedDrives, SimulatedFault
+from acquisition.session.plan import Ending, Plan, Stop
+from acquisition.session.session import run_active
+from acquisition.simulated.drives import SimulatedDrives
+from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.mechanism import Mechanism, rated_motor_effort, typical_loops
 from acquisition.simulated.plants import Plant
-from acquisition.transport.link import Frame
+from acquisition.transport.frame import Frame
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.recording.rows import FRAME, SENT, Block
-from acquisition.robot.drives import Bus, resolve
+from acquisition.robot.drives import Bus
+from acquisition.robot.resolving import resolve
 from acquisition.robot.robot import Robot, robot_from_files
 
 JOINT = """

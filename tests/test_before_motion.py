@@ -18,9 +18,9 @@ from acquisition.master.master import Master
 from acquisition.recording.rows import SENT
 from acquisition.session import scheduling
 from acquisition.session.pacing import largest_delay_s
+from acquisition.session.plan import Plan, Stop
 from acquisition.session.recording_session import Wanted, record
 from acquisition.session.scheduling import refuse_jitter, steady
-from acquisition.session.session import Plan, Stop
 from acquisition.simulated.lock_step import dry_run
 from acquisition.trajectory.reference import table_reference
 

@@ -11,9 +11,13 @@ import pytest
 from acquisition.errors import AcquisitionError
 from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
 from acquisition.robot.bus import BusFile, DriveFile
-from acquisition.transport import link as bus_module
-from acquisition.transport.link import Frame, Link, LockStepLink, Receiver, block_of, kernel_drops, open_bus
+from acquisition.transport import sockets
+from acquisition.transport.bus import open_bus
+from acquisition.transport.frame import Frame, block_of
+from acquisition.transport.link import Link, LockStepLink
 from acquisition.transport.logs import read_log
+from acquisition.transport.receiver import Receiver
+from acquisition.transport.sockets import kernel_drops
 
 
 def test_a_row_byte_for_byte():
@@ -345,13 +349,13 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
         asked.append((level, option, value))
 
     sock = SimpleNamespace(setsockopt=setsockopt, getsockopt=lambda *_: granted[0])
-    bus_module._enlarge_queue(sock)
+    sockets.enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20), (1, 33, 4 * 2**20)]  # SO_RCVBUF, SO_RCVBUFFORCE
     asked.clear()
     granted[0] = 8 * 2**20
-    bus_module._enlarge_queue(sock)
+    sockets.enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20)]
-    assert bus_module.queue_bytes(sock) == 8 * 2**20
+    assert sockets.queue_bytes(sock) == 8 * 2**20
 
 
 # Logs

@@ -7,8 +7,8 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master, interpolation_period
-from acquisition.protocol.cia402 import ObjectEntry, State
+from acquisition.master.master import Master
+from acquisition.protocol.objects import ObjectEntry, interpolation_period
 from acquisition.protocol.pdo import Pdo, bus_load, configuration, frame_bits, pdos_of, usual_can_id
 from acquisition.protocol.sdo import (
     abort_answer,
@@ -20,9 +20,10 @@ from acquisition.protocol.sdo import (
     write_request,
     written_answer,
 )
+from acquisition.protocol.states import State
 from acquisition.robot.drives import Bus
 from acquisition.simulated.node import SimulatedNode, simulated_node
-from acquisition.transport.link import Frame
+from acquisition.transport.frame import Frame
 
 STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6041, sub=0, type="U16"),

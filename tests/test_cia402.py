@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.protocol.cia402 import AUTOMATIC, Command, PositionCodec, State, after, state_of, toward
+from acquisition.protocol.objects import PositionCodec
+from acquisition.protocol.states import AUTOMATIC, Command, State, after, state_of, toward
 
 
 def walked(state: State, goal: State) -> list[State]:

@@ -6,22 +6,8 @@ import re
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.protocol.cia402 import (
-    AUTOMATIC,
-    BITS,
-    DISABLED,
-    EFFORT_OBJECTS,
-    INTEGERS,
-    STANDARD,
-    Command,
-    Mode,
-    ObjectEntry,
-    State,
-    after,
-    command_of,
-    state_of,
-    toward,
-)
+from acquisition.protocol.objects import BITS, EFFORT_OBJECTS, INTEGERS, STANDARD, ObjectEntry
+from acquisition.protocol.states import AUTOMATIC, DISABLED, Command, Mode, State, after, command_of, state_of, toward
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state.
 STATUSWORDS = {

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol.cia402 import EffortCodec, ObjectEntry, PositionCodec, Rule, saturated
+from acquisition.protocol.objects import EffortCodec, ObjectEntry, PositionCodec, Rule, saturated
 from acquisition.robot.drives import Drive
 
 TURN = 2 * np.pi

@@ -28,7 +28,7 @@ from test_recording_processes import (
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
 from acquisition.master.master import Master
-from acquisition.protocol.cia402 import State, state_of
+from acquisition.protocol.states import State, state_of
 from acquisition.recorder.dead_man import DeadMan, SignsOfLife, silence_s
 from acquisition.recording.reader import Recording
 from acquisition.transport.link import open_link

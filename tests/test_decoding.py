@@ -10,7 +10,7 @@ from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of
 from acquisition.errors import AcquisitionError
 from acquisition.recorder.decoding import Decoded, decode, unwrapped, written_by_master
 from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
-from acquisition.robot.drives import resolve
+from acquisition.robot.resolving import resolve
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)

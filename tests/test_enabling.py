@@ -7,10 +7,11 @@ import pytest
 from dry_sessions import Outcome, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol.cia402 import State
+from acquisition.protocol.states import State
 from acquisition.recording.rows import SENT
-from acquisition.session.session import Plan
-from acquisition.simulated.drives import SimulatedDrives, SimulatedFault
+from acquisition.session.plan import Plan
+from acquisition.simulated.drives import SimulatedDrives
+from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.plants import JointwisePlant, typical_plant
 

@@ -17,7 +17,7 @@ from acquisition.recording.rows import SENT
 from acquisition.recording.summary import overview
 from acquisition.robot.extra_objects import extra_columns
 from acquisition.robot.robot import Robot
-from acquisition.session.session import Plan
+from acquisition.session.plan import Plan
 from acquisition.transport.wall_clock import WallClock, words_of_step
 
 TEMPERATURE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'

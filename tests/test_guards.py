@@ -13,11 +13,11 @@ import acquisition.session.pacing as pacing
 import acquisition.session.recording_session as record_module
 from acquisition.commands.program import main
 from acquisition.master.reports import error_words, status_words
-from acquisition.protocol.cia402 import State
+from acquisition.protocol.states import State
 from acquisition.recording.summary import overview
 from acquisition.session.guards import SPEED_MARGIN
-from acquisition.session.session import Ending, Plan, Stop
-from acquisition.simulated.drives import SimulatedFault
+from acquisition.session.plan import Ending, Plan, Stop
+from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.node import SimulatedNode
 from identification.data.signals import load_signals

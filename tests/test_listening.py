@@ -14,14 +14,16 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.master.listening import service_of, sign_of_master
-from acquisition.protocol.cia402 import State
+from acquisition.protocol.states import State
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, REMOTE, SENT
 from acquisition.robot.bus import BusFile
+from acquisition.session.plan import Plan, Stop
 from acquisition.session.replaying import replay
-from acquisition.session.session import Plan, Stop
 from acquisition.simulated.lock_step import dry_run, serve
-from acquisition.transport.link import Frame, Link, open_bus, open_link
+from acquisition.transport.bus import open_bus
+from acquisition.transport.frame import Frame
+from acquisition.transport.link import Link, open_link
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)

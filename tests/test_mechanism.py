@@ -11,8 +11,8 @@ import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import AcquisitionError
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import load_robot
+from acquisition.session.plan import Stop
 from acquisition.session.recording_session import Wanted, record
-from acquisition.session.session import Stop
 from acquisition.simulated.mechanism import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
 from identification.model.inverse import InverseModel

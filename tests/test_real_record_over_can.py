@@ -12,7 +12,7 @@ from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import sample_dtype
 from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
-from acquisition.session.session import Plan
+from acquisition.session.plan import Plan
 from acquisition.simulated.plants import TablePlant
 from identification.data.signals import load_signals
 from identification.methods.idim import identify_ls

@@ -9,7 +9,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.master.stopping import leave_operational, not_disabled, safe_stop
-from acquisition.protocol.cia402 import Command, Mode, State
+from acquisition.protocol.states import Command, Mode, State
 from acquisition.simulated.lock_step import DryRun, dry_run
 from acquisition.simulated.mechanism import Mechanism, typical_loops
 from acquisition.simulated.node import SimulatedNode

@@ -18,19 +18,23 @@ import acquisition.recorder.process as recorder_process
 import acquisition.simulated.lock_step as dry_run_module
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master, axis_of, interpolation_period
-from acquisition.protocol.cia402 import State
+from acquisition.master.master import Master
 from acquisition.protocol.dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
+from acquisition.protocol.objects import interpolation_period
 from acquisition.protocol.sdo import write_request
+from acquisition.protocol.states import State
 from acquisition.recorder.process import ProcessLog
 from acquisition.recording.rows import SENT
 from acquisition.robot.bus import dictionary_label
+from acquisition.robot.drives import axis_of
+from acquisition.session.plan import Plan, Stop
 from acquisition.session.recording_session import Wanted, record, stop_on_signals
-from acquisition.session.session import Plan, Stop
-from acquisition.simulated.drives import SimulatedFault
+from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.simulated.node import SimulatedNode
-from acquisition.transport.link import Frame, Link, open_bus
+from acquisition.transport.bus import open_bus
+from acquisition.transport.frame import Frame
+from acquisition.transport.link import Link
 
 TRACK = Plan(reference=swing(2))
 ENABLED = 0x0237

@@ -12,13 +12,15 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
-from acquisition.protocol.cia402 import State
+from acquisition.protocol.states import State
 from acquisition.recording.rows import SENT
-from acquisition.session.session import Plan, Stop, _Session
-from acquisition.simulated.drives import SimulatedFault
+from acquisition.session.plan import Plan, Stop
+from acquisition.session.session import _Session
+from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
 from acquisition.trajectory.reference import approach, check_limits, table_reference
-from acquisition.transport.link import Link, open_bus
+from acquisition.transport.bus import open_bus
+from acquisition.transport.link import Link
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Plan(reference=swing(2))

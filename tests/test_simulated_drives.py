@@ -12,9 +12,9 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
-from acquisition.protocol.cia402 import State
+from acquisition.protocol.states import State
 from acquisition.robot.bus import dictionary_label
-from acquisition.session.session import Plan
+from acquisition.session.plan import Plan
 from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.plants import JointwisePlant, TablePlant, typical_plant
 

@@ -12,8 +12,8 @@ from acquisition.errors import AcquisitionError
 from acquisition.master.heartbeat import MasterHeartbeat, free_entry, timeout_ms
 from acquisition.master.master import Master
 from acquisition.master.supervision import second_stop, supervision_of
-from acquisition.protocol.cia402 import Command, Mode, State
-from acquisition.session.session import Plan
+from acquisition.protocol.states import Command, Mode, State
+from acquisition.session.plan import Plan
 from acquisition.simulated import supervision as simulated_supervision
 from acquisition.simulated.lock_step import DryRun, dry_run
 from acquisition.simulated.node import SimulatedNode

@@ -10,7 +10,8 @@ from conftest import REPLAY, robot_named
 
 from acquisition.recording.reader import read_recording
 from acquisition.recording.writer import RecordingWriter
-from acquisition.robot.robot import LowSpeed, Robot, robot_from_files
+from acquisition.robot.description import LowSpeed
+from acquisition.robot.robot import Robot, robot_from_files
 from identification.commands.program import main
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError

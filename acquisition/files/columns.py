@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError, listed
 from .mat import read_variables
 
-Matrix = NDArray[np.float64]
+Array = Array
 
 
-def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Matrix:
+def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     """The asked columns of a table, side by side: (N, number of columns), as they stand in the file.
 
     A string names a column of a CSV file's header line, or what `mat_files` reads of a MAT file: there one name may give
@@ -40,7 +40,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Matrix
     return values
 
 
-def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Matrix, list[str]]:
+def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, list[str]]:
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError, listed
 
-Matrix = NDArray[np.float64]
+Array = Array
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
 
@@ -22,7 +22,7 @@ class _Part:
     """What a name means; `upright` where the name itself says that samples are the rows."""
 
     name: str
-    values: Matrix
+    values: Array
     upright: bool
 
     @property
@@ -30,7 +30,7 @@ class _Part:
         return f"{self.name} {_size(self.values)}"
 
 
-def read_variables(data: bytes, names: Sequence[str | int], count: int, place: str) -> tuple[Matrix, list[str]]:
+def read_variables(data: bytes, names: Sequence[str | int], count: int, place: str) -> tuple[Array, list[str]]:
     """The named parts of a MAT file side by side, (N, count), and a label of each column.
 
     A name is that of a variable, or a field of a struct by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind it
@@ -117,7 +117,7 @@ def _part(value: Any, match: re.Match[str], place: str) -> _Part:
     return _Part(name=name, values=part, upright=True)
 
 
-def _size(part: Matrix) -> str:
+def _size(part: Array) -> str:
     return " x ".join(str(size) for size in part.shape)
 
 

@@ -13,8 +13,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
-from ..files import Matrix, read_columns, whole_file
+from ..files import read_columns, whole_file
 from ..recording import LARGEST_STAMP_NS, Block, RecordingWriter, sample_dtype
 from ..robot import Positive, Robot, held_against_limits, parse_toml
 
@@ -136,7 +137,7 @@ def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float,
         writer.samples(samples)
 
 
-def _values(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Matrix:
+def _values(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Array:
     values = read_columns(_table(f"{key}.table", wanted.table, tables, place), wanted.columns, robot.n)
     if values.shape[1] != robot.n:
         raise AcquisitionError(
@@ -162,7 +163,7 @@ def _si(key: str, wanted: Quantity, n: int, known: dict[str, tuple[str, float]],
     return [known[unit] for unit in units]
 
 
-def _position(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Matrix:
+def _position(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Array:
     """Joint positions (N, n) in rad or m."""
     units = _si(key, wanted, robot.n, POSITION_UNITS, place)
     side = wanted.side
@@ -188,7 +189,7 @@ def _position(key: str, wanted: Quantity, tables: Sequence[Path], robot: Robot, 
     return robot.joint_position(values) if side == "motor" else values
 
 
-def _effort(wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> tuple[Matrix, str]:
+def _effort(wanted: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> tuple[Array, str]:
     """Joint efforts (N, n) in the robot's units, and where they come from."""
     units = _si("effort", wanted, robot.n, EFFORT_UNITS, place)
     found = tuple(unit for unit, _ in units)
@@ -248,7 +249,7 @@ def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) 
     return round(start_s * 1e9) + np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64), rate_hz
 
 
-def _fitted_rate_hz(time_s: NDArray[np.float64], place: str) -> float:
+def _fitted_rate_hz(time_s: Array, place: str) -> float:
     """Rate of the uniform grid through `time_s`; refuses times that do not grow or that leave the grid."""
     steps = np.diff(time_s)
     if (steps <= 0).any():

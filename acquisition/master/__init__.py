@@ -3,7 +3,7 @@
 from .heartbeat import HEARTBEAT_ID, MasterHeartbeat
 from .homing import Confirm, confirm_positions, homed, joint_positions, position_words
 from .listening import LISTEN_S, heard, other_master, refuse_enabled, refuse_other_master, service_of
-from .master import OPERATIONAL, Master, Wire, axis_of
+from .master import OPERATIONAL, Master, Wire
 from .orders import Orders, send_orders
 from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
 from .stopping import leave_operational, not_disabled, safe_stop
@@ -20,7 +20,6 @@ __all__ = [
     "MasterHeartbeat",
     "Orders",
     "Wire",
-    "axis_of",
     "confirm_positions",
     "error_report",
     "error_words",

@@ -6,28 +6,27 @@ The zero of an incremental encoder is where it was switched on, and no limit of 
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Drive, DriveFile, Robot, parse_homed
 from .master import Master
 
-Vector = NDArray[np.float64]
 Confirm = Callable[[list[str]], bool]  # shown the joint angles; whether somebody agrees
 
 
-def joint_positions(robot: Robot, master: Master) -> Vector:
+def joint_positions(robot: Robot, master: Master) -> Array:
     """Positions (n,) in rad or m, read by SDO. Raises `AcquisitionError` where a drive does not answer."""
     motors = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
         counts = raw - (1 << drive.position.bits) if raw >> (drive.position.bits - 1) else raw
         motors.append(drive.position_codec.si(np.array(counts)))
-    q: Vector = robot.joint_position(np.array(motors, dtype=float)[None])[0]
+    q: Array = robot.joint_position(np.array(motors, dtype=float)[None])[0]
     return q
 
 
-def position_words(robot: Robot, q: Vector) -> list[str]:
+def position_words(robot: Robot, q: Array) -> list[str]:
     """`joint_1 = 12.34 deg`, one for each joint; metres of one that slides."""
     return [
         f"{joint.name} = {value:.5f} m" if joint.type == "prismatic" else f"{joint.name} = {np.rad2deg(value):.2f} deg"

@@ -7,25 +7,24 @@ from typing import Protocol
 from ..errors import AcquisitionError
 from ..protocol import (
     ANSWER,
-    CONTROLWORD,
     HEARTBEAT_TIME,
     IDENTITY,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     REQUEST,
-    STATUSWORD,
     Mode,
     State,
     answer_of,
     check_answer,
     configuration,
     error_words,
+    interpolation_period,
     read_request,
     state_of,
     write_request,
 )
 from ..recording import ERROR, EXTENDED, REMOTE
-from ..robot import Bus, Drive
+from ..robot import Bus, Drive, axis_of
 from ..transport import Frame
 
 SDO_TIMEOUT_NS = 300_000_000
@@ -279,29 +278,3 @@ class Master:
                             f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
                         )
         return found
-
-
-def interpolation_period(period_s: float) -> tuple[int, int]:
-    """60C2h: count (U8) and power of ten (I8) that make the SYNC period exactly. Raises `AcquisitionError` where none do."""
-    for unit in (-3, -4, -5, -6):
-        count = period_s / 10.0**unit
-        if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
-            return round(count), unit
-    raise AcquisitionError(
-        f"bus.sync_period_s = {period_s:g}: the interpolation period of drives (60C2) cannot say it: expected up to 255 "
-        "times 1 ms, 0.1 ms, 10 µs or 1 µs"
-    )
-
-
-def axis_of(drive: Drive) -> int:
-    """What a drive's control and status objects are beyond 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
-
-    Raises `AcquisitionError` where they are not of one axis.
-    """
-    axis = drive.control.index - CONTROLWORD
-    if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
-        raise AcquisitionError(
-            f"node {drive.node}: control {drive.control} and status {drive.status}: expected those of one axis, such as "
-            "6040:0 and 6041:0"
-        )
-    return axis

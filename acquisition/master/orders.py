@@ -1,7 +1,8 @@
 """What a master commands at each SYNC: a controlword and target counts for every drive, by their PDOs."""
 
 from ..protocol import MODE_OF_OPERATION, Mode
-from .master import Master, NodeWatch, axis_of
+from ..robot import axis_of
+from .master import Master, NodeWatch
 
 Orders = list[tuple[int, int]]  # controlword and target counts of each drive, in the order of the drives
 

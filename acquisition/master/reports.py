@@ -2,8 +2,8 @@
 
 from ..errors import AcquisitionError
 from ..protocol import state_of
-from ..robot import Drive
-from .master import Master, axis_of
+from ..robot import Drive, axis_of
+from .master import Master
 
 # Bits of the statusword (6041h) beside the state; 12 and 13 as the cyclic synchronous position mode has them (CiA 402-2).
 REMOTE, FOLLOWS = 1 << 9, 1 << 12

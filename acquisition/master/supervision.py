@@ -12,10 +12,10 @@ from ..protocol import (
     QUICK_STOP_OPTION,
     SHUTDOWN_OPTION,
 )
-from ..robot import BusFile, Drive
+from ..robot import BusFile, Drive, axis_of
 from ..transport import SHARED
 from .heartbeat import consumers, entry_of, free_entry, timeout_ms
-from .master import Master, axis_of
+from .master import Master
 
 ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
 NO_WINDOW = 2**32 - 1

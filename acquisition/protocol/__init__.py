@@ -1,13 +1,13 @@
 """CANopen (CiA 301) and CiA 402 without I/O and without robots: states, objects, SDO, PDO, object dictionaries."""
 
-from .cia402 import (
+from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
+from .error_frames import error_words
+from .objects import (
     ABORT_CONNECTION,
-    AUTOMATIC,
     BITS,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
     DISABLE_OPTION,
-    DISABLED,
     EFFORT_OBJECTS,
     FAULT_OPTION,
     FOLLOWING_ERROR_TIME,
@@ -25,20 +25,12 @@ from .cia402 import (
     STANDARD,
     STATUSWORD,
     STOP_OPTIONS,
-    TRANSITIONS,
-    Command,
     EffortCodec,
-    Mode,
     ObjectEntry,
     PositionCodec,
-    State,
-    command_of,
+    interpolation_period,
     saturated,
-    state_of,
-    toward,
 )
-from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
-from .error_frames import error_words
 from .pdo import (
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
@@ -70,6 +62,7 @@ from .sdo import (
     write_request,
     written_answer,
 )
+from .states import AUTOMATIC, DISABLED, TRANSITIONS, Command, Mode, State, command_of, state_of, toward
 
 __all__ = [
     "ABORT_CONNECTION",
@@ -127,6 +120,7 @@ __all__ = [
     "configuration",
     "error_words",
     "frame_bits",
+    "interpolation_period",
     "load_dictionary",
     "pdos_of",
     "read_request",

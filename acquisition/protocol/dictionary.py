@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 from ..errors import AcquisitionError
-from .cia402 import INTEGERS
+from .objects import INTEGERS
 
 IDENTITY = 0x1018
 LARGEST_DICTIONARY = 4 * 2**20  # bytes

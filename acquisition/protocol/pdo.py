@@ -4,7 +4,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from ..errors import AcquisitionError
-from .cia402 import ObjectEntry
+from .objects import ObjectEntry
 
 NOT_VALID = 1 << 31
 ON_SYNC = 1  # transmission type: at every SYNC

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 from ..recording import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block, sample_dtype
@@ -216,9 +217,9 @@ def _reference(
     answered: Ints,
     robot: Robot,
     bus: Bus,
-    q: NDArray[np.float64],
+    q: Array,
     counts_on: Ints,
-) -> NDArray[np.float64] | None:
+) -> Array | None:
     """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
 
     A target wraps as the position does that it leads; of the counts it may stand for, those next to `counts_on` are meant.

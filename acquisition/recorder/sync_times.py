@@ -11,8 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
+
 Ints = NDArray[np.int64]
-Floats = NDArray[np.float64]
+Floats = Array
 
 PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
 _MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs say nothing of the period

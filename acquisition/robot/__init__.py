@@ -1,10 +1,12 @@
 """The robot's description: joints, motors, limits, the bus and its drives, resolved."""
 
 from .bus import BusFile, DriveFile, parse_homed
-from .drives import LARGEST_LOAD, Bus, Drive, refuse_load, refuse_out_of_range, resolve
+from .description import DH, Controller, Edges, Joint, LowSpeed, low_speed_by_method
+from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import extra_columns
 from .limits import held_against_limits
-from .robot import DH, Controller, Edges, Joint, LowSpeed, Robot, load_robot, low_speed_by_method, robot_from_files
+from .resolving import resolve
+from .robot import Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml
 
 __all__ = [
@@ -20,6 +22,8 @@ __all__ = [
     "LowSpeed",
     "Positive",
     "Robot",
+    "axis_of",
+    "check_carriers",
     "extra_columns",
     "held_against_limits",
     "load_robot",

@@ -1,44 +1,39 @@
-"""The drives of a robot, resolved: `[bus]` and the object dictionaries into PDOs and codecs, or one line why not."""
+"""The drives of a robot as resolved from the description, and the checks of what they can carry."""
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..protocol import (
     BITS,
-    EFFORT_OBJECTS,
+    CONTROLWORD,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
-    RATED_CURRENT,
-    RATED_TORQUE,
-    RATED_UNITS,
-    RULES,
-    STANDARD,
+    MODE_OF_OPERATION,
+    STATUSWORD,
     EffortCodec,
     ObjectDictionary,
     ObjectEntry,
     Pdo,
     PositionCodec,
     bus_load,
-    load_dictionary,
-    pdos_of,
-    usual_can_id,
 )
-from .bus import BusFile, DriveFile, PdoFile, dictionary_label, parse_object
-from .extra_objects import ExtraObject, extra_object
-from .robot import Motor, Robot
+from .bus import BusFile, DriveFile
+from .extra_objects import ExtraObject
+from .robot import Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
+
 USUAL_SYNC = 0x80
+
 FREE_CAN_IDS = range(0x680, 0x6E0)  # those that CiA 301 gives to no service, beside those of PDOs
 
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
 Values = Mapping[tuple[int, int], int]
-Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,24 +105,6 @@ class Bus:
         return "; ".join(f"{', '.join(names)}: {text}" for text, names in told.items())
 
 
-def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
-    """The drives of `robot`; `traffic` holds what another master wrote, by node, for drives that are mapped by it.
-
-    Raises `AcquisitionError` naming `place`, the key, the value and what was expected.
-    """
-    if robot.bus is None:
-        raise AcquisitionError(f"{place}: bus is not there: expected a [bus] section with one drive per motor")
-    drives = tuple(
-        _drive(file, motor, robot.files, f"{place}: bus.drive[{i}]", traffic)
-        for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True))
-    )
-    bus = Bus(file=robot.bus, drives=tuple(_with_limits(drive, robot, i) for i, drive in enumerate(drives)))
-    _refuse_pdos(bus, place)
-    for i in range(robot.n):
-        _refuse_counts(robot, i, robot.bus.drive[i], f"{place}: bus.drive[{i}]")
-    return bus
-
-
 def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs in both directions that do not fit between two SYNCs; for sessions that send, not for listeners."""
     if bus.load > LARGEST_LOAD:
@@ -138,7 +115,7 @@ def refuse_load(bus: Bus, place: str) -> None:
         )
 
 
-def refuse_out_of_range(path: NDArray[np.float64], robot: Robot, bus: Bus, place: str) -> None:
+def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
     """Refuse joint positions (N, n), one row each SYNC, whose counts are more than a drive's target object can hold.
 
     A drive held at the end of its counts would stand still while the others go on. Raises `AcquisitionError` naming
@@ -158,19 +135,7 @@ def refuse_out_of_range(path: NDArray[np.float64], robot: Robot, bus: Bus, place
                 )
 
 
-def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
-    """The limits of the joints that motor `i` moves, at the motor: they add up at worst."""
-
-    def limit(quantity: str) -> float | None:
-        moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
-        if any(value is None for _, value in moved):
-            return None
-        return float(sum(r * value for r, value in moved) * drive.position_codec.counts_per_unit)
-
-    return replace(drive, speed_limit=limit("speed"), acceleration_limit=limit("acceleration"))
-
-
-def _refuse_pdos(bus: Bus, place: str) -> None:
+def refuse_pdos(bus: Bus, place: str) -> None:
     """Refuse what a drive or another node would misunderstand, whichever source the PDOs have.
 
     A controlword on the identifier of another service would be a command of that service, to every node.
@@ -199,7 +164,7 @@ def _refuse_pdos(bus: Bus, place: str) -> None:
                 used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
-def _refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
+def refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
     """Refuse counts per metre of a motor that turns, and per turn of one that slides.
 
     A torque or a force tells which; where efforts are amperes or volts alone, the joints that the motor moves do.
@@ -216,151 +181,33 @@ def _refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
         raise AcquisitionError(f"{told}: expected counts_per_m")
 
 
-def _drive(
-    file: DriveFile,
-    motor: Motor,
-    files: Mapping[str, bytes],
-    place: str,
-    traffic: Mapping[int, Values] | None,
-) -> Drive:
-    dictionary, types = None, dict(STANDARD)
-    if file.dictionary is not None:
-        label = dictionary_label(file.dictionary)
-        if label not in files:
-            raise AcquisitionError(f"{place}.dictionary = {file.dictionary!r}: is missing beside the description")
-        dictionary = load_dictionary(files[label], file.dictionary, file.node)
-        types |= {key: entry.type for key, entry in dictionary.entries.items() if entry.type}
-    types |= {parse_object(name): kind for name, kind in file.objects.items()}
-    written = {parse_object(name) for name in file.objects}
+def axis_of(drive: Drive) -> int:
+    """What a drive's control and status objects are beyond 6040h and 6041h: a multiple of 800h (CiA 402-2), 0 for one axis.
 
-    def entry(key: str, name: str) -> ObjectEntry:
-        index, sub = parse_object(name)
-        known = written if dictionary is None else written | set(dictionary.entries)
-        if (index, sub) not in types or (dictionary is not None and (index, sub) not in known):
-            where = f"{file.dictionary} holds it not" if dictionary else "its type is not known"
-            raise AcquisitionError(
-                f"{place}.{key} = {name!r}: {where}: expected an object of the drive, or one in objects"
-            )
-        return ObjectEntry(index=index, sub=sub, type=types[index, sub])
-
-    word = "reference" if file.reference is not None else "actual"
-    effort = _effort(file, word, entry(word, getattr(file, word) or ""), motor, place)
-    status, control = entry("status", file.status), entry("control", file.control)
-    position, target = entry("position", file.position), entry("target", file.target)
-    for key, found in (("position", position), ("target", target)):
-        if found.type != POSITION_TYPE:
-            raise AcquisitionError(f"{place}.{key} = {getattr(file, key)!r}: is {found.type}: expected {POSITION_TYPE}")
-    extras = tuple(
-        extra_object(e, entry(f"extra[{k}]", e if isinstance(e, str) else e.object), file, motor, place)
-        for k, e in enumerate(file.extra)
-    )
-    if file.mapping == "table":
-        measured = dict.fromkeys((status, position, effort.entry, *(extra.entry for extra in extras)))
-        default = {"tpdo": tuple(measured), "rpdo": (control, target)}
-        pdos = {way: _pdos(way, getattr(file, way), default[way], file.node, entry, place) for way in default}
-    else:
-        source: Values = {}
-        if file.mapping == "dictionary" and dictionary is not None:
-            source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
-        elif traffic is not None:
-            source = traffic.get(file.node, {})
-        pdos = {way: pdos_of(way, source, types, f"{place}.mapping") for way in ("tpdo", "rpdo")}
-    drive = Drive(
-        name=motor.name,
-        node=file.node,
-        status=status,
-        control=control,
-        position=position,
-        target=target,
-        position_codec=PositionCodec(
-            counts_per_unit=file.counts_per_m or (file.counts_per_turn or 0.0) / (2 * np.pi),
-            sign=file.sign,
-            zero_counts=file.zero_counts,
-        ),
-        effort=effort,
-        rated=_rated(file),
-        tpdos=pdos["tpdo"],
-        rpdos=pdos["rpdo"],
-        extras=extras,
-        dictionary=dictionary,
-    )
-    for needed in (position, effort.entry, *(extra.entry for extra in extras)):
-        if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
-            raise AcquisitionError(
-                f"{place}.mapping: no PDO from the drive carries {needed}: expected one ({file.mapping})"
-            )
-    return drive
-
-
-def _pdos(
-    way: str, files: tuple[PdoFile, ...], default: tuple[ObjectEntry, ...], node: int, entry: Entry, place: str
-) -> tuple[Pdo, ...]:
-    found = []
-    wanted: list[tuple[PdoFile | None, tuple[ObjectEntry, ...]]] = [(None, part) for part in _packed(default)]
-    if files:
-        wanted = [
-            (file, tuple(entry(f"{way}[{k}].objects", name) for name in file.objects)) for k, file in enumerate(files)
-        ]
-    for k, (written, entries) in enumerate(wanted):
-        key = f"{place}.{way}[{k}]"
-        number = (written.number if written else None) or k + 1
-        can_id = (written.can_id if written else None) or usual_can_id(way, number, node)
-        if can_id is None:
-            raise AcquisitionError(
-                f"{key}.can_id is not there: expected one: only the first four PDOs have a usual one"
-            )
-        pdo = Pdo(number=number, can_id=can_id, entries=entries)
-        if pdo.bits > 64:
-            told = " + ".join(str(e.bits // 8) for e in entries)
-            raise AcquisitionError(f"{key}.objects: {told} = {pdo.length} bytes: expected 8 at most; use a second PDO")
-        found.append(pdo)
-    return tuple(found)
-
-
-def _packed(entries: tuple[ObjectEntry, ...]) -> list[tuple[ObjectEntry, ...]]:
-    """Entries in as few PDOs as their order allows."""
-    parts: list[tuple[ObjectEntry, ...]] = [()]
-    for entry in entries:
-        if sum(e.bits for e in parts[-1]) + entry.bits > 64:
-            parts.append(())
-        parts[-1] += (entry,)
-    return parts
-
-
-def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, place: str) -> EffortCodec:
-    known = EFFORT_OBJECTS.get((entry.index, entry.sub))
-    name = getattr(file, f"{word}_rule")
-    if name is None:
-        if known is None or known.entry.type != entry.type:
-            told = f"{place}.{word}_rule is not there: {entry} ({entry.type}) is not known"
-            raise AcquisitionError(f"{told}: expected one of {', '.join(RULES)}")
-        name = known.rule
-    rule = RULES[name]
-    rated = getattr(file, rule.rated) if rule.rated else 1.0
-    if rated is None:
-        raise AcquisitionError(f"{place}.{rule.rated} is not there: expected the rated value that {name!r} multiplies")
-    if rule.unit != motor.recorded_unit:
+    Raises `AcquisitionError` where they are not of one axis.
+    """
+    axis = drive.control.index - CONTROLWORD
+    if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
         raise AcquisitionError(
-            f"{place}.{word}_rule = {name!r}: gives {rule.unit}: expected {motor.recorded_unit} as motor {motor.name!r} says"
+            f"node {drive.node}: control {drive.control} and status {drive.status}: expected those of one axis, such as "
+            "6040:0 and 6041:0"
         )
-    meaning = known.meaning if known is not None and known.entry.type == entry.type else "as described"
-    stands_in = "" if word == "reference" else ", the actual value standing in for the reference"
-    times = f" x {rated:g} ({rule.rated})" if rule.rated else ""
-    sign = file.effort_sign or file.sign
-    return EffortCodec(
-        entry=entry,
-        rule=rule,
-        rated=rated,
-        sign=sign,
-        provenance=f"object {entry} ({meaning}){stands_in}, raw {entry.type} in {name}{times}, sign {sign:+d}",
-    )
+    return axis
 
 
-def _rated(file: DriveFile) -> dict[int, int]:
-    found = {}
-    if file.rated_current_a is not None:
-        found[RATED_CURRENT] = round(file.rated_current_a / RATED_UNITS[file.rated_current_unit])
-    torque = file.rated_torque_nm if file.rated_torque_nm is not None else file.rated_force_n
-    if torque is not None:
-        found[RATED_TORQUE] = round(torque / RATED_UNITS[file.rated_torque_unit])
-    return found
+def check_carriers(bus: Bus) -> None:
+    """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0.
+
+    Raises `AcquisitionError` naming the node and the object.
+    """
+    for drive in bus.drives:
+        mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"
+        known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
+        for entry in (drive.control, drive.target):
+            if drive.carrier(entry, "rpdo") is None:
+                raise AcquisitionError(f"node {drive.node}: no PDO to the drive carries {entry}: expected one to track")
+        if drive.carrier(drive.status, "tpdo") is None:
+            raise AcquisitionError(f"node {drive.node}: no PDO from it carries {drive.status}: expected one to track")
+        for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
+            told = f"node {drive.node}: a PDO to the drive carries {other}"
+            raise AcquisitionError(f"{told}: expected only {', '.join(sorted(known))} to track")

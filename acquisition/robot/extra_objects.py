@@ -9,10 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..protocol import EFFORT_OBJECTS, RULES, ObjectEntry
 from .bus import DriveFile, ExtraFile, parse_object
-from .robot import Motor, Robot
+from .description import Motor
+from .robot import Robot
 
 # Objects in position units, and in position units a second (CiA 402-2), by their index on the first axis.
 IN_POSITION_UNITS = {0x60F4: ("following error", "")}
@@ -38,7 +40,7 @@ class ExtraObject:
     column: ExtraColumn
     scale: float
 
-    def si(self, raw: NDArray[np.int64]) -> NDArray[np.float64]:
+    def si(self, raw: NDArray[np.int64]) -> Array:
         """Values of any shape."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 

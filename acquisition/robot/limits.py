@@ -7,12 +7,11 @@ A small overshoot of a stated limit is the robot's or the description's affair, 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
-from .robot import Joint, Robot
-
-Vector = NDArray[np.float64]
+from .description import Joint
+from .robot import Robot
 
 FAR_OUT = 0.5  # of a joint's range: further beyond its limits nothing was, it was read wrongly
 FAR_FASTER = 3.0  # times the speed limit
@@ -22,7 +21,7 @@ NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
 
 
-def held_against_limits(robot: Robot, stamp_s: Vector, q: Vector, place: str) -> tuple[str, ...]:
+def held_against_limits(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
     """What is to be said of joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots.
 
     Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
@@ -43,7 +42,7 @@ def _shown(joint: Joint, value: float) -> str:
     return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
 
 
-def _position(joint: Joint, stamp_s: Vector, x: Vector, place: str) -> list[str]:
+def _position(joint: Joint, stamp_s: Array, x: Array, place: str) -> list[str]:
     limits = joint.si("position")
     if limits is None or not len(x):
         return []
@@ -65,7 +64,7 @@ def _position(joint: Joint, stamp_s: Vector, x: Vector, place: str) -> list[str]
     )
 
 
-def _speed(joint: Joint, stamp_s: Vector, step_s: Vector, x: Vector, place: str) -> list[str]:
+def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) -> list[str]:
     stated = joint.si("speed")
     most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))

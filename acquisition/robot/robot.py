@@ -1,154 +1,16 @@
-"""What the robot is: joints, motors, the matrix between them, gains, limits. `robot.toml` in, `Robot` out.
+"""The robot that a description means: joints, motors, the matrix between them, gains, limits. SI, angles in radians."""
 
-The file's layout is the layout of the `RobotFile` structure below; the README explains every key. Angles are degrees in
-the file and radians in `Robot`; everything else is SI in both.
-"""
-
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
 
-import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
-from .bus import BusFile, check_bus, dictionary_label
-from .toml import Name, Positive, Table, parse_toml
-
-Vector = NDArray[np.float64]
-Rows = Annotated[int, msgspec.Meta(ge=0)]
-Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
-Edges = Literal["smooth", "matlab"]
-EffortUnit = Literal["A", "V", "N m", "N"]
-GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
-Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
-
-
-class DH(Table, frozen=True):
-    """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
-
-    alpha_deg: float
-    d_m: float
-    theta_deg: float
-    r_m: float
-
-
-class Joint(Table, frozen=True):
-    """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
-
-    name: Name
-    type: Literal["revolute", "prismatic"]
-    dh: DH | None = None
-    zero_deg: float | None = None
-    zero_m: float | None = None
-    viscous: bool = True
-    coulomb: bool = True
-    offset: bool = False
-    friction: Literal["symmetric", "asymmetric"] = "symmetric"
-    rotor_inertia: bool = True
-    position_deg: tuple[float, float] | None = None
-    position_m: tuple[float, float] | None = None
-    speed_deg_s: Positive | None = None
-    speed_m_s: Positive | None = None
-    acceleration_deg_s2: Positive | None = None
-    acceleration_m_s2: Positive | None = None
-    following_error_deg: Positive | None = None
-    following_error_m: Positive | None = None
-
-    @property
-    def position_unit(self) -> str:
-        """`rad` or `m`."""
-        return "rad" if self.type == "revolute" else "m"
-
-    def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed`, `acceleration`, `following_error` in rad or m (per s, s²); `None`: not stated."""
-        tail = {"speed": "_s", "acceleration": "_s2"}.get(quantity, "")
-        if self.type == "prismatic":
-            return getattr(self, f"{quantity}_m{tail}")
-        value = getattr(self, f"{quantity}_deg{tail}")
-        if isinstance(value, tuple):
-            return tuple(math.radians(v) for v in value)
-        return None if value is None else math.radians(value)
-
-
-class Motor(Table, frozen=True):
-    """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
-
-    name: Name
-    ratio: float | None = None
-    effort_unit: EffortUnit | None = None
-    drive_gain: float | None = None
-    drive_gain_unit: GainUnit | None = None
-    saturation: Positive | None = None
-
-    @property
-    def recorded_unit(self) -> str:
-        """Unit of the effort as recorded: what the drive gain divides by, or `effort_unit`."""
-        return self.drive_gain_unit.split("/")[1] if self.drive_gain_unit else str(self.effort_unit)
-
-    @property
-    def gain(self) -> float | None:
-        """Motor torque or force per unit of recorded effort; 1 when it is recorded as torque; `None` when unknown."""
-        return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
-
-
-class Controller(Table, frozen=True):
-    """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares."""
-
-    bandwidth_hz: Positive
-    structure: Structure | None = None
-    sample_rate_hz: Positive | None = None
-    position_gain: tuple[float, ...] | None = None
-    velocity_gain: tuple[float, ...] | None = None
-    integral_gain: tuple[float, ...] | None = None
-    velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] | None = None
-
-
-class LowSpeed(Table, frozen=True):
-    """Rows slower than this share of the peak speed, in percent, are left out: of least squares, of iv. None: the default."""
-
-    ls: Share | None = None
-    iv: Share | None = None
-
-
-class Identification(Table, frozen=True):
-    """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
-
-    cutoff_hz: Positive | None = None
-    decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
-    span: Literal["motion", "all"] = "motion"
-    cut_start_samples: Rows | None = None
-    cut_end_samples: Rows | None = None
-    edges: Edges = "smooth"
-    low_speed_percent: Share | LowSpeed | None = None
-
-    @property
-    def low_speed(self) -> LowSpeed:
-        """`low_speed_percent` by method; a single number holds for both."""
-        return low_speed_by_method(self.low_speed_percent)
-
-
-def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
-    """A low-speed threshold by method, from one number for both or from one for each."""
-    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
-
-
-class RobotFile(Table, frozen=True):
-    """`robot.toml` as it stands in the file."""
-
-    name: Name
-    joint: Annotated[tuple[Joint, ...], msgspec.Meta(min_length=1)]
-    motor: Annotated[tuple[Motor, ...], msgspec.Meta(min_length=1)]
-    controller: Controller
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    urdf: str | None = None
-    motor_matrix: tuple[tuple[float, ...], ...] | None = None
-    identification: Identification = Identification()
-    parameters: dict[str, float] = msgspec.field(default_factory=dict)
-    bus: BusFile | None = None
+from .bus import BusFile, dictionary_label
+from .description import Controller, Identification, Joint, Motor, RobotFile, check_description
+from .toml import parse_toml
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -169,9 +31,9 @@ class Robot:
     motors: tuple[Motor, ...]
     controller: Controller
     identification: Identification
-    R: Vector
-    zero: Vector
-    gravity: Vector
+    R: Array
+    zero: Array
+    gravity: Array
     parameters: Mapping[str, float]
     bus: BusFile | None
     files: Mapping[str, bytes]
@@ -188,7 +50,7 @@ class Robot:
         return all(m.gain is not None for m in self.motors)
 
     @property
-    def gain(self) -> Vector:
+    def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones when they are not known."""
         return np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
 
@@ -199,19 +61,19 @@ class Robot:
             return tuple("N m" if j.type == "revolute" else "N" for j in self.joints)
         return tuple(m.recorded_unit for m in self.motors)
 
-    def joint_position(self, q_motor: Vector) -> Vector:
+    def joint_position(self, q_motor: Array) -> Array:
         """Joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor + zero."""
         return np.linalg.solve(self.R, q_motor.T).T + self.zero
 
-    def motor_position(self, q: Vector) -> Vector:
+    def motor_position(self, q: Array) -> Array:
         """Motor positions (N, n) from joint positions (N, n); the inverse of `joint_position`."""
         return (q - self.zero) @ self.R.T
 
-    def joint_effort(self, effort_motor: Vector) -> Vector:
+    def joint_effort(self, effort_motor: Array) -> Array:
         """Joint efforts (N, n) from recorded motor efforts (N, n): Rᵀ G v. In A or V where the gain is not known."""
         return (effort_motor * self.gain) @ self.R
 
-    def motor_effort(self, effort: Vector) -> Vector:
+    def motor_effort(self, effort: Array) -> Array:
         """Motor efforts (N, n) in the recorded unit from joint efforts (N, n); the inverse of `joint_effort`."""
         return np.linalg.solve(self.R.T, effort.T).T / self.gain
 
@@ -262,7 +124,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     if "robot.toml" not in files:
         raise AcquisitionError(f"{place}: holds no robot.toml; expected the robot's description as an attachment")
     f = _parse(files["robot.toml"], place)
-    _check(f, place)
+    check_description(f, place)
     n = len(f.joint)
     urdf = None
     if f.urdf is not None:
@@ -298,64 +160,3 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
 
 def _parse(text: bytes, place: str) -> RobotFile:
     return parse_toml(text, RobotFile, place)
-
-
-def _check(f: RobotFile, place: str) -> None:
-    """What the types cannot say: counts, units that go together, an invertible motor matrix."""
-    n = len(f.joint)
-
-    def refuse(key: str, value: object, expected: str) -> None:
-        raise AcquisitionError(f"{place}: {key} = {value!r}: expected {expected}")
-
-    if len(f.motor) != n:
-        refuse("motor", f"{len(f.motor)} tables", f"one per joint: {n}")
-    for kind, names in (("joint", [j.name for j in f.joint]), ("motor", [m.name for m in f.motor])):
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                refuse(f"{kind}[{i}].name", name, "a name not used before")
-    for i, joint in enumerate(f.joint):
-        key = f"joint[{i}]"
-        if (joint.dh is None) == (f.urdf is None):
-            refuse(
-                f"{key}.dh", joint.dh, "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
-            )
-        other = "m" if joint.type == "revolute" else "deg"
-        for field in msgspec.structs.fields(joint):
-            if f"_{other}" in field.name and getattr(joint, field.name) is not None:
-                unit = "deg" if other == "m" else "m"
-                refuse(f"{key}.{field.name}", getattr(joint, field.name), f"a key in {unit} for a {joint.type} joint")
-        limits = joint.si("position")
-        if limits is not None and not limits[0] < limits[1]:
-            unit = "deg" if other == "m" else "m"
-            refuse(f"{key}.position_{unit}", getattr(joint, f"position_{unit}"), "[lowest, highest]")
-    for i, motor in enumerate(f.motor):
-        key = f"motor[{i}]"
-        if (motor.drive_gain is None) != (motor.drive_gain_unit is None):
-            refuse(f"{key}.drive_gain", motor.drive_gain, "drive_gain and drive_gain_unit together, or neither")
-        if motor.drive_gain is not None and motor.drive_gain <= 0:
-            refuse(f"{key}.drive_gain", motor.drive_gain, "a positive number (signs belong to ratio or motor_matrix)")
-        if motor.drive_gain_unit is None and motor.effort_unit is None:
-            refuse(f"{key}.effort_unit", None, "effort_unit (A, V, N m or N) where no drive gain is given")
-        if motor.drive_gain_unit is not None and motor.effort_unit not in (None, motor.recorded_unit):
-            refuse(f"{key}.effort_unit", motor.effort_unit, f"{motor.recorded_unit!r}, as drive_gain_unit says")
-        if motor.ratio is not None and (motor.ratio == 0 or f.motor_matrix is not None):
-            refuse(f"{key}.ratio", motor.ratio, "a non-zero ratio, or motor_matrix for the whole robot, not both")
-    unknown = [m.name for m in f.motor if m.gain is None]
-    if unknown and len(unknown) < n:
-        refuse("motor.drive_gain", None, f"a drive gain for all motors or for none; missing for {', '.join(unknown)}")
-    if f.motor_matrix is not None:
-        if [len(row) for row in f.motor_matrix] != [n] * n:
-            refuse("motor_matrix", [len(row) for row in f.motor_matrix], f"{n} rows of {n} numbers")
-        if np.linalg.matrix_rank(np.array(f.motor_matrix)) < n:
-            refuse("motor_matrix", f.motor_matrix, "an invertible matrix")
-        for i, row in enumerate(f.motor_matrix):
-            if row[i] == 0:  # names such as Ia2 and gains go by joint: each motor has one of its own
-                refuse(f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so")
-    for name in ("position_gain", "velocity_gain", "integral_gain"):
-        gains = getattr(f.controller, name)
-        if gains is not None and len(gains) != n:
-            refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
-        if gains is not None and any(g <= 0 for g in gains):
-            refuse(f"controller.{name}", list(gains), "positive numbers")
-    if f.bus is not None:
-        check_bus(f.bus, tuple(m.recorded_unit for m in f.motor), place)

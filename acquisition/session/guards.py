@@ -3,13 +3,11 @@
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..master import FOLLOWS, OPERATIONAL, REMOTE, Master, error_words, status_words
 from ..protocol import State
 from ..robot import Joint, Robot
-
-Vector = NDArray[np.float64]
 
 SILENT_SYNCS = 3  # in a row that a drive may leave unanswered
 LOST_HEARTBEATS = 3
@@ -39,9 +37,9 @@ class Motion:
     """
 
     enabling: bool = True
-    start: Vector | None = None
-    measured: list[Vector] = field(default_factory=list)
-    target: Vector | None = None
+    start: Array | None = None
+    measured: list[Array] = field(default_factory=list)
+    target: Array | None = None
     enabled: set[int] = field(default_factory=set)
     seen: dict[int, int] = field(default_factory=dict)
     clear: dict[tuple[int, int], int] = field(default_factory=dict)

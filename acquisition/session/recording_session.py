@@ -15,8 +15,9 @@ from ..robot import Robot, refuse_load, resolve
 from ..simulated import DryRun, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
 from ..transport import SHARED, Link, open_link
+from .plan import Ending, Plan, Stop
 from .scheduling import refuse_jitter, steady
-from .session import Ending, Plan, Stop, run_active
+from .session import run_active
 
 STOPPED = "stopped by"
 Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left

@@ -4,14 +4,13 @@ Nothing moves unless a plan has a reference. Whatever ends a session that touche
 every one of them and to write down which ones confirmed it.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from typing import Protocol
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..master import (
     Master,
@@ -19,7 +18,6 @@ from ..master import (
     Orders,
     error_report,
     leave_operational,
-    not_disabled,
     notices,
     refuse_enabled,
     refuse_other_master,
@@ -27,74 +25,14 @@ from ..master import (
     send_orders,
 )
 from ..protocol import DISABLED, Command, Mode, State
-from ..recorder import Status
-from ..robot import Drive, Robot, refuse_out_of_range
+from ..robot import Drive, Robot, check_carriers, refuse_out_of_range
 from ..trajectory import approach, check_limits, follow
 from .enabling import all_enabled, disable, enable
 from .guards import Motion, motion_fault, node_fault
 from .pacing import Clock, Pace
-from .preparing import check_carriers
-
-Vector = NDArray[np.float64]
+from .plan import Ending, Log, Plan, Stop
 
 HOLD_S = 0.3  # at the end of motion, before drives are disabled
-
-
-class Log(Protocol):
-    """Where a session writes down what happens; the frames come to it by themselves."""
-
-    def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Note what happened."""
-        ...
-
-    def poll(self, stamp_ns: int) -> Status | None:
-        """Latest news of the recorder, None when there are none. Raises `AcquisitionError` when it has ended."""
-        ...
-
-
-@dataclass(kw_only=True)
-class Stop:
-    """Set from outside (Ctrl-C, SIGTERM) to end a session in order; `at_once` by a quick stop."""
-
-    reason: str = ""
-    at_once: bool = False
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
-    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC.
-
-    `before_motion` looks at the drives before anything is written to them; it returns what is to be noted, and raises
-    `AcquisitionError` where nothing may move.
-    """
-
-    duration_s: float | None = None
-    reference: Vector | None = None
-    place: str = "reference"
-    before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
-
-
-@dataclass(frozen=True, kw_only=True)
-class Ending:
-    """How a session ended: in order or by a fault, and which drives that were addressed did not confirm to be disabled.
-
-    `reports` are what drives in trouble say of their errors, one line each.
-    """
-
-    reason: str
-    fault: bool
-    unconfirmed: tuple[int, ...] = ()
-    reports: tuple[str, ...] = ()
-
-    @property
-    def all_disabled(self) -> bool:
-        """Whether every drive that was addressed confirmed."""
-        return not self.unconfirmed
-
-    @property
-    def alarm(self) -> str:
-        """What must be said before anything else, empty where every drive confirmed."""
-        return not_disabled(self.unconfirmed) if self.unconfirmed else ""
 
 
 def run_active(
@@ -155,7 +93,7 @@ class _Session:
         self._until_ns: int | None = None
         self._motion: Motion | None = None
         self._held: list[int] = []  # target counts of the drives, as last commanded
-        self._targets: list[Vector] = []  # the last joint targets
+        self._targets: list[Array] = []  # the last joint targets
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
 
@@ -256,20 +194,20 @@ class _Session:
                         self._link.now_ns(), "mark", f"node {watch.drive.node} ({watch.drive.name}): {text}"
                     )
 
-    def _positions(self) -> Vector:
+    def _positions(self) -> Array:
         """Measured joint positions (n,)."""
         for watch in self._master.nodes:
             if watch.counts is None:
                 raise AcquisitionError(f"node {watch.drive.node}: no position yet: expected an answer to SYNC")
         return self._joints([watch.counts or 0 for watch in self._master.nodes])
 
-    def _joints(self, counts: list[int]) -> Vector:
+    def _joints(self, counts: list[int]) -> Array:
         """Joint positions (n,) of the drives' counts."""
         motors = [d.position_codec.si(np.array(c)) for d, c in zip(self._bus.drives, counts, strict=True)]
-        q: Vector = self._robot.joint_position(np.array(motors)[None])[0]
+        q: Array = self._robot.joint_position(np.array(motors)[None])[0]
         return q
 
-    def _orders(self, q: Vector) -> Orders:
+    def _orders(self, q: Array) -> Orders:
         """Joint targets (n,) for enabled drives."""
         motor = self._robot.motor_position(q[None])[0]
         counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
@@ -289,7 +227,7 @@ class _Session:
             yield order
         self._motion.enabling = False
 
-    def _follow(self, path: Vector) -> Iterator[Orders]:
+    def _follow(self, path: Array) -> Iterator[Orders]:
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
             yield self._orders(q)
 

@@ -1,7 +1,7 @@
 """Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
 
-from .drives import SUBSTEPS, Loops
 from .lock_step import DryRun, dry_run, serve
+from .loops import SUBSTEPS, Loops
 from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
 from .plants import TablePlant, middle_of_range
 

@@ -6,72 +6,25 @@ period. Time is that of the frames handed in, so a run in lock-step repeats bit 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..protocol import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
 from ..robot import Bus, Robot
+from .faults import FaultKind, SimulatedFault
+from .loops import SUBSTEPS, LoopMemory, Loops
 from .node import Sent, simulated_node
 from .plants import Plant
 from .supervision import Supervision, leave_unsupervised
 
-Vector = NDArray[np.float64]
-
-SUBSTEPS = 4  # of the loops in a period
-FaultKind = Literal[
-    "emergency", "silent", "reset", "late", "missing", "duplicate", "short", "stuck", "slow", "deaf", "clear"
-]
 QUICK_STOP_STAYS = (
     5,
     6,
     7,
     8,
 )  # 605Ah: in quick stop active when at rest; the smaller ones go on to switch on disabled
-
-
-@dataclass(frozen=True, kw_only=True)
-class SimulatedFault:
-    """Something goes wrong with `node` at the `sync`-th SYNC it answers (from 1), for `count` SYNCs.
-
-    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` says nothing more at all; `stuck` moves no more;
-    `slow` does not get from switched on to operation enabled; `deaf` neither answers SYNC nor takes over what came before
-    it; `clear` has the `bits` of its statusword at 0.
-    """
-
-    kind: FaultKind
-    node: int
-    sync: int
-    count: int = 1
-    bits: int = 0
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Loops:
-    """Gains of the drives at the joints: position 1/s, velocity effort/(rad/s), integral 1/s; each (n,).
-
-    `feedforward` is the share of the reference's speed that goes to the velocity loop directly.
-    """
-
-    position: Vector
-    velocity: Vector
-    integral: Vector
-    feedforward: float = 1.0
-    current_s: float = 3e-4  # time constant of the current loop
-
-
-@dataclass(kw_only=True)
-class _Memory:
-    """What the loops remember, at the joints."""
-
-    target: Vector
-    before: Vector
-    slope: Vector
-    integral: Vector
-    actual: Vector
-    demand: Vector
-    held: NDArray[np.bool_]
 
 
 @dataclass(kw_only=True)
@@ -127,7 +80,7 @@ class SimulatedDrives:
         self._agenda = _Agenda()
         self._next_heartbeat = [0] * robot.n
         q, _ = plant.state()
-        self._memory = _Memory(
+        self._memory = LoopMemory(
             target=q,
             before=q,
             slope=np.zeros(robot.n),
@@ -291,7 +244,7 @@ class SimulatedDrives:
         node = self.nodes[i].drive.node
         return any(f.kind == "stuck" and f.node == node and self._answered[i] >= f.sync for f in self._faults)
 
-    def _targets(self, q: Vector, enabled: NDArray[np.bool_]) -> Vector:
+    def _targets(self, q: Array, enabled: NDArray[np.bool_]) -> Array:
         """Joint targets out of 607Ah, the present position where a drive follows none."""
         motor = self._robot.motor_position(q[None])[0]
         for i, node in enumerate(self.nodes):
@@ -299,21 +252,21 @@ class SimulatedDrives:
             if enabled[i] and in_csp:
                 raw = node.values[node.drive.target.index, node.drive.target.sub]
                 motor[i] = node.drive.position_codec.si(np.array(raw))
-        target: Vector = self._robot.joint_position(motor[None])[0]
+        target: Array = self._robot.joint_position(motor[None])[0]
         return target
 
-    def _quantised(self, q: Vector) -> Vector:
+    def _quantised(self, q: Array) -> Array:
         """Joint positions as the encoders see them."""
-        seen: Vector = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
+        seen: Array = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
         return seen
 
-    def _counts(self, q: Vector) -> NDArray[np.int64]:
+    def _counts(self, q: Array) -> NDArray[np.int64]:
         return self._positions.raw(self._robot.motor_position(q[None])[0])
 
-    def _quantised_effort(self, effort: Vector) -> Vector:
+    def _quantised_effort(self, effort: Array) -> Array:
         """Joint efforts as the current loops are asked for them."""
         steps = self._robot.motor_effort(effort[None])[0] / self._effort_steps
-        asked: Vector = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
+        asked: Array = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
         return asked
 
     def _sample(self) -> None:

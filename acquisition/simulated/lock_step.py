@@ -10,7 +10,8 @@ import msgspec
 from ..errors import AcquisitionError
 from ..robot import Bus, Robot
 from ..transport import Link, LockStepLink, Tap, open_bus, open_link
-from .drives import SimulatedDrives, SimulatedFault
+from .drives import SimulatedDrives
+from .faults import SimulatedFault
 from .mechanism import Mechanism, mechanism_of
 
 IDLE_HEARTBEAT_MS = 200  # before a master sets another: who listens first must hear them

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 from importlib.metadata import entry_points
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Bus, Robot
-from .drives import Loops
+from .loops import Loops
 from .plants import Plant, typical_inertia, typical_plant
 
 GROUP = "robot_idim.plants"
@@ -54,12 +54,12 @@ def _stand_in(robot: Robot, bus: Bus, why: str) -> Mechanism:
     return Mechanism(plant=typical_plant(robot, rated), loops=typical_loops(robot, rated), warning=told)
 
 
-def rated_motor_effort(bus: Bus) -> NDArray[np.float64]:
+def rated_motor_effort(bus: Bus) -> Array:
     """Rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each drive's effort object."""
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])
 
 
-def typical_loops(robot: Robot, rated: NDArray[np.float64]) -> Loops:
+def typical_loops(robot: Robot, rated: Array) -> Loops:
     """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast."""
     w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
     return Loops(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)

@@ -5,11 +5,11 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..recording import Block
 from ..robot import Robot
 
-Vector = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 TYPICAL_LOAD = 0.3  # share of the rated effort that gravity takes on a level joint of an industrial arm
@@ -18,15 +18,15 @@ TYPICAL_LOAD = 0.3  # share of the rated effort that gravity takes on a level jo
 class Plant(Protocol):
     """A mechanism of n joints, all quantities at the joint, SI (effort in the robot's units)."""
 
-    def state(self) -> tuple[Vector, Vector]:
+    def state(self) -> tuple[Array, Array]:
         """Position and speed, each (n,)."""
         ...
 
-    def prescribed_effort(self) -> Vector | None:
+    def prescribed_effort(self) -> Array | None:
         """Effort (n,) that drives report in place of what their loops ask for; None for a plant that obeys."""
         ...
 
-    def step(self, effort: Vector, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
         ...
 
@@ -38,20 +38,20 @@ class JointwisePlant:
     """
 
     def __init__(
-        self, inertia: Vector, viscous: Vector, coulomb: Vector, load: Vector, *, slides: Mask, position: Vector
+        self, inertia: Array, viscous: Array, coulomb: Array, load: Array, *, slides: Mask, position: Array
     ) -> None:
         self._inertia, self._viscous, self._coulomb, self._load, self._slides = inertia, viscous, coulomb, load, slides
         self._q, self._dq = np.array(position, dtype=float), np.zeros(len(position))
 
-    def state(self) -> tuple[Vector, Vector]:
+    def state(self) -> tuple[Array, Array]:
         """Position and speed."""
         return self._q.copy(), self._dq.copy()
 
-    def prescribed_effort(self) -> Vector | None:
+    def prescribed_effort(self) -> Array | None:
         """None: it obeys."""
         return None
 
-    def step(self, effort: Vector, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Semi-implicit Euler; Coulomb friction stops a joint, but does not turn it round."""
         load = self._load * np.where(self._slides, 1.0, np.cos(self._q))
         free = self._dq + duration_s / self._inertia * (effort - load - self._viscous * self._dq)
@@ -60,7 +60,7 @@ class JointwisePlant:
         self._q = self._q + duration_s * self._dq
 
 
-def typical_plant(robot: Robot, rated_motor_effort: Vector, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
+def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
     """A mechanism that the drives of `robot` can move well: half the rated effort gives the stated acceleration.
 
     Each joint carries `load_share` of its rated effort where it is level. It begins in the middle of its range.
@@ -77,13 +77,13 @@ def typical_plant(robot: Robot, rated_motor_effort: Vector, load_share: float = 
     )
 
 
-def typical_inertia(robot: Robot, rated_motor_effort: Vector) -> Vector:
+def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
     """Inertias (n,) at the joints of which half the rated effort gives the stated acceleration."""
     acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
     return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
 
 
-def middle_of_range(robot: Robot) -> Vector:
+def middle_of_range(robot: Robot) -> Array:
     """Joint positions (n,) half way between the stated limits, 0 where none are stated."""
     return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
@@ -105,17 +105,17 @@ class TablePlant:
         """Whether the last row is reached."""
         return self._row == len(self._samples) - 1
 
-    def state(self) -> tuple[Vector, Vector]:
+    def state(self) -> tuple[Array, Array]:
         """Position of the row; speed between it and the next."""
         q = self._samples["position"]
         here, then = q[self._row], q[min(self._row + 1, len(q) - 1)]
         return here.copy(), (then - here) * self._rate_hz
 
-    def prescribed_effort(self) -> Vector | None:
+    def prescribed_effort(self) -> Array | None:
         """Effort of the row."""
-        effort: Vector = self._samples["effort"][self._row].copy()
+        effort: Array = self._samples["effort"][self._row].copy()
         return effort
 
-    def step(self, effort: Vector, held: Mask, duration_s: float) -> None:
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """On to the row at the time reached."""
         self._elapsed_s += duration_s

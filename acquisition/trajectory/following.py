@@ -3,18 +3,16 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..robot import Robot
-
-Vector = NDArray[np.float64]
 
 SLOW_STOP_S = (
     0.5  # in which a stop asked for comes to rest along the path, where acceleration limits do not need longer
 )
 
 
-def follow(path: Vector, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Vector]:
+def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
     """Joint positions (n,) along `path` (N, n), from the moment `stopping()` on slower and slower.
 
     Slowing down takes at most half of each joint's acceleration limit, beside what the path itself takes.
@@ -30,9 +28,9 @@ def follow(path: Vector, robot: Robot, period_s: float, stopping: Callable[[], b
     yield _between(path, at)
 
 
-def _between(path: Vector, at: float) -> Vector:
+def _between(path: Array, at: float) -> Array:
     """Row of a path at a place between rows."""
     k = min(int(at), len(path) - 2) if len(path) > 1 else 0
     then = path[min(k + 1, len(path) - 1)]
-    q: Vector = path[k] + (at - k) * (then - path[k])
+    q: Array = path[k] + (at - k) * (then - path[k])
     return q

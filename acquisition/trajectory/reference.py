@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
 from ..files import read_columns
 from ..robot import Robot
-
-Vector = NDArray[np.float64]
 
 HARMONICS = 5
 LIMIT_SHARE = 0.8  # of a joint's stated range and speed
@@ -28,11 +26,11 @@ class FourierReference:
     """
 
     period_s: float
-    center: Vector
-    sine: Vector
-    cosine: Vector
+    center: Array
+    sine: Array
+    cosine: Array
 
-    def at(self, t_s: Vector) -> tuple[Vector, Vector, Vector]:
+    def at(self, t_s: Array) -> tuple[Array, Array, Array]:
         """Position, speed and acceleration, each (N, n), at the times t_s (N,)."""
         k = np.arange(1, self.sine.shape[1] + 1) * 2 * np.pi / self.period_s
         phase = np.outer(t_s, k)
@@ -79,7 +77,7 @@ LONGEST_S = 24 * 3600.0  # of a table
 LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
 
 
-def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Vector:
+def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
     """Joint positions (N, n) every `period_s` through a CSV table: `time_s`, then each joint by name, in rad or m.
 
     Cubic splines between rows. `speed`, in (0, 1], runs along the same path slower: speeds are multiplied by it,
@@ -101,7 +99,7 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
             raise AcquisitionError(f"{told}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
-            q: Vector = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
+            q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
         except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
             raise AcquisitionError(_no_spline(path, time_s, table)) from error
     if not np.isfinite(q).all():
@@ -109,12 +107,12 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     return q
 
 
-def _no_spline(path: Path, time_s: Vector, table: Vector) -> str:
+def _no_spline(path: Path, time_s: Array, table: Array) -> str:
     told = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
     return f"{path}: {told}: expected positions in rad or m at times that a smooth path leads through"
 
 
-def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
+def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     """Position, speed and acceleration of every joint along (N, n), from rest to rest, against the stated limits.
 
     Raises `AcquisitionError` naming the time, joint, value and limit; also where a joint states no limit.
@@ -148,7 +146,7 @@ def check_limits(q: Vector, robot: Robot, period_s: float, place: str) -> None:
                 )
 
 
-def approach(start: Vector, end: Vector, robot: Robot, period_s: float) -> Vector:
+def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     """Joint positions (N, n) of a slow straight move from rest to rest, all joints together (minimum jerk)."""
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
@@ -158,5 +156,5 @@ def approach(start: Vector, end: Vector, robot: Robot, period_s: float) -> Vecto
         0.2, float(np.max(1.875 * distance / speed)), float(np.max(np.sqrt(5.774 * distance / acceleration)))
     )
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
-    q: Vector = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
     return q

@@ -1,22 +1,11 @@
 """The bus as frames and times, and logs of other tools. The only room that imports python-can."""
 
-from .link import (
-    DRAIN_S,
-    QUEUE_BYTES,
-    SHARED,
-    Frame,
-    Link,
-    LockStepLink,
-    Receiver,
-    Tap,
-    block_of,
-    kernel_drops,
-    open_bus,
-    open_link,
-    queue_bytes,
-    socket_of,
-)
+from .bus import SHARED, open_bus
+from .frame import Frame, Tap, block_of
+from .link import Link, LockStepLink, open_link
 from .logs import SUFFIXES, read_log
+from .receiver import DRAIN_S, Receiver
+from .sockets import QUEUE_BYTES, kernel_drops, queue_bytes, socket_of
 from .wall_clock import WallClock, words_of_step
 
 __all__ = [

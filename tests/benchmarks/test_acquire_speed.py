@@ -22,7 +22,8 @@ from acquisition.recorder.process import _record
 from acquisition.recorder.recorder import Recorder
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import FRAME
-from acquisition.transport.link import Receiver, _enlarge_queue, kernel_drops
+from acquisition.transport.receiver import Receiver
+from acquisition.transport.sockets import enlarge_queue, kernel_drops
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
@@ -39,7 +40,7 @@ def _recorder(connection, port: int, path: str) -> None:
     """The recorder's process, with a datagram socket in the place of the CAN socket."""
     sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sock.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-    _enlarge_queue(sock)
+    enlarge_queue(sock)
     sock.bind(("127.0.0.1", port))
     robot = robot_of(TEXT)
     recorder = Recorder(Path(path), robot, source="benchmark", place="robot.toml")

@@ -1,135 +1,12 @@
-"""The drive protocol without I/O: states and their one transition table, and objects between raw integers and SI.
-
-Names, bits and transitions are those of CiA 402-2 (IEC 61800-7-201): statusword 6041h, controlword 6040h.
-"""
+"""Objects of CiA 301 and CiA 402: indices, types, and the codecs between raw integers and SI."""
 
 from dataclasses import dataclass
-from enum import Enum, IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..errors import AcquisitionError
-
-Vector = NDArray[np.float64]
-
-
-class State(Enum):
-    """A state of the drive and the bits of the statusword that tell it: (mask, value)."""
-
-    NOT_READY_TO_SWITCH_ON = (0x4F, 0x00)
-    SWITCH_ON_DISABLED = (0x4F, 0x40)
-    READY_TO_SWITCH_ON = (0x6F, 0x21)
-    SWITCHED_ON = (0x6F, 0x23)
-    OPERATION_ENABLED = (0x6F, 0x27)
-    QUICK_STOP_ACTIVE = (0x6F, 0x07)
-    FAULT_REACTION_ACTIVE = (0x4F, 0x0F)
-    FAULT = (0x4F, 0x08)
-
-    @property
-    def words(self) -> str:
-        """The name as people write it."""
-        return self.name.lower().replace("_", " ")
-
-
-class Command(Enum):
-    """A command of the controlword: (mask, value). From operation enabled, SWITCH_ON is "disable operation"."""
-
-    SHUTDOWN = (0x87, 0x06)
-    SWITCH_ON = (0x8F, 0x07)
-    ENABLE_OPERATION = (0x8F, 0x0F)
-    DISABLE_VOLTAGE = (0x82, 0x00)
-    QUICK_STOP = (0x86, 0x02)
-    FAULT_RESET = (0x80, 0x80)  # acts on the rising edge
-
-    @property
-    def controlword(self) -> int:
-        """What to write to 6040h."""
-        return self.value[1]
-
-
-class Mode(IntEnum):
-    """Modes of operation, 6060h and 6061h."""
-
-    CYCLIC_SYNCHRONOUS_POSITION = 8
-    CYCLIC_SYNCHRONOUS_TORQUE = 10
-
-
-_S, _C = State, Command
-# Where a command leads (transitions 2 to 12, 15, 16). A command that is not here is illegal in that state.
-TRANSITIONS: dict[tuple[State, Command], State] = {
-    (_S.SWITCH_ON_DISABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 2
-    (_S.READY_TO_SWITCH_ON, _C.SWITCH_ON): _S.SWITCHED_ON,  # 3
-    (_S.SWITCHED_ON, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 4
-    (_S.OPERATION_ENABLED, _C.SWITCH_ON): _S.SWITCHED_ON,  # 5
-    (_S.SWITCHED_ON, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 6
-    (_S.READY_TO_SWITCH_ON, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 7
-    (_S.READY_TO_SWITCH_ON, _C.QUICK_STOP): _S.SWITCH_ON_DISABLED,  # 7
-    (_S.OPERATION_ENABLED, _C.SHUTDOWN): _S.READY_TO_SWITCH_ON,  # 8
-    (_S.OPERATION_ENABLED, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 9
-    (_S.SWITCHED_ON, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 10
-    (_S.SWITCHED_ON, _C.QUICK_STOP): _S.SWITCH_ON_DISABLED,  # 10
-    (_S.OPERATION_ENABLED, _C.QUICK_STOP): _S.QUICK_STOP_ACTIVE,  # 11
-    (_S.QUICK_STOP_ACTIVE, _C.DISABLE_VOLTAGE): _S.SWITCH_ON_DISABLED,  # 12
-    (_S.FAULT, _C.FAULT_RESET): _S.SWITCH_ON_DISABLED,  # 15
-    (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16
-}
-# What a drive does by itself (transitions 1 and 14); 13 leads from anywhere to FAULT_REACTION_ACTIVE.
-AUTOMATIC: dict[State, State] = {
-    _S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED,
-    _S.FAULT_REACTION_ACTIVE: _S.FAULT,
-}
-# No torque in these: the power stage is off, or has nothing to follow.
-DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}
-
-
-def state_of(statusword: int) -> State:
-    """State that a statusword (6041h) tells. Raises `AcquisitionError` for bits that tell none."""
-    for state in State:
-        mask, value = state.value
-        if statusword & mask == value:
-            return state
-    raise AcquisitionError(f"statusword 0x{statusword:04X}: expected the bits of a CiA 402 state")
-
-
-def command_of(controlword: int) -> Command | None:
-    """Command that a controlword (6040h) gives, None where its bits give none."""
-    for command in reversed(Command):  # a fault reset before all others
-        mask, value = command.value
-        if controlword & mask == value:
-            return command
-    return None
-
-
-def after(state: State, command: Command) -> State:
-    """State that `command` leads to. Raises `AcquisitionError` for a transition CiA 402 does not have."""
-    try:
-        return TRANSITIONS[state, command]
-    except KeyError:
-        legal = [c.name for s, c in TRANSITIONS if s is state]
-        expected = f"one of {', '.join(legal)}" if legal else "no command: the drive goes on by itself"
-        raise AcquisitionError(f"{command.name} in {state.words}: expected {expected}") from None
-
-
-def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way from `state` to `goal`; None: there already, or the drive goes on by itself.
-
-    Raises `AcquisitionError` when no way leads there.
-    """
-    reached: dict[State, Command | None] = {state: None}
-    queue = [state]
-    for at in queue:
-        if at is goal:
-            return reached[at]
-        steps: list[tuple[Command | None, State]] = [(c, s) for (was, c), s in TRANSITIONS.items() if was is at]
-        if at in AUTOMATIC:
-            steps.append((None, AUTOMATIC[at]))
-        for command, then in steps:
-            if then not in reached:
-                reached[then] = command if at is state else reached[at]
-                queue.append(then)
-    raise AcquisitionError(f"from {state.words} no command leads to {goal.words}")
-
 
 # Integer types of object dictionaries by their number in CiA 301: name, numpy dtype.
 INTEGERS = {
@@ -140,6 +17,7 @@ INTEGERS = {
     6: ("U16", "<u2"),
     7: ("U32", "<u4"),
 }
+
 BITS = {name: 8 * int(dtype[-1]) for name, dtype in INTEGERS.values()}
 
 
@@ -166,15 +44,23 @@ class ObjectEntry:
 
 
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
+
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
+
 CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1016, 0x1017  # of CiA 301
+
 ABORT_CONNECTION = (
     0x6007  # what a drive does when it loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
 )
+
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
+
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME, QUICK_STOP_DECELERATION = 0x6065, 0x6066, 0x6085
+
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
+
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
+
 # Entries whose type CiA 402 (or 301) fixes.
 STANDARD = {
     (index, 0): kind
@@ -256,6 +142,7 @@ EFFORT_OBJECTS = {
         ),
     )
 }
+
 # Units in which drives state their rated values; 6076h is mN m by CiA 402, and uN m in an EPOS4.
 RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
@@ -275,11 +162,11 @@ class EffortCodec:
         """SI per raw unit, sign included."""
         return self.sign * self.rule.factor * self.rated
 
-    def si(self, raw: NDArray[np.int64]) -> Vector:
+    def si(self, raw: NDArray[np.int64]) -> Array:
         """A, V, N m or N, of any shape."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 
-    def raw(self, value: Vector) -> NDArray[np.int64]:
+    def raw(self, value: Array) -> NDArray[np.int64]:
         """Nearest raw integers, held at the ends of the object's type as a drive does."""
         return saturated(value / self.scale, self.entry.type)
 
@@ -291,24 +178,36 @@ class PositionCodec:
     Of one motor, or of n with a vector in each field.
     """
 
-    counts_per_unit: float | Vector
-    sign: int | Vector
-    zero_counts: int | Vector
+    counts_per_unit: float | Array
+    sign: int | Array
+    zero_counts: int | Array
 
-    def si(self, raw: NDArray[np.int64]) -> Vector:
+    def si(self, raw: NDArray[np.int64]) -> Array:
         """Motor position in rad or m, of any shape."""
         return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
 
-    def exact(self, value: Vector) -> Vector:
+    def exact(self, value: Array) -> Array:
         """Counts before they are rounded and held."""
         return np.asarray(value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64)
 
-    def raw(self, value: Vector) -> NDArray[np.int64]:
+    def raw(self, value: Array) -> NDArray[np.int64]:
         """Nearest counts, held at the ends of 32 bits."""
         return saturated(self.exact(value), "I32")
 
 
-def saturated(value: Vector, kind: str) -> NDArray[np.int64]:
+def saturated(value: Array, kind: str) -> NDArray[np.int64]:
     """Nearest integers that the type `kind` can hold."""
     low, high = (0, 2 ** BITS[kind] - 1) if kind[0] == "U" else (-(2 ** (BITS[kind] - 1)), 2 ** (BITS[kind] - 1) - 1)
     return np.rint(np.clip(value, low, high)).astype(np.int64)
+
+
+def interpolation_period(period_s: float) -> tuple[int, int]:
+    """60C2h: count (U8) and power of ten (I8) that make the SYNC period exactly. Raises `AcquisitionError` where none do."""
+    for unit in (-3, -4, -5, -6):
+        count = period_s / 10.0**unit
+        if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
+            return round(count), unit
+    raise AcquisitionError(
+        f"bus.sync_period_s = {period_s:g}: the interpolation period of drives (60C2) cannot say it: expected up to 255 "
+        "times 1 ms, 0.1 ms, 10 µs or 1 µs"
+    )
