@@ -61,9 +61,9 @@ def test_every_key_of_a_description_is_explained():
     from msgspec.structs import fields
 
     from acquisition.robot import bus as bus_description
-    from acquisition.robot import robot
+    from acquisition.robot import description
 
-    tables = (robot.Joint, robot.Motor, robot.Controller, robot.Identification, robot.DH)
+    tables = (description.Joint, description.Motor, description.Controller, description.Identification, description.DH)
     tables += (bus_description.BusFile, bus_description.DriveFile)
     named = set(re.findall(r"[a-z][a-z0-9_]*", README))
     for table in tables:
