@@ -84,7 +84,7 @@ def test_closed_streams_are_as_good_as_none(tmp_path):
     done = in_shell("ACQ info none.mcap 2>&-", tmp_path)
     assert (done.returncode, done.stdout) == (1, ""), "an error is not a result"
     (tmp_path / "number.py").write_text(
-        "from acquisition.command_line import run_command\n"
+        "from acquisition.commands import run_command\n"
         "def command():\n    with open('number', 'w') as file:\n        file.write(str(file.fileno()))\n"
         "raise SystemExit(run_command('p', (), command))\n"
     )

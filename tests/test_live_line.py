@@ -2,7 +2,7 @@
 
 from made_up_buses import bus_text, robot_of
 
-from acquisition.commands.live import live_line
+from acquisition.commands.record import live_line
 from acquisition.recorder.recorder import Status
 
 

@@ -7,10 +7,8 @@ import shutil
 import pytest
 from conftest import REPLAY, ROOT
 
-from acquisition.commands.program import _parser as acquire_parser
-from acquisition.commands.program import main as acquire
-from identification.commands.program import _parser as identify_parser
-from identification.commands.program import main as identify
+from acquisition.commands.program import PROGRAM as ACQUIRE
+from identification.commands.program import PROGRAM as IDENTIFY
 
 README = (ROOT / "README.md").read_text()
 BLOCK = re.findall(r"^ {4,}(robot-(?:acquire|identify) .*)$", README, flags=re.MULTILINE)
@@ -27,7 +25,7 @@ def test_the_readme_has_commands():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_one_the_program_takes(command):
     program, *arguments = shlex.split(command)
-    parser = acquire_parser() if program == "robot-acquire" else identify_parser()
+    parser = (ACQUIRE if program == ACQUIRE.name else IDENTIFY).parser()
     if len(arguments) > 1:
         assert callable(parser.parse_args(arguments).run)
 
@@ -46,7 +44,7 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
             continue
         if len(arguments) < 2 or not all((tmp_path / a).exists() for a in arguments[1:2] if not a.startswith("-")):
             continue
-        assert (acquire if program == "robot-acquire" else identify)(arguments) == 0, command
+        assert (ACQUIRE if program == ACQUIRE.name else IDENTIFY).main(arguments) == 0, command
         ran += 1
     assert ran >= 5
     capsys.readouterr()
@@ -72,7 +70,7 @@ def test_every_key_of_a_description_is_explained():
 
 
 def test_every_option_of_identify_is_named():
-    parser = identify_parser()
+    parser = IDENTIFY.parser()
     commands = next(action for action in parser._actions if action.choices)
     for name, command in commands.choices.items():
         for action in command._actions:

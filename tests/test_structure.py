@@ -12,9 +12,13 @@ import tomllib
 import pytest
 from conftest import ROOT
 
+from acquisition.commands.program import PROGRAM as ACQUIRE
+from identification.commands.program import PROGRAM as IDENTIFY
+
 PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
 MOST_FILES, MOST_LINES = 8, 400
 
 
@@ -25,7 +29,18 @@ def test_a_room_has_a_purpose_a_face_and_few_files(room):
     shown = [n for n in ast.walk(face) if isinstance(n, ast.ImportFrom)]
     assert shown
     assert all(n.level == 1 for n in shown), "a face shows what its own room has"
-    assert len([path for path in room.glob("*.py") if path.name != "__init__.py"]) <= MOST_FILES
+    files = {path.stem for path in room.glob("*.py")} - {"__init__"}
+    if room.name == "commands":  # one file per command, and those that commands share
+        files -= {module.__name__.rsplit(".", 1)[-1] for module in PROGRAMS[room.parent.name].commands}
+    assert len(files) <= MOST_FILES
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_a_command_has_the_name_of_its_file(package):
+    program = PROGRAMS[package]
+    (choices,) = (action.choices for action in program.parser()._actions if action.choices)
+    files = [module.__name__.rsplit(".", 1)[-1].rstrip("_") for module in program.commands]
+    assert files == list(choices)
 
 
 def test_every_room_is_in_the_contracts():

@@ -30,8 +30,8 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     scripts = configparser.ConfigParser()
     scripts.read(entries)
     assert dict(scripts["console_scripts"]) == {
-        "robot-acquire": "acquisition.commands.program:main",
-        "robot-identify": "identification.commands.program:main",
+        "robot-acquire": "acquisition.commands:main",
+        "robot-identify": "identification.commands:main",
     }
     code = (
         "import contextlib, acquisition.__main__ as a, identification.__main__ as i\n"

@@ -1,19 +1,129 @@
-"""Runs one command of a program: standard streams that cannot fail it, errors in one line, an exit status."""
+"""The program that both packages share: one parser made of commands, standard streams, errors in one line, exit statuses.
 
+Each command is a module with `add(commands)`, which declares its options and sets `run`, and `run(options)`, which does
+it: parse, one library call, print. Libraries are imported by `run`, so that `--help` loads nothing heavy.
+"""
+
+import argparse
 import errno
 import io
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from typing import TextIO, cast
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, TypeVar, cast
 
 from ..errors import one_line
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
+T = TypeVar("T", bound="DataclassInstance")
 
 STATUSES = (
     "exit status: 0 done; 1 an error, told in one line on standard error; 2 wrong usage; "
     "3 done, but the result is not to be trusted (robot-identify fit, validate); 130 interrupted by Ctrl-C"
 )
+DISTRIBUTION = "robot-idim"
+PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")
+
+
+class Command(Protocol):
+    """A module that declares one command."""
+
+    def add(self, commands: Commands, /) -> None:
+        """Declare the command's options, and set `run` to what it does: a function of the options that gives a status."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """A command line: its name, one line about it, its commands in the order of the help, the errors it tells in one line."""
+
+    name: str
+    description: str
+    commands: tuple[Command, ...]
+    errors: tuple[type[Exception], ...]
+
+    def parser(self) -> argparse.ArgumentParser:
+        """The parser of all commands; what it parses has `run`."""
+        parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
+        parser.add_argument("--version", action=_Versions, nargs=0, help="versions of this and of what it rests on")
+        commands = parser.add_subparsers(required=True, metavar="COMMAND")
+        for command in self.commands:
+            command.add(commands)
+        return parser
+
+    def main(self, arguments: Sequence[str] | None = None) -> int:
+        """Run the command that `arguments` name (default: those of the process); the exit status is one of `STATUSES`."""
+
+        def command() -> int | None:
+            options = self.parser().parse_args(arguments)
+            status: int | None = options.run(options)
+            return status
+
+        return run_command(self.name, self.errors, command)
+
+
+class _Versions(argparse.Action):
+    """Print versions, one a line, and leave."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        from importlib.metadata import PackageNotFoundError, version
+
+        def of(package: str) -> str:
+            try:
+                return version(package)
+            except PackageNotFoundError:
+                return "not installed"
+
+        print(f"{parser.prog} {of(DISTRIBUTION)}")
+        print(f"Python {sys.version.split()[0]}", *(f"{package} {of(package)}" for package in PACKAGES), sep="\n")
+        parser.exit()
+
+
+def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
+    """A dataclass made of the options that bear the names of its fields, and of `others`.
+
+    An option that was not given (None) leaves the field's default.
+    """
+    given = {field.name: getattr(options, field.name, None) for field in fields(kind)}
+    return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
+
+
+class Progress:
+    """A line on standard error that says what is being done, if `shown`: on a terminal only."""
+
+    def __init__(self, text: str) -> None:
+        self.shown = sys.stderr.isatty()
+        if self.shown:
+            from rich.console import Console
+
+            self._status = Console(stderr=True).status(text)
+
+    def say(self, text: Any) -> None:
+        """Replace the text, by another or by a `rich.text.Text`."""
+        if self.shown:
+            self._status.update(text)
+
+    @contextmanager
+    def cleared(self) -> Iterator[None]:
+        """Without the line for the time of the block, so that something else can be told and asked."""
+        self.__exit__()
+        try:
+            yield
+        finally:
+            self.__enter__()
+
+    def __enter__(self) -> "Progress":
+        if self.shown:
+            self._status.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self.shown:
+            self._status.stop()
 
 
 class _Stream:

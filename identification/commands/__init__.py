@@ -1,4 +1,4 @@
-"""The command line: options and their values."""
+"""The command line: one file per command, and the options that commands share."""
 
 from .program import main
 

@@ -1,32 +1,53 @@
-"""Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise."""
+"""Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise.
+
+Options bear the names of the fields that they set, of `Overrides` and `Noise`: `acquisition.commands.from_options`.
+"""
 
 import argparse
 import os
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import IdentificationError
+
+if TYPE_CHECKING:
+    from ..data import Signals
 
 
 def add_simulation_options(
     parser: argparse.ArgumentParser, *, encoder_step: float = 0.0, effort_noise_percent: float = 0.0
 ) -> None:
     """Length, rate, seed and noise of a simulated recording, with the noise that is the default."""
-    parser.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
-    parser.add_argument("--rate-hz", type=above_zero, default=1000.0, metavar="F", help="sample rate (default 1000)")
-    parser.add_argument("--seed", type=whole, default=1, metavar="K", help="of reference and noise (default 1)")
-    parser.add_argument(
+    group = parser.add_argument_group("simulated recording")
+    group.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
+    group.add_argument(
+        "--rate-hz",
+        dest="sample_rate_hz",
+        type=above_zero,
+        default=1000.0,
+        metavar="F",
+        help="sample rate (default 1000)",
+    )
+    group.add_argument("--seed", type=whole, default=1, metavar="K", help="of reference and noise (default 1)")
+    group.add_argument(
         "--encoder-step",
         type=not_negative,
         default=encoder_step,
         metavar="Q",
         help=f"rad or m per count (default {encoder_step:g})",
     )
-    parser.add_argument(
-        "--position-noise", type=not_negative, default=0.0, metavar="Q", help="rad or m, rms (default 0)"
+    group.add_argument(
+        "--position-noise",
+        dest="position",
+        type=not_negative,
+        default=0.0,
+        metavar="Q",
+        help="rad or m, rms (default 0)",
     )
-    parser.add_argument(
+    group.add_argument(
         "--effort-noise-percent",
+        dest="effort_percent",
         type=not_negative,
         default=effort_noise_percent,
         metavar="P",
@@ -34,45 +55,44 @@ def add_simulation_options(
     )
 
 
-def add_plan_options(parser: argparse.ArgumentParser) -> None:
-    """What of a recording is fitted, and how it is filtered."""
-    parser.add_argument(
+def add_recording(parser: argparse.ArgumentParser, *before: str) -> None:
+    """The group of inputs: files that come before, the recording, and a description in place of its own."""
+    inputs = parser.add_argument_group("inputs")
+    for name in before:
+        inputs.add_argument(name, type=Path, metavar=f"{name.upper()}.json")
+    inputs.add_argument("recording", type=Path, metavar="LOG.mcap")
+    inputs.add_argument(
         "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
     )
-    parser.add_argument(
+
+
+def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
+    """The group of settings: what of a recording is fitted, and how it is filtered."""
+    group = parser.add_argument_group("settings of the fit")
+    group.add_argument(
         "--cutoff-hz",
         type=cutoff,
         metavar="F",
         help="low-pass of the position, Hz, or none (default: 5 times the bandwidth)",
     )
-    parser.add_argument("--decimate", type=positive, metavar="N", help="samples per decimated row")
-    parser.add_argument("--all-samples", action="store_true", help="use standstill before and after the motion as well")
+    group.add_argument("--decimate", dest="decimation", type=positive, metavar="N", help="samples per decimated row")
+    group.add_argument(
+        "--all-samples",
+        dest="span",
+        action="store_const",
+        const="all",
+        help="use standstill before and after the motion as well",
+    )
+    return group
 
 
-def add_method_options(parser: argparse.ArgumentParser) -> None:
-    """How a recording is fitted."""
-    parser.add_argument(
-        "--method",
-        choices=["ols", "wls", "iv"],
-        default="wls",
-        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
-    )
-    parser.add_argument(
-        "--start",
-        metavar="regular|ls|FIT.json",
-        help="of iv: nothing known but regular inertias (default), least squares, or a fit's JSON file",
-    )
-    parser.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="of iv (default 2.5)")
-    parser.add_argument("--max-iterations", type=positive, metavar="N", help="of iv (default 10)")
-    parser.add_argument(
-        "--low-speed-percent",
-        type=share,
-        metavar="P",
-        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
-    )
-    parser.add_argument(
-        "--essential", action="store_true", help="keep only the parameters the recording determines well"
-    )
+def load(options: argparse.Namespace) -> "Signals":
+    """The recording of `add_recording`, by the description given in place of its own."""
+    from acquisition.robot import load_robot
+
+    from ..data import load_signals
+
+    return load_signals(options.recording, load_robot(options.robot) if options.robot else None)
 
 
 def make_folder(out: Path) -> None:

@@ -1,0 +1,32 @@
+"""`robot-acquire info`: what a recording holds."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from .command_line import Commands, Progress
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("info", help="what a recording holds")
+    parser.add_argument("recording", type=Path, metavar="LOG.mcap")
+    parser.add_argument("--json", action="store_true", help="as JSON, for programs")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the recording's overview."""
+    with Progress("reading"):
+        from ..recording import as_tables, overview, read_recording
+
+        found = overview(read_recording(options.recording))
+    if options.json:
+        import msgspec
+
+        print(msgspec.json.format(msgspec.json.encode(found), indent=2).decode())
+    else:
+        from rich.console import Console
+
+        # A pipe has no width of its own: lines are not to be broken there.
+        Console(width=None if sys.stdout.isatty() else 500).print(as_tables(found))

@@ -1,0 +1,122 @@
+"""`robot-acquire record`: a session with the drives of a description; nothing moves without `--track`."""
+
+import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ..errors import AcquisitionError, one_line
+from .command_line import Commands, Progress, from_options
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from ..recorder import Recorded, Status
+    from ..robot import Robot
+    from ..session import Ending, Stop, Told
+
+
+def add(commands: Commands) -> None:
+    """Declare the command; options bear the names of `Wanted`."""
+    parser = commands.add_parser("record", help="record drives; nothing moves without --track")
+    inputs = parser.add_argument_group("inputs")
+    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    inputs.add_argument(
+        "--track", type=Path, metavar="REFERENCE.csv", help="MOVES THE ROBOT along time_s and each joint's rad or m"
+    )
+    session = parser.add_argument_group("session")
+    session.add_argument("--passive", action="store_true", help="another master owns the bus: send nothing, ever")
+    session.add_argument("--dry-run", action="store_true", help="all of it on simulated drives, without any bus")
+    session.add_argument(
+        "--duration", dest="duration_s", type=float, metavar="S", help="seconds; without it until Ctrl-C"
+    )
+    session.add_argument("--speed", type=float, metavar="X", help="--track slower: more than 0 to 1, the default")
+    session.add_argument(
+        "--yes", action="store_true", help="--track without asking whether the joint positions are right"
+    )
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Record, say how it goes and what was recorded; 1 when the session ended by a fault."""
+    from ..robot import load_robot
+    from ..session import Stop, Wanted, record, stop_on_signals
+
+    if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
+        raise AcquisitionError(f"--duration {options.duration_s:g}: expected more than 0, and an end")
+    robot = load_robot(options.robot)
+    if robot.bus is None:
+        raise AcquisitionError(f"{options.robot}: bus is not there: expected a [bus] section with one drive per motor")
+    moves = options.track is not None and not options.dry_run
+    if moves and not options.yes and not sys.stdin.isatty():
+        raise AcquisitionError("--track: nobody is here to confirm the joint positions: expected a terminal, or --yes")
+    stop = Stop()
+    with stop_on_signals(stop), Progress("starting") as progress:
+
+        def confirm(words: list[str]) -> bool:
+            return options.yes or _agreed(words, stop, progress)
+
+        wanted, told = from_options(Wanted, options, confirm=confirm), _told(robot, progress)
+        ending, recorded = record(robot, str(options.robot), options.output, wanted, told, stop, _announce)
+    return _report(options.output, robot, ending, recorded)
+
+
+def _report(out: Path, robot: "Robot", ending: "Ending", recorded: "Recorded") -> int:
+    if ending.fault:  # the reason comes before what was recorded
+        reason = "; ".join((ending.reason, *ending.reports))
+        print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
+    for text in () if ending.fault else recorded.warnings:
+        print(one_line(f"warning: {text}"), file=sys.stderr)
+    held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
+    print(one_line(f"{out}: {robot.name}, {held}; {ending.reason}"))
+    if ending.fault:
+        return 1
+    if ending.alarm:
+        raise AcquisitionError(f"{out}: {ending.alarm}")
+    if recorded.no_samples:
+        raise AcquisitionError(f"no samples, the frames are kept: {recorded.no_samples}")
+    return 0
+
+
+def _announce(ending: "Ending") -> None:
+    """Say at once which drives may still be enabled: before the recording is closed, and before all else."""
+    if ending.alarm:
+        print(one_line(ending.alarm), file=sys.stderr, flush=True)
+
+
+def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
+    """Show joint positions, and wait until somebody says yes or something else; a stop asked for is no."""
+    import select
+
+    with progress.cleared():
+        for text in words:
+            print(one_line(text), file=sys.stderr)
+        print("Does the robot stand like that, and may it move? yes or no: ", end="", file=sys.stderr, flush=True)
+        while not stop.reason:
+            if select.select([sys.stdin], [], [], 0.1)[0]:
+                return sys.stdin.readline().strip().lower() in ("yes", "y")
+        print(file=sys.stderr)
+    return False
+
+
+def _told(robot: "Robot", progress: Progress) -> "Told":
+    """Where to a session reports twice a second: to the terminal, if there is one."""
+    if not progress.shown:
+        return lambda status, left_s: None
+    return lambda status, left_s: progress.say(live_line(robot, status, left_s))
+
+
+def live_line(robot: "Robot", status: "Status", left_s: float | None) -> "Text":
+    """Rate, losses, each joint's range so far, time left. Losses stand out."""
+    from rich.text import Text
+
+    line = Text(f"{status.rate_hz:.0f} frames/s")
+    for count, name in ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late")):
+        line.append(f", {count} {name}", style="bold red" if count else "")
+    for joint, low, high in zip(robot.joints, status.lowest, status.highest, strict=False):
+        line.append(f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}")
+    if left_s is not None:
+        line.append(f", {left_s:.0f} s left")
+    return line

@@ -1,0 +1,29 @@
+"""`robot-acquire recover`: a whole recording from one that was cut."""
+
+import argparse
+from pathlib import Path
+
+from ..errors import one_line
+from .command_line import Commands, Progress
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("recover", help="a whole recording from one that was cut")
+    parser.add_argument("recording", type=Path, metavar="CUT.mcap")
+    parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write what is whole, and say what it holds."""
+    with Progress("recovering"):
+        from ..files import refuse_input
+        from ..recording import recover
+
+        refuse_input(options.output, [options.recording])
+        found = recover(options.recording, options.output)
+    samples = 0 if found.samples is None else len(found.samples)
+    frames = sum(len(block) for block in found.frames.values())
+    held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
+    print(one_line(f"{options.output}: {found.robot.name}, {held}"))

@@ -1,0 +1,54 @@
+"""`robot-acquire simulate`: simulated drives on the bus of a description, for anyone's master."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..errors import AcquisitionError
+from .command_line import Commands
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("simulate", help="simulated drives on the bus of a description, for anyone's master")
+    parser.add_argument("robot", type=Path, metavar="ROBOT.toml")
+    parser.add_argument("--replay", type=Path, metavar="LOG.mcap", help="drives that replay a recording's samples")
+    parser.add_argument(
+        "--unsupervised", action="store_true", help="drives that notice neither a lost SYNC nor a lost master"
+    )
+    parser.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Serve until the duration is over or a signal comes."""
+    import time
+
+    from ..recording import read_recording
+    from ..robot import load_robot, resolve
+    from ..session import Stop, stop_on_signals
+    from ..simulated import Mechanism, TablePlant, mechanism_of, rated_motor_effort, serve, typical_loops
+
+    robot = load_robot(options.robot)
+    bus = resolve(robot, str(options.robot))
+    if options.replay is None:
+        mechanism = mechanism_of(robot, bus)
+    else:
+        recording = read_recording(options.replay)
+        if recording.samples is None:
+            raise AcquisitionError(f"{options.replay}: holds no joint samples: expected some to replay")
+        plant = TablePlant(recording.samples, recording.sample_rate_hz)
+        mechanism = Mechanism(plant=plant, loops=typical_loops(robot, rated_motor_effort(bus)))
+    stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
+    nodes = ", ".join(str(drive.node) for drive in bus.drives)
+    told = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
+    told += f"; {mechanism.warning}" if mechanism.warning else ""
+    with stop_on_signals(stop):
+        serve(
+            robot,
+            bus,
+            lambda: bool(stop.reason) or time.monotonic() > end_s,
+            mechanism,
+            ready=lambda: print(told, file=sys.stderr, flush=True),
+            supervised=not options.unsupervised,
+        )

@@ -1,0 +1,57 @@
+"""`robot-identify demo`: simulated drives, a recording, a fit against the truth."""
+
+import argparse
+from pathlib import Path
+
+from acquisition.commands import Commands, Progress
+
+from .options import make_folder, not_negative
+from .results import print_results
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("demo", help="simulated drives, a recording, a fit against the truth")
+    parser.add_argument(
+        "--out", type=Path, default=Path("session"), metavar="DIR", help="folder for results (default: session)"
+    )
+    parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="default tx40")
+    parser.add_argument(
+        "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Record, fit by both methods, draw, and print both fits against the truth."""
+    with Progress("starting") as progress:
+        from acquisition.files import whole_file
+        from acquisition.robot import load_robot
+
+        from ..data import load_signals
+        from ..methods import Iteration, identify_iv, identify_ls
+        from ..regression import Overrides
+        from ..report import fit_json, fit_tables, truth_json, truth_table, write_json
+        from ..study import Rehearsal, description, rehearse, study_truth
+        from ..view import write_fit_rrd
+
+        place, out = description(options.robot), options.out
+        robot = load_robot(place)
+        make_folder(out)
+        with whole_file(out / "session.mcap") as recording:
+            rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), progress.say)
+        signals = load_signals(out / "session.mcap")
+        base, true = study_truth(robot)
+        write_json(out / "truth.json", truth_json(robot.name, base, true))
+        fits = {}
+        progress.say("least squares")
+        fits["ls"] = identify_ls(signals, Overrides())
+        fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
+        for name, fit in fits.items():
+            write_json(out / f"{name}.json", fit_json(signals, fit))
+        progress.say("writing the Rerun file")
+        write_fit_rrd(out / "demo.rrd", signals, fits["iv"], beside=fits["ls"], truth=true)
+    for fit in fits.values():
+        print_results(fit_tables(signals, fit))
+    print_results(truth_table(list(fits.values()), true))
+    print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")

@@ -1,0 +1,111 @@
+"""`robot-identify fit`: base parameters from a recording."""
+
+import argparse
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquisition.commands import Commands, Progress, from_options
+
+from ..errors import IdentificationError
+from .options import above_zero, add_recording, add_settings, load, positive, refuse_clash, share
+from .results import print_results, untrusted
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from ..data import Signals
+    from ..methods import Fit
+    from ..model import BaseParameters
+
+
+def add(commands: Commands) -> None:
+    """Declare the command; its settings bear the names of `Overrides` and `Iteration`."""
+    parser = commands.add_parser("fit", help="base parameters from a recording")
+    add_recording(parser)
+    settings = add_settings(parser)
+    settings.add_argument(
+        "--method",
+        choices=["ols", "wls", "iv"],
+        default="wls",
+        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
+    )
+    settings.add_argument(
+        "--low-speed-percent",
+        type=share,
+        metavar="P",
+        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
+    )
+    settings.add_argument(
+        "--essential", action="store_true", help="keep only the parameters the recording determines well"
+    )
+    iv = parser.add_argument_group("settings of --method iv")
+    iv.add_argument(
+        "--start",
+        metavar="regular|ls|FIT.json",
+        help="nothing known but regular inertias (default), least squares, or a fit's JSON file",
+    )
+    iv.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="default 2.5")
+    iv.add_argument("--max-iterations", type=positive, metavar="N", help="default 10")
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
+    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
+    for name in ("start", "tolerance_percent", "max_iterations"):
+        if options.method != "iv" and getattr(options, name) is not None:
+            told = f"--{name.replace('_', '-')} {getattr(options, name)}"
+            raise IdentificationError(
+                f"{told}: does nothing with --method {options.method}: expected --method iv with it"
+            )
+    inputs = [options.recording, options.robot, Path(options.start or "regular")]
+    refuse_clash(inputs, options.json)
+    refuse_clash(inputs, options.json, options.rrd, folders=False)
+    with Progress("reading") as progress:
+        from ..report import fit_json, fit_tables, write_json
+
+        signals = load(options)
+        progress.say("fitting")
+        fit = _identify(options, signals, progress.say)
+    try:
+        if options.json:
+            write_json(options.json, fit_json(signals, fit))
+        if options.rrd:
+            with Progress("writing the Rerun file"):
+                _write_rrd(options, signals, fit)
+    finally:  # a file that cannot be written must not cost its fit
+        print_results(fit_tables(signals, fit))
+    return untrusted(fit.distrust)
+
+
+def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
+    from ..methods import Iteration, identify_iv, identify_ls
+    from ..regression import Overrides
+    from ..report import read_fit
+
+    overrides = from_options(Overrides, options)
+    if options.method != "iv":
+        return identify_ls(signals, overrides, method=options.method, essential=options.essential, say=say)
+    values = None
+    if options.start not in (None, "regular", "ls"):
+        stored = read_fit(Path(options.start))
+
+        def values(base: "BaseParameters") -> "NDArray[np.float64]":
+            return stored.beta(base, options.start)
+
+    iteration = from_options(Iteration, options, values=values)
+    return identify_iv(signals, overrides, iteration, essential=options.essential, say=say)
+
+
+def _write_rrd(options: argparse.Namespace, signals: "Signals", fit: "Fit") -> None:
+    from ..methods import identify_ls
+    from ..regression import Overrides
+    from ..view import write_fit_rrd
+
+    overrides = from_options(Overrides, options)
+    beside = identify_ls(signals, overrides, essential=options.essential) if fit.iv else None
+    write_fit_rrd(options.rrd, signals, fit, beside=beside)

@@ -1,0 +1,35 @@
+"""`robot-identify simulate`: a recording of a simulated robot with known parameters."""
+
+import argparse
+from pathlib import Path
+
+from acquisition.commands import Commands, Progress, from_options
+
+from .options import add_simulation_options, refuse_clash
+from .results import print_results
+
+
+def add(commands: Commands) -> None:
+    """Declare the command; noise bears the names of `Noise`."""
+    parser = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
+    inputs = parser.add_argument_group("inputs")
+    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    add_simulation_options(parser)
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap", help="the recording to write")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Simulate, write the recording, and say what it holds."""
+    refuse_clash([options.robot], options.out)
+    with Progress("simulating"):
+        from acquisition.robot import load_robot
+
+        from ..study import Noise, closed_loop, random_reference, write_signals
+
+        robot, rate_hz, seed = load_robot(options.robot), options.sample_rate_hz, options.seed
+        q_ref = random_reference(robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed)
+        signals = closed_loop(robot, q_ref, rate_hz, noise=from_options(Noise, options), seed=seed)
+        write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {seed}")
+    print_results(f"{options.out}: simulated, {options.duration_s:g} s at {rate_hz:g} Hz")

@@ -1,0 +1,61 @@
+"""`robot-identify study`: Monte-Carlo on a simulated robot, what to trust of least squares and iv."""
+
+import argparse
+from pathlib import Path
+
+from acquisition.commands import Commands, from_options
+
+from ..errors import IdentificationError
+from .options import add_simulation_options, cutoffs, factors, positive, refuse_clash, share
+from .results import print_results
+
+
+def add(commands: Commands) -> None:
+    """Declare the command; options bear the names of `Study` and `Noise`."""
+    parser = commands.add_parser(
+        "study", help="Monte-Carlo on a simulated robot: what to trust of least squares and iv"
+    )
+    inputs = parser.add_argument_group("inputs")
+    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    varied = parser.add_argument_group("what is varied")
+    varied.add_argument("--runs", type=positive, metavar="N", help="default 100")
+    varied.add_argument("--cutoffs", type=cutoffs, metavar="A,B,none", help="x bandwidth (default 5,10,none)")
+    varied.add_argument("--starts", type=factors, metavar="A,B", help="x each joint's true inertia (default 0.05,1,20)")
+    varied.add_argument("--gain-errors", type=factors, metavar="A,B", help="x true gains (default 0.7,1,1.3)")
+    varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit")
+    add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
+    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the study, write what is asked for, print the table."""
+    from rich.console import Console
+    from rich.progress import track
+
+    from acquisition.robot import load_robot
+
+    from ..report import study_notes, study_table, write_json
+    from ..study import Noise, Study, run_study, study_json, study_truth
+
+    refuse_clash([options.robot], options.json, options.rrd)
+    robot = load_robot(options.robot)
+    study = from_options(Study, options, noise=from_options(Noise, options))
+    base, true = study_truth(robot)
+    err = Console(stderr=True)
+    each = run_study(robot, study)
+    runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
+    if not any(run.error_ls > 0 for run in runs):
+        raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
+    notes = study_notes(study)
+    try:
+        if options.json:
+            write_json(options.json, study_json(study, runs, base.names, true))
+        if options.rrd:
+            from ..view import write_study_rrd
+
+            write_study_rrd(options.rrd, robot.name, runs, true, notes)
+    finally:  # a file that cannot be written must not cost an hour of runs
+        print_results(study_table(robot.name, runs, true), *notes)

@@ -1,0 +1,76 @@
+"""`robot-identify validate`: apply a fit to another recording."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquisition.commands import Commands, Progress, from_options
+
+from .options import above_zero, add_recording, add_settings, load, refuse_clash
+from .results import print_results, untrusted
+
+if TYPE_CHECKING:
+    from ..data import Signals
+    from ..report import StoredFit
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("validate", help="apply a fit to another recording")
+    add_recording(parser, "fit")
+    add_settings(parser)
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    outputs.add_argument(
+        "--max-error-percent", type=above_zero, metavar="P", help="above it, of all rows, the exit status is 3"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
+    refuse_clash([options.fit, options.recording, options.robot], options.json)
+    with Progress("reading") as progress:
+        from ..methods import validate
+        from ..regression import Overrides
+        from ..report import doubts, errors_json, errors_table, plan_json, plan_lines, provenance, read_fit, write_json
+
+        stored, signals = read_fit(options.fit), load(options)
+        signals, told = as_fitted(signals, options.recording, stored, str(options.fit), kept=options.robot is not None)
+        progress.say("predicting")
+        overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
+        plan, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
+    units = signals.robot.effort_units
+    warnings = [*plan.warnings, *told, *doubts(stored, str(options.fit))]
+    if options.json:
+        content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
+        write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
+    print_results(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
+    error, most = errors[-1].relative_error_percent, options.max_error_percent
+    if most is None or (error is not None and error <= most):
+        return 0
+    found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
+    return untrusted([f"{options.fit} on {options.recording}: {found}: expected at most {most:g} %"])
+
+
+def as_fitted(
+    signals: "Signals", recording: Path, stored: "StoredFit", place: str, *, kept: bool
+) -> tuple["Signals", list[str]]:
+    """The signals of a recording, by the fit's own description where the parameters are not those of the recording's.
+
+    `kept`: the user chose the description. The lines say what a reader must know; `place` names the fit in them.
+    """
+    from ..data import load_signals
+    from ..model import InverseModel, base_parameters
+
+    other = stored.other_meaning(base_parameters(InverseModel(signals.robot)))
+    if not other:
+        return signals, []
+    names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
+    robot = None if kept else stored.robot(place)
+    if robot is None:
+        return signals, [
+            f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
+        ]
+    told = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
+    return load_signals(recording, robot), [told]
