@@ -34,7 +34,8 @@ def refused(capsys, *arguments) -> str:
 def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     status, out, err = run(capsys, "fit", SESSION, "--json", tmp_path / "fit.json")
     assert (status, err) == (0, "")
-    assert "SCARA: WLS, 8 parameters" in out
+    assert out.startswith("SCARA: WLS, solved, 0.")
+    assert "essential: 8 of 8 parameters" in out
     fit = json.loads((tmp_path / "fit.json").read_text())
     assert [p["name"] for p in fit["parameters"]] == ["ZZ1R", "Fv1", "Fc1", "ZZ2", "MX2", "MY2", "Fv2", "Fc2"]
     assert fit["parameters"][0]["expression"] == "ZZ1 + 0.25 M2"

@@ -4,11 +4,10 @@ import json
 
 import pytest
 from conftest import REPLAY
-from rich.table import Table
-from rich.text import Text
 
 from identification.commands.program import main
-from identification.report.tables import study_notes
+from identification.report.document import Document, Section, Table, columns
+from identification.report.study_report import study_notes
 from identification.report.terminal import print_whole
 from identification.study.study import FALSE_ERROR, Study
 from identification.study.synthetic import Noise
@@ -25,22 +24,24 @@ def narrow(monkeypatch):
 
 def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     out = tmp_path / "fit.json"
-    assert main(["fit", str(SESSION), "--method", "iv", "--json", str(out)]) == 0
+    assert main(["fit", str(SESSION), "--method", "iv", "--all", "--json", str(out)]) == 0
     told = capsys.readouterr().out
     assert "…" not in told
     for p in json.loads(out.read_text())["parameters"]:
-        (row,) = [line for line in told.splitlines() if line.split()[:1] == [p["name"]]]
+        (row,) = [line for line in told.splitlines() if line.split()[:1] == [p["name"]] and " = " not in line]
         value, sigma = (float(x) for x in row.split()[1:3])
         assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
         assert sigma == pytest.approx(p["sigma"], rel=0.01)
     assert max(len(line) for line in told.splitlines()) < 90
 
 
+def document(table: Table) -> Document:
+    return Document(title="a report", sections=(Section(title="a table", table=table),))
+
+
 def test_long_texts_are_folded_and_numbers_are_not(narrow, capsys):
-    table = Table("name", "expression", title=Text("a table"))
-    table.add_column(Text("a/long/folder/and/a/file.json"), justify="right")
-    table.add_row("M1", "one and " * 12, "-123456.789012345678")
-    print_whole(table)
+    headings = columns("name", "expression", numbers=("a/long/folder/and/a/file.json",))
+    print_whole(document(Table(columns=headings, rows=(("M1", "one and " * 12, "-123456.789012345678"),))))
     told = capsys.readouterr().out
     assert "-123456.789012345678" in told
     assert told.count("one") == 12
@@ -59,11 +60,9 @@ def test_names_are_printed_as_they_are(name, capsys, tmp_path):
     assert f"{path.name}: 1000 Hz" in out
     assert "judged on: " in out, "nothing is fitted"
     assert "fitted: " not in out
-    table = Table(title=f"{name}: fit")
-    table.add_column(name)
-    table.add_row(name)
-    print_whole(table)
-    assert capsys.readouterr().out.count(name) == 3
+    section = Section(title=name, table=Table(columns=columns(name), rows=((name,),)), lines=(name,), warnings=(name,))
+    print_whole(Document(title=f"{name}: fit", sections=(section,)))
+    assert capsys.readouterr().out.count(name) == 6
 
 
 def test_a_pipe_gets_whole_lines(capsys):

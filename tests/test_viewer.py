@@ -1,5 +1,6 @@
 """The Rerun file of a fit: its layout shows only what is there, and what is there is what was measured and modelled."""
 
+import re
 import resource
 from dataclasses import replace
 from functools import cache
@@ -213,7 +214,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     for p in fit.iv.passes:
         assert f"{p.residual_norm:.3g}" in labels
     text = file.static["/report"]["TextDocument:text"][0]
-    assert "Simulated robot against the recording" in text
+    assert "simulated robot against the recording" in text
     assert "IV and LS" in text
     assert "IV and true" in text
 
@@ -445,12 +446,14 @@ def test_the_report_tells_result_settings_and_parameters(written):
     signals = made_up(types=("revolute",), unit="A")
     fit = fitted(signals)
     text = written(signals).static["/report"]["TextDocument:text"][0]
-    assert text.startswith(f"# made up: {fit.errors[-1].relative_error_percent:.1f} % relative torque error")
+    moving = fit.errors[-1].moving_relative_error_percent
+    assert text.startswith(f"# made up: WLS, solved, {moving:.3g} % torque error of moving rows\n")
     for warning in fit.warnings:
         assert f"warning: {warning}" in text
     assert fit.warnings, "the drive gain is not known"
     for name, value, unit in zip(fit.estimate.names, fit.estimate.beta, fit.base.units, strict=True):
-        assert f"| {name} | {value:.4g} |" in text
+        (row,) = re.findall(rf"^\| {name} \| ([^ ]+) \|", text, flags=re.MULTILINE)
+        assert float(row) == pytest.approx(value, rel=1e-3)
         assert f"| {unit} |" in text
     for part in ("made_up.mcap", "0" * 64, "low-pass 50 Hz", "WLS", "every sample"):
         assert part in text
@@ -489,10 +492,10 @@ def test_a_disk_that_fills_up_leaves_what_was_there(tmp_path):
 
 
 def test_a_failure_half_way_leaves_nothing_and_is_silent(tmp_path, monkeypatch, capfd):
-    def fail(*_):
+    def fail(*_, **__):
         raise ValueError("half way")
 
-    monkeypatch.setattr(viewer, "fit_markdown", fail)
+    monkeypatch.setattr(viewer, "fit_document", fail)
     with pytest.raises(ValueError, match="half way"):
         write_fit_rrd(tmp_path / "fit.rrd", made_up(), fitted(made_up()))
     assert list(tmp_path.iterdir()) == []

@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and what must be known of either fit."""
-    from ..report import difference_table, doubts, frame_lines, read_fit, values_of_stored
+    from ..report import comparison_document, doubts, frame_lines, read_fit, values_of_stored
 
     refuse_clash([options.a, options.b], options.rrd)
     same = options.a.stem == options.b.stem
@@ -33,4 +33,4 @@ def run(options: argparse.Namespace) -> None:
         from ..view import write_comparison_rrd
 
         write_comparison_rrd(options.rrd, a, b)
-    print_results(difference_table(a, b), *(f"warning: {text}" for text in told))
+    print_results(comparison_document(a, b, tuple(told)))

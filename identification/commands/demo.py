@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
         from ..data import load_signals
         from ..methods import Iteration, identify_iv, identify_ls
         from ..regression import Overrides
-        from ..report import fit_json, fit_tables, truth_json, truth_table, write_json
+        from ..report import fit_document, fit_json, truth_document, truth_json, write_json
         from ..study import Rehearsal, description, rehearse, study_truth
         from ..view import write_fit_rrd
 
@@ -52,6 +52,6 @@ def run(options: argparse.Namespace) -> None:
         progress.say("writing the Rerun file")
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], beside=fits["ls"], truth=true)
     for fit in fits.values():
-        print_results(fit_tables(signals, fit))
-    print_results(truth_table(list(fits.values()), true))
+        print_results(fit_document(signals, fit))
+    print_results(truth_document(robot.name, list(fits.values()), true))
     print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")

@@ -49,6 +49,7 @@ def add(commands: Commands) -> None:
     iv.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="default 2.5")
     iv.add_argument("--max-iterations", type=positive, metavar="N", help="default 10")
     outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("--all", action="store_true", help="print all parameters, not the essential ones alone")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
     outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
     parser.set_defaults(run=run)
@@ -66,7 +67,7 @@ def run(options: argparse.Namespace) -> int:
     refuse_clash(inputs, options.json)
     refuse_clash(inputs, options.json, options.rrd, folders=False)
     with Progress("reading") as progress:
-        from ..report import fit_json, fit_tables, write_json
+        from ..report import fit_document, fit_json, write_json
 
         signals = load(options)
         progress.say("fitting")
@@ -78,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
             with Progress("writing the Rerun file"):
                 _write_rrd(options, signals, fit)
     finally:  # a file that cannot be written must not cost its fit
-        print_results(fit_tables(signals, fit))
+        print_results(fit_document(signals, fit, everything=options.all))
     return untrusted(fit.distrust)
 
 

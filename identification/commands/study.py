@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
 
     from acquisition.robot import load_robot
 
-    from ..report import study_notes, study_table, write_json
+    from ..report import study_document, write_json
     from ..study import Noise, Study, run_study, study_json, study_truth
 
     refuse_clash([options.robot], options.json, options.rrd)
@@ -49,13 +49,13 @@ def run(options: argparse.Namespace) -> None:
     runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     if not any(run.error_ls > 0 for run in runs):
         raise IdentificationError(f"{options.robot}: no run can be fitted: {runs[0].reason}")
-    notes = study_notes(study)
+    document = study_document(robot.name, study, runs, true)
     try:
         if options.json:
             write_json(options.json, study_json(study, runs, base.names, true))
         if options.rrd:
             from ..view import write_study_rrd
 
-            write_study_rrd(options.rrd, robot.name, runs, true, notes)
+            write_study_rrd(options.rrd, robot.name, runs, document)
     finally:  # a file that cannot be written must not cost an hour of runs
-        print_results(study_table(robot.name, runs, true), *notes)
+        print_results(document)

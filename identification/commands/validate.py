@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         from ..methods import validate
         from ..regression import Overrides
-        from ..report import doubts, errors_json, errors_table, plan_json, plan_lines, provenance, read_fit, write_json
+        from ..report import doubts, errors_json, plan_json, provenance, read_fit, validation_document, write_json
 
         stored, signals = read_fit(options.fit), load(options)
         signals, told = as_fitted(signals, options.recording, stored, str(options.fit), kept=options.robot is not None)
@@ -45,7 +45,7 @@ def run(options: argparse.Namespace) -> int:
     if options.json:
         content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
         write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
-    print_results(errors_table(errors, units), *plan_lines(signals, plan), *(f"warning: {text}" for text in warnings))
+    print_results(validation_document(signals, plan, options.fit.name, errors, tuple(warnings)))
     error, most = errors[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
         return 0

@@ -1,17 +1,18 @@
-"""What is told of a fit: tables, JSON, comparison, the terminal."""
+"""One report of a fit, a recording, a comparison or a study, and its renderers; the JSON files."""
 
 from .comparison import (
     Difference,
     Value,
     Values,
-    difference_lines,
-    difference_table,
+    comparison_document,
+    comparison_section,
     differences,
     frame_lines,
     true_values,
     values_of_fit,
     values_of_stored,
 )
+from .document import Document, Section
 from .fit_file import (
     StoredFit,
     base_json,
@@ -24,47 +25,40 @@ from .fit_file import (
     truth_json,
     write_json,
 )
-from .tables import (
-    base_table,
-    errors_table,
-    fit_tables,
-    iv_lines,
-    plan_lines,
-    rows_told,
-    study_notes,
-    study_table,
-    truth_table,
-)
+from .fit_report import fit_document
+from .markdown import to_markdown
+from .recording_report import recording_document, validation_document
+from .study_report import base_document, study_document, truth_document
 from .terminal import print_whole
 
 __all__ = [
     "Difference",
+    "Document",
+    "Section",
     "StoredFit",
     "Value",
     "Values",
+    "base_document",
     "base_json",
-    "base_table",
-    "difference_lines",
-    "difference_table",
+    "comparison_document",
+    "comparison_section",
     "differences",
     "doubts",
     "errors_json",
-    "errors_table",
+    "fit_document",
     "fit_json",
-    "fit_tables",
     "frame_lines",
-    "iv_lines",
     "plan_json",
-    "plan_lines",
     "print_whole",
     "provenance",
     "read_fit",
-    "rows_told",
-    "study_notes",
-    "study_table",
+    "recording_document",
+    "study_document",
+    "to_markdown",
     "true_values",
+    "truth_document",
     "truth_json",
-    "truth_table",
+    "validation_document",
     "values_of_fit",
     "values_of_stored",
     "write_json",

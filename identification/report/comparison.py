@@ -2,16 +2,14 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from rich.console import Group, RenderableType
-from rich.table import Table
-from rich.text import Text
 
 from ..errors import IdentificationError
 from ..methods import Fit
+from .document import Document, Number, Row, Section, Table, columns, value_form
 from .fit_file import StoredFit
 
 Vector = NDArray[np.float64]
@@ -205,27 +203,32 @@ def difference_lines(a: Values, b: Values, rows: list[Difference]) -> list[str]:
     return lines
 
 
-def difference_table(a: Values, b: Values) -> RenderableType:
-    """Two sets of parameters for the terminal; sigma is the larger of its two deviations."""
+def comparison_document(a: Values, b: Values, warnings: tuple[str, ...] = ()) -> Document:
+    """Two sets of parameters side by side. Raises `IdentificationError` as `differences` does."""
+    compared = comparison_section(a, b)
+    return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))
+
+
+def comparison_section(a: Values, b: Values) -> Section:
+    """Two sets of parameters side by side; sigma is the larger of a set's two deviations."""
     rows = differences(a, b)
-    table = Table(title=Text(f"{a.label} and {b.label}"), title_justify="left")
-    for column in ("name", "unit"):
-        table.add_column(column)
-    for values in (a, b):
-        table.add_column(Text(values.label), justify="right")
-        table.add_column("sigma", justify="right")
-    for column in ("off by", "%", "in sigma"):
-        table.add_column(column, justify="right")
-    for row in rows:
-        known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
-        d = max(4, min(12, 2 - math.floor(math.log10(min(known))))) if known else 4
-        cells = [(f"{x.value:.{d}f}", f"{x.spread:.{d}f}") if x else ("-", "-") for x in (row.a, row.b)]
-        table.add_row(
-            Text(row.name),
-            Text(row.unit),
-            *(cell for pair in cells for cell in pair),
-            "-" if row.off is None else f"{row.off:+.{d}f}",
-            "-" if row.off_percent is None else f"{row.off_percent:+.1f}" if abs(row.off_percent) < 1000 else "> 1000",
-            "-" if row.off_sigma is None else f"{row.off_sigma:+.2f}",
-        )
-    return Group(table, *(Text(line) for line in difference_lines(a, b, rows)))
+    numbers = (a.label, "sigma", b.label, "sigma", "off by", "%", "in sigma")
+    return Section(
+        title=f"{a.label} and {b.label}",
+        table=Table(columns=columns("name", "unit", numbers=numbers), rows=tuple(_cells(row) for row in rows)),
+        lines=tuple(difference_lines(a, b, rows)),
+    )
+
+
+def _cells(row: Difference) -> Row:
+    known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
+    form = value_form(min(known, default=0.0))
+    values = [number for x in (row.a, row.b) for number in ((x.value, x.spread) if x else (None, None))]
+    return (
+        row.name,
+        row.unit,
+        *(Number(x, form) for x in values),
+        Number(row.off, f"+{form}"),
+        Number(row.off_percent, "+.1f", most=1000),
+        Number(row.off_sigma, "+.2f"),
+    )

@@ -1,23 +1,25 @@
-"""Prints tables and lines whole, whatever the width of the terminal."""
+"""Prints a report whole, whatever the width of the terminal."""
 
 import textwrap
-from typing import Any
 
 from rich import box
 from rich.cells import cell_len
-from rich.console import Console, Group
+from rich.console import Console
 from rich.measure import Measurement
-from rich.table import Column, Table
+from rich.table import Column
+from rich.table import Table as RichTable
 from rich.text import Text
 
 from acquisition.errors import one_line
+
+from .document import Document, Section, Table, cell_text
 
 _LONGEST_WORD = 16  # that keeps its column as wide; longer ones, such as a file's name, are broken
 _UNBOUNDED = 10_000  # columns, of what is to be measured
 
 
-def print_whole(*items: Any) -> None:
-    """Print tables, groups of them, and lines. No cell is cut short, and no name of a file or robot is taken for markup.
+def print_whole(*items: Document | str) -> None:
+    """Print reports and lines. No cell is cut short, and no name of a file or robot is taken for markup.
 
     A table too wide for the terminal is set closer, with headings over several lines; if it is too wide even then, the
     terminal breaks its lines. A pipe or file gets whole lines, however long.
@@ -26,14 +28,41 @@ def print_whole(*items: Any) -> None:
     if not console.is_terminal:
         console.width = _UNBOUNDED
     for item in items:
-        for part in item.renderables if isinstance(item, Group) else (item,):
-            if isinstance(part, Table):
-                _print_table(console, part)
-            else:
-                console.print(Text(one_line(part)) if isinstance(part, str) else part)
+        if isinstance(item, str):
+            _print_line(console, item)
+        else:
+            _print_line(console, item.title, "bold")
+            for section in item.sections:
+                _print_section(console, section)
 
 
-def _print_table(console: Console, table: Table) -> None:
+def _print_section(console: Console, section: Section) -> None:
+    if section.title:
+        _print_line(console, section.title, "italic")
+    if section.table is not None:
+        _print_table(console, _rich_table(section.table))
+    for line in section.lines:
+        _print_line(console, line)
+    for warning in section.warnings:
+        _print_line(console, f"warning: {warning}", "yellow")
+
+
+def _print_line(console: Console, text: str, style: str = "") -> None:
+    console.print(Text(one_line(text), style=style))
+
+
+def _rich_table(table: Table) -> RichTable:
+    drawn = RichTable()
+    for column in table.columns:
+        drawn.add_column(Text(column.heading), justify="right" if column.numeric else "left")
+    for number, row in enumerate(table.rows, 1):
+        if table.total and number == len(table.rows):
+            drawn.add_section()
+        drawn.add_row(*(Text(cell_text(cell)) for cell in row))
+    return drawn
+
+
+def _print_table(console: Console, table: RichTable) -> None:
     unbounded = console.options.update(max_width=_UNBOUNDED)
     if Measurement.get(console, unbounded, table).maximum > console.width:
         table.box, table.padding, table.show_edge = box.SIMPLE_HEAD, (0, 1, 0, 0), False

@@ -78,13 +78,6 @@ def health_plot(signals: Signals) -> Plot | None:
     return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
 
 
-def health_line(signals: Signals) -> str | None:
-    """What the recorder's counters came to, None where it kept none."""
-    known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
-    last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
-    return "recorder: " + ", ".join(last) if last else None
-
-
 def within(t_s: float, end_s: float) -> float:
     """A time brought to between the first sample and the last."""
     return min(max(t_s, 0.0), end_s)

@@ -24,11 +24,21 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..methods import Fit
 from ..regression import Overrides, Settings, make_settings
-from ..report import Values, differences, true_values, values_of_fit
+from ..report import (
+    Document,
+    Values,
+    comparison_document,
+    comparison_section,
+    fit_document,
+    recording_document,
+    to_markdown,
+    true_values,
+    values_of_fit,
+)
 from ..study import Run
 from .charts import parameter_drawing, passes_drawing, spectrum_drawings, study_drawing, trust_drawing
 from .curves import motion_plots, observed, residual_bars, torque_plot, tracking_plot
-from .markdown import comparison_markdown, fit_markdown, recording_markdown, study_markdown
+from .legend import fit_legend, recording_legend
 from .panels import BLUE, GREY, RED, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
 from .robot_drawing import robot_scene
 from .session_panels import event_log, health_plot, span_lanes
@@ -82,25 +92,27 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 
 def write_comparison_rrd(path: Path, own: Values, other: Values) -> None:
     """Write two sets of parameters as a Rerun file: entities `trust` and `report`. Errors as in `write_fit_rrd`."""
-    differences(own, other)  # refuses sets that cannot be compared
+    document = comparison_document(own, other)
 
     def pages(show: "_Show") -> list[Any]:
-        note = Note(path=("report",), title="report", text=comparison_markdown(own, other))
-        return [rrb.Horizontal(show(trust_drawing(own, [other])), show(note), column_shares=[3, 1], name="parameters")]
+        return [
+            rrb.Horizontal(
+                show(trust_drawing(own, [other])), show(_note(document)), column_shares=[3, 1], name="parameters"
+            )
+        ]
 
     name = f"{own.label} and {other.label}"
     _write(path, name, repr((own, other)), name, pages)
 
 
-def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector, notes: Sequence[str] = ()) -> None:
-    """Write a study as a Rerun file: entities `study`, every run's error, and `report` with `notes`.
+def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], document: Document) -> None:
+    """Write a study as a Rerun file: entities `study`, every run's error, and `report`, its `document`.
 
     Errors as in `write_fit_rrd`.
     """
 
     def pages(show: "_Show") -> list[Any]:
-        note = Note(path=("report",), title="report", text=study_markdown(robot, runs, true, notes))
-        return [rrb.Horizontal(show(study_drawing(runs)), show(note), column_shares=[3, 2], name="study")]
+        return [rrb.Horizontal(show(study_drawing(runs)), show(_note(document)), column_shares=[3, 2], name="study")]
 
     _write(
         path,
@@ -144,7 +156,8 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, trut
     others += [true_values(fit, truth)] if truth is not None else []
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
-    report = Note(path=("report",), title="report", text=fit_markdown(signals, fit, own, others))
+    compared = (comparison_section(own, other) for other in others)
+    report = _note(fit_document(signals, fit, everything=True).followed_by(*compared, fit_legend(signals, fit)))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     curves = (
         [tracking_plot(signals, fit, seen, j, legend=j == 0 or n < 4) for j in range(n)],
@@ -165,7 +178,7 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, trut
 
 def _recording_pages(show: _Show, signals: Signals, plan: Settings | None, refusal: str | None) -> list[Any]:
     n, seen = signals.robot.n, observed(signals, plan, None)
-    report = Note(path=("report",), title="report", text=recording_markdown(signals, plan, refusal))
+    report = _note(recording_document(signals, plan, refusal).followed_by(recording_legend(signals, plan)))
     curves = (
         [tracking_plot(signals, None, seen, j, legend=j == 0 or n < 4) for j in range(n)],
         [torque_plot(signals, None, seen, j, legend=j == 0 or n < 4) for j in range(n)],
@@ -175,6 +188,10 @@ def _recording_pages(show: _Show, signals: Signals, plan: Settings | None, refus
         *_signal_pages(show, signals, plan, fitted=False),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, None, seen, j)] for j in range(n)]),
     ]
+
+
+def _note(document: Document) -> Note:
+    return Note(path=("report",), title="report", text=to_markdown(document))
 
 
 def _answer(

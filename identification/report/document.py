@@ -1,0 +1,111 @@
+"""A report as data: sections of tables and lines. `terminal`, `markdown` and `document_json` render it."""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number and the format that shows it; `-` stands for one that does not exist (None or not finite).
+
+    A size above `most` is shown as `> most`: its digits would say nothing.
+    """
+
+    value: float | None
+    form: str = "g"
+    most: float = math.inf
+
+    @property
+    def exact(self) -> float | None:
+        """The number itself; None where it does not exist."""
+        return None if self.value is None or not math.isfinite(self.value) else self.value
+
+    @property
+    def text(self) -> str:
+        """The number as it is shown."""
+        if self.exact is None:
+            return "-"
+        return f"> {self.most:g}" if abs(self.exact) > self.most else format(self.exact, self.form)
+
+
+Cell = str | Number
+Row = tuple[Cell, ...]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table; numbers stand at its right."""
+
+    heading: str
+    numeric: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of texts and numbers, one cell per column; with `total` the last row sums up the others.
+
+    Raises `ValueError` where a row has another number of cells than there are columns.
+    """
+
+    columns: tuple[Column, ...]
+    rows: tuple[Row, ...]
+    total: bool = False
+
+    def __post_init__(self) -> None:
+        for row in self.rows:
+            if len(row) != len(self.columns):
+                raise ValueError(f"a row of {len(row)} cells in a table of {len(self.columns)} columns")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of a report: a title, a table, lines below it, and warnings below these; each may be missing."""
+
+    title: str = ""
+    table: Table | None = None
+    lines: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Document:
+    """A report: a headline and sections in reading order."""
+
+    title: str
+    sections: tuple[Section, ...]
+
+    def followed_by(self, *sections: Section) -> "Document":
+        """The report with further sections at its end."""
+        return replace(self, sections=(*self.sections, *sections))
+
+
+def columns(*texts: str, numbers: tuple[str, ...] = ()) -> tuple[Column, ...]:
+    """Columns of texts, then columns of numbers."""
+    return (*(Column(heading) for heading in texts), *(Column(heading, numeric=True) for heading in numbers))
+
+
+def value_form(sigma: float) -> str:
+    """The format of a value with that deviation: four decimals, or more where the deviation would not show three digits."""
+    return f".{max(4, min(12, 2 - math.floor(math.log10(sigma)))) if sigma > 0 else 4}f"
+
+
+def cell_text(cell: Cell) -> str:
+    """A cell as it is shown."""
+    return cell if isinstance(cell, str) else cell.text
+
+
+def document_json(document: Document) -> dict[str, Any]:
+    """The report as JSON values: numbers with all their digits, null where one does not exist."""
+    return {"title": document.title, "sections": [_section_json(section) for section in document.sections]}
+
+
+def _section_json(section: Section) -> dict[str, Any]:
+    table = section.table
+    return {
+        "title": section.title,
+        "columns": [column.heading.replace("\n", " ") for column in table.columns] if table else [],
+        "rows": [[x if isinstance(x, str) else x.exact for x in row] for row in table.rows] if table else [],
+        "lines": list(section.lines),
+        "warnings": list(section.warnings),
+    }

@@ -1,0 +1,155 @@
+"""What is told of a fit: the verdict, its parameters, its errors, and what they rest on."""
+
+import math
+
+from ..data import Signals
+from ..methods import Fit, InstrumentEvidence
+from .document import Document, Number, Row, Section, Table, columns, value_form
+from .recording_report import error_line, errors_section, headline, recording_lines, settings_lines
+
+
+def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
+    """A fit as a report, the verdict first.
+
+    Its table has the essential parameters; with `everything` all of them, and what the regrouped ones stand for.
+    """
+    settings = Section(
+        title="settings and tests",
+        lines=(
+            *settings_lines(signals, fit.settings, used="fitted"),
+            f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
+            f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
+            *(_iv_lines(fit.iv) if fit.iv else ()),
+            *recording_lines(signals),
+        ),
+    )
+    return Document(
+        title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {headline(fit.errors)}",
+        sections=(
+            _verdict(fit),
+            _parameters(fit, everything=everything),
+            *(_iv_sections(fit.iv) if fit.iv else ()),
+            errors_section(fit.errors, signals.robot.effort_units),
+            settings,
+            *(_expressions(fit) if everything else ()),
+        ),
+    )
+
+
+def _verdict(fit: Fit) -> Section:
+    reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
+    return Section(
+        lines=(f"status: {fit.status}{reason}", error_line(fit.errors), _essential_line(fit)), warnings=fit.warnings
+    )
+
+
+def _essential_line(fit: Fit) -> str:
+    reduction = fit.essential
+    by = " (by least squares)" if fit.iv else ""
+    line = f"essential{by}: {len(reduction.estimate.names)} of {len(fit.base.names)} parameters"
+    if not math.isfinite(reduction.F):
+        return line
+    return (
+        f"{line}; without the others F = {reduction.F:.2f}, p = {reduction.p_value:.2g}; with the residual's correlation "
+        f"counted F = {reduction.F_effective:.2f}, p = {reduction.p_effective:.2g}"
+    )
+
+
+def _parameters(fit: Fit, *, everything: bool) -> Section:
+    e, essential = fit.estimate, set(fit.essential.estimate.names)
+    units = dict(zip(fit.base.names, fit.base.units, strict=True))
+    rows: list[Row] = []
+    for name, value, sigma, percent, hac in zip(e.names, e.beta, e.sigma, e.sigma_percent, fit.sigma_hac, strict=True):
+        if everything or name in essential:
+            form = value_form(float(sigma))
+            numbers = (
+                Number(float(value), form),
+                Number(float(sigma), form),
+                Number(float(percent), ".2f", most=1000),
+                Number(float(hac), form),
+            )
+            rows.append((name, *numbers, units[name], *(["yes" if name in essential else ""] if everything else [])))
+    left_out = len(e.names) - len(rows)
+    return Section(
+        title="parameters" if everything else "essential parameters",
+        table=Table(
+            columns=columns("parameter", numbers=("value", "sigma", "%sigma", "sigma HAC"))
+            + columns("unit", *(["essential"] if everything else [])),
+            rows=tuple(rows),
+        ),
+        lines=(
+            "sigma takes the residual for white noise; sigma HAC (Newey, West) allows for a correlated one",
+            *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
+        ),
+    )
+
+
+def _rows_line(fit: Fit) -> str:
+    """How many rows counted, and which were left out."""
+    whole = fit.errors[-1]
+    percent = fit.settings.low_speed.iv if fit.iv else fit.settings.low_speed.ls
+    slow = (
+        "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
+    )
+    line = f"{fit.estimate.rows} of {whole.moving_rows + whole.standing_rows} rows"
+    return line if percent == 0 else f"{line}, those below {slow} left out"
+
+
+def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
+    """The passes of the instrumental variable method, and the direct model against the recording."""
+    passes = Table(
+        columns=columns(numbers=("pass",))
+        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
+        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+        rows=tuple(
+            (
+                Number(number, "d"),
+                p.instruments,
+                Number(p.residual_norm, ".3f"),
+                Number(p.change_sigma, ".2g"),
+                p.changed,
+                Number(p.tracking_percent, ".2f"),
+                Number(float(p.gains.min()), ".3g"),
+                Number(float(p.gains.max()), ".3g"),
+                Number(p.condition, ".1f"),
+            )
+            for number, p in enumerate(iv.passes, 1)
+        ),
+    )
+    sections = [Section(title=f"passes from start: {iv.start}", table=passes)]
+    if iv.direct:
+        direct = Table(
+            columns=columns("joint", numbers=("position", "torque")),
+            rows=tuple(
+                (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
+                for d in iv.direct
+            ),
+        )
+        sections.append(Section(title="simulated robot against the recording, %", table=direct))
+    return sections
+
+
+def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
+    """Tests of the instruments, in words; why a pass went without simulation."""
+    t = iv.tests
+    lines = [f"pass {k}: instruments {p.instruments}: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
+    if t.dwh_F is None or t.dwh_F_effective is None or t.dwh_p_value is None or t.dwh_p_effective is None:
+        dwh = "instruments and regressor agree: nothing to test"
+    else:
+        dwh = (
+            f"Durbin-Wu-Hausman F = {t.dwh_F:.2f}, p = {t.dwh_p_value:.2g}; with the residual's correlation counted "
+            f"F = {t.dwh_F_effective:.2f}, p = {t.dwh_p_effective:.2g}"
+        )
+    strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
+    used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
+    return (*lines, dwh, strength, used)
+
+
+def _expressions(fit: Fit) -> list[Section]:
+    """The sums of standard parameters that the regrouped ones stand for."""
+    lines = tuple(
+        f"{name} = {expression}"
+        for name, expression in zip(fit.base.names, fit.base.expressions, strict=True)
+        if expression != name and name in fit.estimate.names
+    )
+    return [Section(title="what the regrouped parameters stand for", lines=lines)] if lines else []

@@ -1,0 +1,90 @@
+"""What is told of robots whose parameters are known: base parameters, estimates against the truth, studies."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..methods import Fit
+from ..model import BaseParameters
+from ..study import FALSE_ERROR, Run, Study, summaries
+from .document import Document, Number, Row, Section, Table, columns, value_form
+
+
+def base_document(base: BaseParameters, robot: str) -> Document:
+    """The base parameters of a robot with the sums of standard parameters that they stand for."""
+    table = Table(
+        columns=columns("name", "expression", "unit"),
+        rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
+    )
+    return Document(title=f"{robot}: {base.b} base parameters", sections=(Section(table=table),))
+
+
+def truth_document(robot: str, fits: Sequence[Fit], true: NDArray[np.float64]) -> Document:
+    """Estimates beside the values (b,) that a recording was simulated with.
+
+    They are off by a number of deviations: the larger of HAC and formula.
+    """
+    sigmas = [np.fmax(fit.sigma_hac, fit.estimate.sigma) for fit in fits]
+    rows: list[Row] = []
+    for i, name in enumerate(fits[0].base.names):
+        form = value_form(float(min(sigma[i] for sigma in sigmas)))
+        cells: list[Number] = []
+        for fit, sigma in zip(fits, sigmas, strict=True):
+            off = float((fit.beta[i] - true[i]) / sigma[i]) if sigma[i] > 0 else None
+            cells += [Number(float(fit.beta[i]), form), Number(float(sigma[i]), form), Number(off, "+.1f")]
+        rows.append((name, Number(float(true[i]), form), *cells))
+    lines = []
+    for fit, sigma in zip(fits, sigmas, strict=True):
+        within = int((np.abs(fit.beta - true) / sigma < 3).sum())
+        error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
+        lines.append(f"{fit.method}: {within} of {len(true)} within 3 sigma; |beta - true| = {error:.2f} % of |true|")
+    headings = (heading for fit in fits for heading in (fit.method, "sigma", "off by,\nsigma"))
+    table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
+    return Document(
+        title=f"{robot}: {len(true)} estimated parameters and their true values",
+        sections=(Section(title="against the values simulated with", table=table, lines=tuple(lines)),),
+    )
+
+
+def study_document(robot: str, study: Study, runs: Sequence[Run], true: NDArray[np.float64]) -> Document:
+    """A study's summaries, one row per cut-off and method, and what it varied."""
+    percents = ("bias %", "spread %", "median error %", "worst error %")
+    shares = ("sigma / spread", "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %")
+    table = Table(
+        columns=columns("cut-off", "method", numbers=("runs", *percents, *shares)),
+        rows=tuple(
+            (
+                f"{s.cutoff:g} x bandwidth" if s.cutoff else "none",
+                s.method,
+                Number(s.runs, "d"),
+                Number(s.bias_percent, ".3f"),
+                Number(s.spread_percent, ".3f"),
+                Number(s.median_error_percent, ".3f"),
+                Number(s.worst_error_percent, ".3f"),
+                Number(s.sigma_over_spread, ".2f"),
+                Number(s.hac_over_spread, ".2f"),
+                Number(s.within_percent, ".1f"),
+                *("" if x is None else Number(x, ".1f") for x in (s.converged_percent, s.mean_passes, s.false_percent)),
+            )
+            for s in summaries(runs, true)
+        ),
+    )
+    return Document(title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=study_notes(study)),))
+
+
+def study_notes(study: Study) -> tuple[str, str]:
+    """What was simulated and varied, and what `false %` counts."""
+    noise = study.noise
+
+    def listed(values: Sequence[float]) -> str:
+        return ", ".join(f"{x:g}" if x else "none" for x in values)
+
+    return (
+        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; noise: encoder step "
+        f"{noise.encoder_step:g}, position {noise.position:g} (rad or m), effort {noise.effort_percent:g} % of its rms; "
+        f"drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
+        f"{listed(study.gain_errors)} x true",
+        "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
+        f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is on the same recording",
+    )
