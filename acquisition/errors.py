@@ -1,6 +1,10 @@
-"""Errors of the package, and the one line in which they are told."""
+"""Errors of the package: their data, and the one line made of them."""
 
 from collections.abc import Sequence
+from typing import Any, Final
+
+_NO_VALUE: Final = object()
+_LONGEST_VALUE = 80  # characters; files from elsewhere may hold anything
 
 
 def one_line(text: str) -> str:
@@ -15,7 +19,23 @@ def listed(names: Sequence[str]) -> str:
 
 
 class AcquisitionError(Exception):
-    """Bad input or a failed session, told in one line: the file, the place, the value and what was expected."""
+    """Bad input or a failed session, in one line: `place: key = value: text: expected ...`, parts not given left out.
 
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
+    Attributes:
+        place: the file, or where in it; empty where not given.
+        key: what is wrong there, `joint[0].name`; empty where not given.
+        value: the value found at `key`; None where it is missing, or not given.
+        expected: what to write instead; empty where not given.
+    """
+
+    def __init__(
+        self, text: str = "", *, place: str = "", key: str = "", value: Any = _NO_VALUE, expected: str = ""
+    ) -> None:
+        self.place, self.key, self.expected = place, key, expected
+        self.value = None if value is _NO_VALUE else value
+        if value is None:
+            key = f"{key} is missing"
+        elif value is not _NO_VALUE:
+            key = f"{key} = {value!r}"[: len(key) + _LONGEST_VALUE]
+        parts = (place, key, text, expected and f"expected {expected}")
+        super().__init__(one_line(": ".join(part for part in parts if part)))

@@ -231,23 +231,23 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) ->
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("sample_rate_hz = 500", "", "map.toml: sample_rate_hz is not there: expected it, or a [time] table"),
-        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz = -1: Expected `float` > 0.0"),
-        ('["p1", "p2"]', '["p1"]', "map.toml: position.columns give 1 columns: expected 2, one per joint"),
-        ('["p1", "p2"]', "[]", "position.columns: Expected `array` of length >= 1"),
+        ("sample_rate_hz = 500", "", "map.toml: sample_rate_hz is missing: expected it, or a [time] table"),
+        ("sample_rate_hz = 500", "sample_rate_hz = -1", "sample_rate_hz = -1: expected `float` > 0.0"),
+        ('["p1", "p2"]', '["p1"]', "map.toml: position.columns: 1 columns: expected 2, one per joint"),
+        ('["p1", "p2"]', "[]", "position.columns: expected `array` of length >= 1"),
         ('["p1", "p2"]', "[1, 9]", "a.csv: column 9: expected a number from 1 to 4"),
         ('["p1", "p2"]', "[0, 1]", "a.csv: column 0: expected a number from 1 to 4"),
         ('unit = "deg"', 'unit = "degree"', "position.unit = 'degree': expected one of rad, deg, m, mm, um"),
-        ('unit = "deg"', 'unit = "mm"', "position.unit in m for joint 1 (first): expected an angle"),
+        ('unit = "deg"', 'unit = "mm"', "position.unit: in m for joint 1 (first): expected an angle"),
         ('unit = "deg"', 'unit = ["deg", "deg", "deg"]', "position.unit: 3 units: expected one, or 2, one per joint"),
-        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side is not there: expected 'motor' or 'joint'"),
+        ('unit = "deg"\nside = "motor"', 'unit = "deg"', "position.side is missing: expected 'motor' or 'joint'"),
         ('side = "motor"\n[effort]', 'side = "load"\n[effort]', "position.side = 'load': expected one of 'joint', 'motor'"),
-        ('unit = "mA"', 'unit = "mV"', "effort.unit gives V at the motor: expected A as robot.toml says"),
-        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit gives A at the joint: expected N m as robot.toml"),
-        ('"mA"\nside = "motor"', '"N"', "effort.unit gives N at the motor: expected A as robot.toml says"),
+        ('unit = "mA"', 'unit = "mV"', "effort.unit: gives V at the motor: expected A as robot.toml says"),
+        ('"mA"\nside = "motor"', '"mA"\nside = "joint"', "effort.unit: gives A at the joint: expected N m as robot.toml"),
+        ('"mA"\nside = "motor"', '"N"', "effort.unit: gives N at the motor: expected A as robot.toml says"),
         ('unit = "mA"', 'unit = "Nm"', "effort.unit = 'Nm': expected one of A, mA, V, mV, N m, mN m, N"),
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table = 2: expected 1 at most, the number of tables given"),
-        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: Expected `int` >= 1"),
+        ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: expected `int` >= 1"),
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort: Object contains unknown field `scale`"),
         ("[effort]", "[torque]", "map.toml: top level: Object contains unknown field `torque`"),
     ],
@@ -274,7 +274,7 @@ def test_the_side_may_be_left_out_where_nothing_hangs_on_it(tmp_path: Path, two:
         geared = geared.replace(unit, 'effort_unit = "A"\n' if "unit" in unit else "")
     joint_position = table_map.replace('unit = "deg"', 'unit = "deg"\nside = "joint"')
     in_amperes = robot_from_files({"robot.toml": geared.encode()}, "amperes")
-    assert "effort.side is not there" in refusal(tmp_path, in_amperes, joint_position, table)
+    assert "effort.side is missing" in refusal(tmp_path, in_amperes, joint_position, table)
 
 
 def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
@@ -296,7 +296,7 @@ def test_a_motor_may_turn_where_its_joint_slides(tmp_path: Path) -> None:
     assert result.effort_units == ("N",)
     result.out.unlink()
     joint_side = table_map.replace('"deg"\nside = "motor"', '"deg"\nside = "joint"')
-    assert "position.unit in rad for joint 1 (slide): expected a length" in refusal(tmp_path, robot, joint_side, table)
+    assert "position.unit: in rad for joint 1 (slide): expected a length" in refusal(tmp_path, robot, joint_side, table)
 
 
 def test_tables_of_different_length(tmp_path: Path, two: Robot) -> None:
@@ -422,7 +422,7 @@ def test_times_in_words_that_are_no_unit_and_in_columns_that_are_none(tmp_path: 
     assert told in refusal(tmp_path, two, two_tables, table, short)
     assert "time.table = 2: expected 1 at most" in refusal(tmp_path, two, two_tables, table)
     without = MAP.replace("sample_rate_hz = 500", "")
-    assert "sample_rate_hz is not there: expected it, or a [time] table" in refusal(tmp_path, two, without, table)
+    assert "sample_rate_hz is missing: expected it, or a [time] table" in refusal(tmp_path, two, without, table)
 
 
 def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None:

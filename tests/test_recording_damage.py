@@ -286,5 +286,5 @@ def test_no_file_a_folder_or_no_description(tmp_path: Path) -> None:
     with pytest.raises(AcquisitionError, match=r"holds no robot.toml: expected the robot's description"):
         read_recording(tmp_path / "a.mcap")
     record(tmp_path / "a.mcap", GOOD, {"robot.toml": b"name = 1"}, [])
-    with pytest.raises(AcquisitionError, match=r"a\.mcap: robot.toml: name = 1: Expected `str`"):
+    with pytest.raises(AcquisitionError, match=r"a\.mcap: robot.toml: name = 1: expected `str`"):
         read_recording(tmp_path / "a.mcap")

@@ -1,6 +1,8 @@
 """robot.toml into a robot: what it means, and one line for each mistake. Files that are whole or not there."""
 
+import math
 import os
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -30,12 +32,17 @@ DH = "dh = { alpha_deg = 0, d_m = 0, theta_deg = 0, r_m = 0 }"
 GAIN = 'drive_gain = 0.2\ndrive_gain_unit = "N m/A"'
 
 
-def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
+def refused(text: str, files: dict[str, bytes] | None = None) -> AcquisitionError:
     with pytest.raises(AcquisitionError) as caught:
         robot_from_files({"robot.toml": text.encode(), **(files or {})}, "here")
     assert str(caught.value).startswith("here: ")
     assert "\n" not in str(caught.value)
-    return str(caught.value).removeprefix("here: ")
+    assert caught.value.place == "here"
+    return caught.value
+
+
+def refusal(text: str, files: dict[str, bytes] | None = None) -> str:
+    return str(refused(text, files))
 
 
 @pytest.mark.parametrize(
@@ -204,33 +211,50 @@ def test_without_a_gain_efforts_stay_in_amperes() -> None:
 
 
 @pytest.mark.parametrize(
+    ("old", "new", "key", "value", "expected"),
+    [
+        ('name = "one"', 'name = "a\\u001b[31m"', "name", "a\x1b[31m", "`str` matching regex"),
+        ("ratio = 50", 'ratio = "50"', "motor[0].ratio", "50", "`float | null`, got `str`"),
+        ("ratio = 50", "ratio = inf", "motor[0].ratio", math.inf, "a finite number"),
+        ("ratio = 50", "ratio = 0", "motor[0].ratio", 0.0, "a non-zero ratio"),
+        ('type = "revolute"', 'type = "spherical"', "joint[0].type", "spherical", "one of 'prismatic', 'revolute'"),
+        ('"N m/A"', '"Nm/A"', "motor[0].drive_gain_unit", "Nm/A", "one of 'N m/A', 'N m/V', 'N/A', 'N/V'"),
+        (GAIN, 'effort_unit = "Nm"', "motor[0].effort_unit", "Nm", "one of 'A', 'N', 'N m', 'V'"),
+        (GAIN, "", "motor[0].effort_unit", None, "effort_unit (A, V, N m or N) where no drive gain is given"),
+        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain", 0.2, "drive_gain and drive_gain_unit together"),
+        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain", -0.2, "a positive number"),
+        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit", "V", "'A', as drive_gain_unit says"),
+        (DH, "", "joint[0].dh", None, "a dh row for every joint, or else a urdf"),
+        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg", (90.0, -90.0), "[lowest, highest]"),
+        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m", (0.0, 1.0), "a key in deg for a revolute"),
+        (DH, DH + "\nspeed_deg_s = -1", "joint[0].speed_deg_s", -1, "`float` > 0.0"),
+        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor", "2 tables", "one per joint: 1"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 0", "controller.bandwidth_hz", 0, "`float` > 0.0"),
+        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain", [1.0, 2.0], "1 numbers"),
+        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio", 50.0, "a non-zero ratio, or motor_matrix"),
+        ("[[joint]]", "[joint]", "joint", None, "`array`, got `object`"),
+    ],
+)  # fmt: skip
+def test_each_mistake_is_reported_with_key_value_and_expectation(
+    old: str, new: str, key: str, value: object, expected: str
+) -> None:
+    assert ONE_JOINT.count(old) == 1
+    error = refused(ONE_JOINT.replace(old, new))
+    assert (error.key, error.value) == (key, value)
+    assert error.expected.startswith(expected)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "message"),
     [
         ('name = "one"', "", "top level: Object missing required field `name`"),
-        ('name = "one"', 'name = "a\\u001b[31m"', "name = 'a\\x1b[31m': Expected `str` matching regex"),
         ('name = "one"', 'name = "one"\nmass_kg = 3', "top level: Object contains unknown field `mass_kg`"),
         ('name = "one"', 'name = "one"\n"a\\nb" = 3', "top level: Object contains unknown field `a b`"),
-        ("ratio = 50", 'ratio = "50"', "motor[0].ratio = '50': Expected `float | null`, got `str`"),
+        ('name = "one"', 'name = "a\\u001b[31m"', "name = 'a\\x1b[31m': expected `str` matching regex"),
         ("ratio = 50", "ratio = nan", "motor[0].ratio = nan: expected a finite number"),
-        ("ratio = 50", "ratio = 0", "motor[0].ratio = 0.0: expected a non-zero ratio"),
-        ("ratio = 50", f"ratio = {'9' * 1500}", "motor[0].ratio = 99"),
+        ("ratio = 50", f"ratio = {'9' * 1500}", f"motor[0].ratio = {'9' * 77}: Number out of range"),
         ("ratio = 50", "ratio = 50\nratio = 50", "not valid TOML: Cannot overwrite a value"),
-        ('type = "revolute"', 'type = "spherical"', "'spherical': expected one of 'prismatic', 'revolute'"),
-        ('"N m/A"', '"Nm/A"', "motor[0].drive_gain_unit = 'Nm/A': expected one of 'N m/A', 'N m/V', 'N/A', 'N/V'"),
-        (GAIN, 'effort_unit = "Nm"', "motor[0].effort_unit = 'Nm': expected one of 'A', 'N', 'N m', 'V'"),
-        (GAIN, "", "motor[0].effort_unit = None: expected effort_unit (A, V, N m or N) where no drive gain is given"),
-        (GAIN, "drive_gain = 0.2", "motor[0].drive_gain = 0.2: expected drive_gain and drive_gain_unit together"),
-        (GAIN, GAIN.replace("0.2", "-0.2"), "motor[0].drive_gain = -0.2: expected a positive number"),
-        (GAIN, GAIN + '\neffort_unit = "V"', "motor[0].effort_unit = 'V': expected 'A', as drive_gain_unit says"),
-        (DH, "", "joint[0].dh = None: expected a dh row for every joint, or else a urdf"),
-        (DH, DH + "\nposition_deg = [90, -90]", "joint[0].position_deg = (90.0, -90.0): expected [lowest, highest]"),
-        (DH, DH + "\nposition_m = [0, 1]", "joint[0].position_m = (0.0, 1.0): expected a key in deg for a revolute"),
-        (DH, DH + "\nspeed_deg_s = -1", "joint[0].speed_deg_s = -1: Expected `float` > 0.0"),
-        ("[controller]", "[[motor]]\nname = 'two'\neffort_unit = 'A'\n[controller]", "motor = '2 tables': expected one per"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 0", "controller.bandwidth_hz = 0: Expected `float` > 0.0"),
-        ("bandwidth_hz = 20", "bandwidth_hz = 20\nposition_gain = [1, 2]", "controller.position_gain = [1.0, 2.0]: expected 1"),
-        ('name = "one"', 'name = "one"\nmotor_matrix = [[0]]', "motor[0].ratio = 50.0: expected a non-zero ratio, or motor_"),
-        ("[[joint]]", "[joint]", "joint: Expected `array`, got `object`"),
+        (GAIN, "", "motor[0].effort_unit is missing: expected effort_unit (A, V, N m or N) where no drive gain is given"),
         ("[[joint]]", f"a = {'[' * 1900}", "not valid TOML: "),
         ("[[joint]]", f"a{'.a' * LONGEST_LINE} = 1", f"a line of {2 * LONGEST_LINE + 5}: expected {LARGEST_TOML} and"),
         ("[[joint]]", "#\n" * LARGEST_TOML, "bytes, a line of "),
@@ -239,7 +263,7 @@ def test_without_a_gain_efforts_stay_in_amperes() -> None:
 )  # fmt: skip
 def test_each_mistake_is_told_in_one_line(old: str, new: str, message: str) -> None:
     assert ONE_JOINT.count(old) == 1
-    assert message in refusal(ONE_JOINT.replace(old, new))
+    assert message in str(refused(ONE_JOINT.replace(old, new)))
 
 
 def test_a_singular_motor_matrix_and_bytes_that_are_no_text() -> None:
@@ -257,7 +281,7 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
     (tmp_path / "robot.toml").write_text(text)
     with pytest.raises(AcquisitionError, match=r"urdf = 'arm\.urdf': cannot be read: No such file"):
         load_robot(tmp_path / "robot.toml")
-    assert "urdf = 'arm.urdf': the URDF is missing beside the description" in refusal(text)
+    assert "urdf = 'arm.urdf': the URDF is missing next to the description" in refusal(text)
     (tmp_path / "arm.urdf").write_text("<robot/>")
     robot = load_robot(tmp_path / "robot.toml")
     assert robot.urdf == "<robot/>"
@@ -267,6 +291,18 @@ def test_the_urdf_comes_along_or_is_missed(tmp_path: Path) -> None:
         load_robot(tmp_path / "robot.toml")
     with pytest.raises(AcquisitionError, match=r"none\.toml: cannot be read: No such file"):
         load_robot(tmp_path / "none.toml")
+
+
+def test_errors_carry_their_data_and_make_one_line_of_it() -> None:
+    error = AcquisitionError("does nothing", place="a.toml", key="b.c", value=[1, 2], expected="d")
+    assert str(error) == "a.toml: b.c = [1, 2]: does nothing: expected d"
+    assert (error.place, error.key, error.value, error.expected) == ("a.toml", "b.c", [1, 2], "d")
+    assert (
+        str(AcquisitionError(place="a.toml", key="b", value=None, expected="c")) == "a.toml: b is missing: expected c"
+    )
+    assert str(AcquisitionError("x rows", place="a.toml", key="b")) == "a.toml: b: x rows"
+    bare = pickle.loads(pickle.dumps(error))  # as one process hands it to another
+    assert (str(bare), bare.key, bare.value) == (str(error), "b.c", [1, 2])
 
 
 def test_errors_are_one_printable_line() -> None:

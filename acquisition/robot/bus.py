@@ -135,7 +135,7 @@ def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
     """
 
     def refuse(key: str, value: object, expected: str) -> None:
-        raise AcquisitionError(f"{place}: bus.{key} = {value!r}: expected {expected}")
+        raise AcquisitionError(place=place, key=f"bus.{key}", value=value, expected=expected)
 
     if len(bus.drive) != len(motor_units):
         refuse("drive", f"{len(bus.drive)} tables", f"one per motor: {len(motor_units)}")

@@ -155,7 +155,7 @@ def check_description(f: RobotFile, place: str) -> None:
     n = len(f.joint)
 
     def refuse(key: str, value: object, expected: str) -> None:
-        raise AcquisitionError(f"{place}: {key} = {value!r}: expected {expected}")
+        raise AcquisitionError(place=place, key=key, value=value, expected=expected)
 
     if len(f.motor) != n:
         refuse("motor", f"{len(f.motor)} tables", f"one per joint: {n}")

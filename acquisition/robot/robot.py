@@ -86,15 +86,15 @@ def load_robot(path: Path) -> Robot:
     try:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
-        raise AcquisitionError(f"{path}: cannot be read: {error.strerror}") from error
+        raise AcquisitionError(f"cannot be read: {error.strerror}", place=str(path)) from error
     document = _parse(files["robot.toml"], str(path))
     _refuse_idle_keys(document.controller, str(path))
     if document.urdf is not None:
-        files["robot.urdf"] = _beside(path, "urdf", document.urdf)
+        files["robot.urdf"] = _companion(path, "urdf", document.urdf)
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         if drive.dictionary is not None:
             key = f"bus.drive[{i}].dictionary"
-            files[dictionary_label(drive.dictionary)] = _beside(path, key, drive.dictionary)
+            files[dictionary_label(drive.dictionary)] = _companion(path, key, drive.dictionary)
     return robot_from_files(files, str(path))
 
 
@@ -108,28 +108,30 @@ def _refuse_idle_keys(c: Controller, place: str) -> None:
             if c.structure is not None:
                 expected = f"none, structure = {c.structure!r} has no integral"
             value = list(value) if isinstance(value, tuple) else value
-            raise AcquisitionError(f"{place}: controller.{name} = {value!r}: does nothing: expected {expected}")
+            raise AcquisitionError(
+                "does nothing", place=place, key=f"controller.{name}", value=value, expected=expected
+            )
 
 
-def _beside(path: Path, key: str, name: str) -> bytes:
+def _companion(path: Path, key: str, name: str) -> bytes:
     try:
         return (path.parent / name).read_bytes()
     except (OSError, ValueError) as error:  # the latter for a zero character in the name
-        told = error.strerror if isinstance(error, OSError) else error
-        raise AcquisitionError(f"{path}: {key} = {name!r}: cannot be read: {told}") from error
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise AcquisitionError(f"cannot be read: {reason}", place=str(path), key=key, value=name) from error
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     """Build a robot from the files a recording carries (`robot.toml`, `robot.urdf`); `place` is named in errors."""
     if "robot.toml" not in files:
-        raise AcquisitionError(f"{place}: holds no robot.toml; expected the robot's description as an attachment")
+        raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")
     f = _parse(files["robot.toml"], place)
     check_description(f, place)
     n = len(f.joint)
     urdf = None
     if f.urdf is not None:
         if "robot.urdf" not in files:
-            raise AcquisitionError(f"{place}: urdf = {f.urdf!r}: the URDF is missing beside the description")
+            raise AcquisitionError("the URDF is missing next to the description", place=place, key="urdf", value=f.urdf)
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
     if f.motor_matrix is not None:
         R = np.array(f.motor_matrix, dtype=float)

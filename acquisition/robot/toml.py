@@ -1,4 +1,4 @@
-"""Descriptions in TOML: text into typed, frozen structures, every error one line with place, key, value and expectation."""
+"""Descriptions in TOML: text into typed, frozen structures, every error carries place, key, value and what was expected."""
 
 import math
 import re
@@ -25,26 +25,31 @@ class Table(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
-    """Decode TOML `text` into `kind`; every error is one line with `place`, key, value and what was expected."""
+    """Decode TOML `text` into `kind`; every error carries `place`, key, value and what was expected."""
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
-        told = f"{len(text)} bytes, a line of {longest}"
-        raise AcquisitionError(f"{place}: {told}: expected {LARGEST_TOML} and {LONGEST_LINE} at most")
+        expected = f"{LARGEST_TOML} and {LONGEST_LINE} at most"
+        raise AcquisitionError(f"{len(text)} bytes, a line of {longest}", place=place, expected=expected)
     try:
         data = tomllib.loads(text.decode("utf-8"))
         _refuse_nonfinite(data, "", place)
     except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
-        raise AcquisitionError(f"{place}: not valid TOML: {error}") from error
+        raise AcquisitionError(f"not valid TOML: {error}", place=place) from error
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         message, _, where = str(error).rpartition(" - at `$")
         message, path = (message, where[:-1]) if message else (str(error), "")
-        value = _value_at(data, path)
-        found = "" if value is None or isinstance(value, dict | list) else f" = {value!r}"[:80]
+        problem, expected = message, ""
         if message.startswith("Invalid enum value"):
-            message = f"expected one of {', '.join(map(repr, _choices(kind, path)))}"
-        raise AcquisitionError(f"{place}: {path.lstrip('.') or 'top level'}{found}: {message}") from error
+            problem, expected = "", f"one of {', '.join(map(repr, _choices(kind, path)))}"
+        elif message.startswith("Expected "):
+            problem, expected = "", message.removeprefix("Expected ")
+        value = _value_at(data, path)
+        found = {} if value is None or isinstance(value, dict | list) else {"value": value}
+        raise AcquisitionError(
+            problem, place=place, key=path.lstrip(".") or "top level", expected=expected, **found
+        ) from error
 
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
@@ -74,7 +79,7 @@ def _value_at(data: Any, path: str) -> Any:
 
 def _refuse_nonfinite(data: Any, key: str, place: str) -> None:
     if isinstance(data, float) and not math.isfinite(data):
-        raise AcquisitionError(f"{place}: {key} = {data}: expected a finite number")
+        raise AcquisitionError(place=place, key=key, value=data, expected="a finite number")
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for name, value in items:
         _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), place)
