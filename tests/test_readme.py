@@ -1,85 +1,153 @@
-"""The README's commands: each is one the programs take, and those that need no hardware run as they stand."""
+"""The READMEs: every command is one the programs take and those without hardware run; keys, options, links, pictures."""
 
 import re
 import shlex
 import shutil
+import tomllib
+from pathlib import Path
 
 import pytest
 from conftest import REPLAY, ROOT
+from msgspec.json import schema_components
+from test_dynamics import URDF
 
 from acquisition.commands.program import PROGRAM as ACQUIRE
+from acquisition.importing.tables import TableMap
+from acquisition.robot.bus import BusFile
+from acquisition.robot.description import RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY
 
-README = (ROOT / "README.md").read_text()
-BLOCK = re.findall(r"^ {4,}(robot-(?:acquire|identify) .*)$", README, flags=re.MULTILINE)
-INLINE = re.findall(r"`(robot-(?:acquire|identify) [a-z]+ [^`]*)`", README)
-COMMANDS = list(dict.fromkeys(line.split("#")[0].strip() for line in BLOCK + INLINE))
+FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))
+ALL = [FIRST, ACQUISITION, IDENTIFICATION, *sorted(REPLAY.rglob("README.md"))]
+TEXT = {path: path.read_text() for path in ALL}
+# In blocks and in sentences. What follows " #" is a remark.
+COMMAND = re.compile(
+    r"^ {4,}(robot-(?:acquire|identify) .*)$|`(robot-(?:acquire|identify) [a-z]+ [^`]*)`", re.MULTILINE
+)
+COMMANDS = list(
+    dict.fromkeys(
+        (found[1] or found[2]).split(" #")[0].strip() for text in TEXT.values() for found in COMMAND.finditer(text)
+    )
+)
+PROGRAMS = {program.name: program for program in (ACQUIRE, IDENTIFY)}
 
 
-def test_the_readme_has_commands():
-    assert len(COMMANDS) >= 15
-    programs = {command.split()[0] for command in COMMANDS}
-    assert programs == {"robot-acquire", "robot-identify"}
+def test_the_readmes_have_commands():
+    assert len(ALL) == 7
+    assert len(COMMANDS) >= 35
+    assert {command.split()[0] for command in COMMANDS} == set(PROGRAMS)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_one_the_program_takes(command):
     program, *arguments = shlex.split(command)
-    parser = (ACQUIRE if program == ACQUIRE.name else IDENTIFY).parser()
-    if len(arguments) > 1:
-        assert callable(parser.parse_args(arguments).run)
+    assert callable(PROGRAMS[program].parser().parse_args(arguments).run)
 
 
 def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
-    shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "log.mcap")
-    shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / "other.mcap")
-    shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / "robot.toml")
-    shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / "corrected.toml")
+    for name in ("log.mcap", "other.mcap"):
+        shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / name)
+    for name in ("robot.toml", "corrected.toml"):
+        shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    ran = 0
-    for command in COMMANDS:
+    # `compare` of the fits that other commands of the same READMEs make comes after them.
+    ran, later = [], [command for command in COMMANDS if command.split()[1] in ("compare", "validate")]
+    for command in [command for command in COMMANDS if command not in later] + later:
         program, *arguments = shlex.split(command)
         runs = {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
-        if arguments[0] not in runs or any("replay_data" in a or "MCAP" in a.upper()[:4] for a in arguments):
+        if arguments[0] not in runs or not Path(arguments[1]).exists():
             continue
-        if len(arguments) < 2 or not all((tmp_path / a).exists() for a in arguments[1:2] if not a.startswith("-")):
-            continue
-        assert (ACQUIRE if program == ACQUIRE.name else IDENTIFY).main(arguments) == 0, command
-        ran += 1
-    assert ran >= 5
+        assert PROGRAMS[program].main(arguments) == 0, command
+        ran.append(arguments[0])
+    assert set(ran) == {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
     capsys.readouterr()
 
 
+def test_the_first_readme_is_short():
+    assert len(TEXT[FIRST].splitlines()) <= 150
+
+
 def test_the_two_commands_that_set_everything_up_are_there():
-    assert "pip install -e . && .venv/bin/robot-identify demo" in README
-    assert "pip install -c .constraints.txt -e '.[test]' && .venv/bin/pytest" in README
+    assert "pip install -e . && .venv/bin/robot-identify demo" in TEXT[FIRST]
+    assert "pip install -c .constraints.txt -e '.[test]' && .venv/bin/pytest" in TEXT[FIRST]
 
 
-def test_every_key_of_a_description_is_explained():
-    from msgspec.structs import fields
-
-    from acquisition.robot import bus as bus_description
-    from acquisition.robot import description
-
-    tables = (description.Joint, description.Motor, description.Controller, description.Identification, description.DH)
-    tables += (bus_description.BusFile, bus_description.DriveFile)
-    named = set(re.findall(r"[a-z][a-z0-9_]*", README))
-    for table in tables:
-        for field in fields(table):
-            assert field.name in named, f"{table.__name__}.{field.name} is not in the README"
+def test_the_description_of_your_own_robot_is_one(tmp_path, capsys):
+    """The description shown, of one joint of a URDF of two, is read, and has base parameters."""
+    (shown,) = re.findall(r"^```toml\n(.*?)^```", TEXT[FIRST], flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "robot.toml").write_text(shown)
+    (tmp_path / tomllib.loads(shown)["urdf"]).write_text(URDF)
+    assert IDENTIFY.main(["base", str(tmp_path / "robot.toml")]) == 0
+    assert "ZZ1R" in capsys.readouterr().out
 
 
-def test_every_option_of_identify_is_named():
-    parser = IDENTIFY.parser()
+def keys(description):
+    """Keys of the file's tables, by table."""
+    _, tables = schema_components((description,))
+    return {name: set(table["properties"]) for name, table in tables.items()}
+
+
+BUS, ROBOT, MAP = keys(BusFile), keys(RobotFile), keys(TableMap)
+
+
+@pytest.mark.parametrize(
+    ("readme", "heading", "tables"),
+    [
+        (ACQUISITION, "Bus keys of robot.toml", BUS),
+        (IDENTIFICATION, "robot.toml", {name: ROBOT[name] for name in ROBOT.keys() - BUS.keys()}),
+        (ACQUISITION, "map.toml", MAP),
+    ],
+)
+def test_every_key_of_a_description_is_explained_in_its_table(readme, heading, tables):
+    section = TEXT[readme].split(f"\n## {heading}\n")[1].split("\n## ")[0]
+    rows = "\n".join(line for line in section.splitlines() if line.startswith("|"))
+    named = {word for code in re.findall(r"`([^`]*)`", rows) for word in re.findall(r"[A-Za-z_][A-Za-z0-9_]*", code)}
+    assert len(tables) >= 3
+    assert {name: found - named for name, found in tables.items() if found - named} == {}
+
+
+def options(parser):
+    """Command, option strings: of all commands of a program."""
     commands = next(action for action in parser._actions if action.choices)
     for name, command in commands.choices.items():
         for action in command._actions:
-            longest = max(action.option_strings, key=len, default="--help")
-            assert longest == "--help" or re.search(rf"{longest}\b|`{action.option_strings[0]} ", README), (
-                f"{name} {longest}"
-            )
+            if action.option_strings and "--help" not in action.option_strings:
+                yield name, action.option_strings
+
+
+@pytest.mark.parametrize(("program", "readme"), [(ACQUIRE, ACQUISITION), (IDENTIFY, IDENTIFICATION)])
+def test_every_option_is_named_beside_its_command(program, readme):
+    """In a row of the table of options that names the command."""
+    rows = [line.split("|")[1:3] for line in TEXT[readme].splitlines() if line.startswith("| `")]
+    found = list(options(program.parser()))
+    assert len(found) > 20
+    for action in program.parser()._actions:
+        assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], action.option_strings
+    for name, strings in found:
+        told = " ".join(text for commands, text in rows if re.search(rf"\b{name}\b", commands))
+        assert any(re.search(rf"`{string}[ `]", told) for string in strings), f"{name} {strings}: not in {readme}"
+
+
+def anchors(text):
+    """Anchors of the headings as GitHub makes them."""
+    for heading in re.findall(r"^#+ (.*)$", text, flags=re.MULTILINE):
+        yield re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-")
+
+
+@pytest.mark.parametrize("readme", ALL, ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_leads_somewhere(readme):
+    links = re.findall(r"\]\((?!https?:)([^)#]*)(?:#([^)]*))?\)", TEXT[readme])
+    for place, anchor in links:
+        file = (readme.parent / place).resolve() if place else readme
+        file = file / "README.md" if file.is_dir() else file
+        assert file.exists(), place
+        assert not anchor or anchor in anchors(file.read_text()), f"{place}#{anchor}"
 
 
 def test_every_picture_is_shown():
-    pictures = {path.name for path in (REPLAY / "pictures").iterdir()}
-    assert set(re.findall(r"!\[[^]]*\]\(replay_data/pictures/([^)]*)\)", README)) == pictures
+    shown = {
+        (readme.parent / place).resolve()
+        for readme in ALL
+        for place in re.findall(r"!\[[^]]*\]\(([^)]*)\)", TEXT[readme])
+    }
+    assert shown == set((REPLAY / "pictures").iterdir())
