@@ -21,7 +21,7 @@ from ..regression import (
     Settings,
     decimated_regressor,
     differentiate,
-    measured_speed,
+    measured_slip,
     motion_between,
     rule_cutoff_hz,
 )
@@ -174,7 +174,7 @@ def experiment(
         decimation=replace(plan.decimator, factor=plan.decimation // m),
         saturated_percent=_saturated_percent(signals, plan),
         directions=prior.directions,
-        slip_noise=measured_speed(signals, plan)[1] @ np.abs(prior.directions.T),
+        slip_noise=measured_slip(signals, plan, prior.directions)[1] @ np.abs(prior.directions.T),
     )
 
 

@@ -1,7 +1,7 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
 from .filtering import Decimation, Motion, differentiate, forward_backward_3db_hz, motion_between
-from .low_speed import fast_rows, measured_speed
+from .low_speed import fast_rows, measured_slip
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     MOVING,
@@ -29,7 +29,7 @@ __all__ = [
     "fast_rows",
     "forward_backward_3db_hz",
     "make_settings",
-    "measured_speed",
+    "measured_slip",
     "motion_between",
     "predicted_torque",
     "regression_of_recording",

@@ -6,6 +6,7 @@ measured speed behind the low-pass; instrumental variables go by the simulated o
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter1d
 
 from ..arrays import Array
 from ..data import Signals
@@ -34,38 +35,45 @@ def fast_rows(slip: Array, noise: Array, directions: Array, percent: float | Non
     return np.asarray(slow.astype(float) @ (directions != 0) == 0)
 
 
-def measured_speed(signals: Signals, plan: Settings) -> tuple[Array, Array]:
-    """Filtered joint speeds (rows, n) at the instants of the decimated rows, and the noise (n,) of those in the regressor.
+def measured_slip(signals: Signals, settings: Settings, directions: Array) -> tuple[Array, Array]:
+    """Speeds (rows, c) of the directions (c, n) of Coulomb friction, and the noise (n,) of the joint speeds in the regressor.
 
     Filtered by the fit's own low-pass, or by the rule's where the fit goes without or with a higher one: the noise is what
-    that leaves out, zero behind the rule's filter.
+    that leaves out, zero behind the rule's filter. The low-pass blurs a speed by half a period of its cut-off, so that a joint
+    that sticks for a moment seems to creep: a row has the lowest speed within that time of its instant.
     """
-    fs, n_d = signals.sample_rate_hz, plan.decimation
-    cutoff_hz = plan.cutoff_hz if plan.filtered else rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
-    kept = np.arange((plan.stop - 1 - plan.start) % n_d + plan.start, plan.stop, n_d)
-    speed = np.empty((len(kept), signals.robot.n))
+    fs, n_d = signals.sample_rate_hz, settings.decimation
+    cutoff_hz = settings.cutoff_hz if settings.filtered else rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
+    blur = 0 if cutoff_hz is None else round(0.5 * fs / cutoff_hz)
+    kept = np.arange((settings.stop - 1 - settings.start) % n_d + settings.start, settings.stop, n_d)
+    slip = np.empty((len(kept), len(directions)))
     total, squares = np.zeros((2, signals.robot.n))
-    for a in range(plan.start, plan.stop, _BLOCK):
-        b = min(plan.stop, a + _BLOCK)
-        dq = motion_between(signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=a, stop=b).dq
+    for a in range(settings.start, settings.stop, _BLOCK):
+        b = min(settings.stop, a + _BLOCK)
+        low, high = max(settings.start, a - blur), min(settings.stop, b + blur)
+        wide = motion_between(
+            signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=low, stop=high
+        ).dq
+        lowest = minimum_filter1d(np.abs(wide @ directions.T), 2 * blur + 1, axis=0, mode="nearest")
         here = (kept >= a) & (kept < b)
-        speed[here] = dq[kept[here] - a]
-        if not plan.filtered:
+        slip[here] = lowest[kept[here] - low]
+        if not settings.filtered:
+            dq = wide[a - low : b - low]
             used = motion_between(
-                signals.q, signals.effort, cutoff_hz=plan.cutoff_hz, sample_rate_hz=fs, start=a, stop=b
+                signals.q, signals.effort, cutoff_hz=settings.cutoff_hz, sample_rate_hz=fs, start=a, stop=b
             )
             off = used.dq - dq
             total += off.sum(axis=0)
             squares += (off**2).sum(axis=0)
-    N = plan.stop - plan.start
-    return speed, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
+    N = settings.stop - settings.start
+    return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
 
 
-def measured_fast_rows(signals: Signals, plan: Settings, dynamics: InverseModel) -> NDArray[np.bool_]:
+def measured_fast_rows(signals: Signals, settings: Settings, dynamics: InverseModel) -> NDArray[np.bool_]:
     """Which rows (rows, n) count for least squares: by the measured speed."""
     directions = dynamics.coulomb_directions
-    speed, noise = measured_speed(signals, plan)
-    fast = fast_rows(speed @ directions.T, noise @ np.abs(directions.T), directions, plan.low_speed.ls)
+    slip, noise = measured_slip(signals, settings, directions)
+    fast = fast_rows(slip, noise @ np.abs(directions.T), directions, settings.low_speed.ls)
     for j, joint in enumerate(signals.robot.joints):
         if not fast[:, j].any():
             raise IdentificationError(
