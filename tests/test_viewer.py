@@ -21,7 +21,7 @@ from identification.regression.settings import Overrides
 from identification.regression.system import predicted_torque
 from identification.study.synthetic import Noise, closed_loop, random_reference
 from identification.view import curves, viewer
-from identification.view.curves import BUCKETS, extremes
+from identification.view.curves import BUCKETS, extremes, readable_unit
 from identification.view.viewer import write_fit_rrd
 
 FS = 1000.0
@@ -175,6 +175,20 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     assert file.is_complete()
 
 
+def numbers_of(file):
+    """The table of the plots' numbers, by joint and heading."""
+    text = file.static["/report"]["TextDocument:text"][0].split("## numbers of the plots\n")[1].strip()
+    heads, _, *rows = (
+        [cell.strip() for cell in line.strip("| ").split(" | ")] for line in text.split("\n\n")[0].splitlines()
+    )
+    return {row[0]: dict(zip(heads, row, strict=True)) for row in rows}
+
+
+def error_scale(title, name, unit):
+    """What an error of 1 rad or 1 m is drawn as, by its plot's title."""
+    return {f"{name} [{unit}]": 1.0, f"{name} [m{unit}]": 1e3, f"{name} [µ{unit}]": 1e6}[title]
+
+
 IV_CASES = {
     "two joints": scara,
     "one sliding joint, with reference": lambda: made_up(types=("prismatic",), reference=True),
@@ -197,17 +211,14 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
         k, x = file.curve(quantity, name, key)
         np.testing.assert_array_equal(k, np.rint(simulated.t_s * FS))
         np.testing.assert_allclose(x, values[:, 0])
-    k, x = file.curve("error", name, "simulated")
-    np.testing.assert_allclose(x, simulated.q[:, 0] - fit.iv.q[:, 0])
-    np.testing.assert_allclose(signals.q[k, 0] + x, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
     titles = {origin: title for origin, (_, title) in file.views.items()}
-    d, unit = fit.iv.direct[0], signals.robot.joints[0].position_unit
-    own = (
-        "" if signals.q_ref is None else f", {np.sqrt(np.mean((signals.q_ref - signals.q)[:, 0] ** 2)):.2g} {unit} rms"
-    )
-    expected = f"q {name}{own or f' [{unit}]'}, sim {d.position_error_percent:.2g} %"
-    assert titles[f"/q/{name}".replace(" ", "\\ ")] == expected
-    assert f"{fit.iv.direct[0].torque_error_percent:.1f} %" in titles[f"/torque/{name}".replace(" ", "\\ ")]
+    per_unit = error_scale(titles[f"/error/{name}".replace(" ", "\\ ")], name, signals.robot.joints[0].position_unit)
+    k, x = file.curve("error", name, "simulated")
+    np.testing.assert_allclose(x / per_unit, simulated.q[:, 0] - fit.iv.q[:, 0])
+    np.testing.assert_allclose(signals.q[k, 0] + x / per_unit, simulated.q[:, 0], atol=1e-3 * np.ptp(signals.q[:, 0]))
+    if signals.q_ref is not None:
+        k, x = file.curve("error", name, "reference")
+        np.testing.assert_allclose(x / per_unit, (signals.q_ref - signals.q)[k, 0])
     assert fit.status in titles["/passes"]
     labels = file.static["/passes/labels"]["Points2D:labels"]
     assert {str(k) for k in range(1, len(fit.iv.passes) + 1)} <= {label.split(":")[0] for label in labels}
@@ -238,18 +249,46 @@ def test_an_empty_panel_would_be_noticed(written):
         assert not file.holds("/nowhere", kind)
 
 
-def test_titles_say_joint_unit_and_error(written):
+def test_titles_say_joint_and_unit(written):
     signals = made_up(types=("prismatic", "revolute"))
     titles = {origin: title for origin, (_, title) in written(signals).views.items()}
-    error, peak = fitted(signals).errors[0].relative_error_percent, np.abs(signals.effort[:, 0]).max()
-    assert titles["/torque/joint\\ 1.x"] == f"joint 1.x [N], peak {peak:.3g}, IDM {error:.1f} % off"
-    assert titles["/torque/joint\\ 2.x"].startswith("joint 2.x [N m]")
+    assert titles["/torque/joint\\ 1.x"] == "joint 1.x [N]"
+    assert titles["/torque/joint\\ 2.x"] == "joint 2.x [N m]"
+    assert titles["/residual/joint\\ 1.x/distribution"] == "residual joint 1.x [N]"
     assert titles["/ddq/joint\\ 1.x"] == "ddq joint 1.x [m/s²]"
     assert titles["/q/joint\\ 2.x"] == "q joint 2.x [rad]"
     tracked = written(made_up(types=("prismatic",), reference=True), name="t.rrd").views
-    assert tracked["/q/joint\\ 1.x"][1] == "q joint 1.x, tracked to 0.01 m rms"
+    assert tracked["/error/joint\\ 1.x"][1] == "joint 1.x [mm]"
+    assert tracked["/q/joint\\ 1.x"][1] == "q joint 1.x [m]"
     in_amperes = written(made_up(types=("revolute",), unit="A"), name="a.rrd").views
-    assert in_amperes["/torque/joint\\ 1.x"][1].startswith("joint 1.x [A]")
+    assert in_amperes["/torque/joint\\ 1.x"][1] == "joint 1.x [A]"
+
+
+def test_the_numbers_of_the_plots_are_in_the_report(written):
+    signals = made_up(types=("prismatic",), reference=True)
+    fit, numbers = fitted(signals), numbers_of(written(signals))["joint 1.x"]
+    assert numbers["unit"] == "N"
+    assert numbers["peak effort"] == f"{np.abs(signals.effort).max():.3g}"
+    assert numbers["reference − measured, rms, rad or m"] == "0.01"
+    assert numbers["residual lag-1"] == f"{fit.errors[0].autocorrelation:.2f}"
+
+
+@pytest.mark.parametrize(
+    ("peak", "expected"),
+    [(2.0, (1.0, "rad")), (0.5, (1e3, "mrad")), (1e-3, (1e3, "mrad")), (9e-4, (1e6, "µrad")), (0.0, (1.0, "rad"))],
+)
+def test_errors_are_in_a_readable_unit(peak, expected):
+    assert readable_unit(peak, "rad") == expected
+
+
+def test_joints_of_one_kind_share_the_unit_of_their_errors(written):
+    signals = made_up(types=("revolute", "prismatic", "revolute"), reference=True)
+    q_ref = signals.q + np.array([2e-3, 3e-5, 5e-6])
+    file = written(replace(signals, q_ref=q_ref), fitted(signals))
+    titles = [file.views[f"/error/joint\\ {j}.x"][1] for j in (1, 2, 3)]
+    assert titles == ["joint 1.x [mrad]", "joint 2.x [µm]", "joint 3.x [mrad]"]
+    for j, error in enumerate([2.0, 30.0, 5e-3], 1):
+        np.testing.assert_allclose(file.curve("error", f"joint {j}.x", "reference")[1], error, rtol=1e-6)
 
 
 def test_short_curves_are_written_sample_by_sample(written):
@@ -406,11 +445,11 @@ def test_the_residual_is_shown_against_white_noise(written):
         assert r[k - 1] == pytest.approx(rho[k:] @ rho[:-k] / np.linalg.norm(rho[k:]) / np.linalg.norm(rho[:-k]))
     assert r[0] == pytest.approx(fitted(signals).errors[0].autocorrelation), "the one of the table"
     np.testing.assert_allclose(values("autocorrelation", "back"), np.array([2, -2]) / np.sqrt(len(rho)))
-    assert f"lag-1 {r[0]:.2f}" in file.views["/residual/joint\\ 1.x/autocorrelation"][1]
+    numbers = numbers_of(file)["joint 1.x"]
+    assert (numbers["residual lag-1"], numbers["rows beyond 4 σ"]) == (f"{r[0]:.2f}", "0")
     moving = fitted(signals).errors[0].moving_rows
     assert moving < len(rho)
     assert values("distribution", "front").sum() == moving
-    assert file.views["/residual/joint\\ 1.x/distribution"][1].endswith(", 0 outside")
     # The normal one stands for as many rows.
     assert values("distribution", "back").sum() * 31 / 300 == pytest.approx(moving, rel=0.05)
 
@@ -423,10 +462,9 @@ def test_a_few_far_residuals_do_not_squeeze_the_distribution(written, monkeypatc
     rho[12:20, 0], speed[12:20, 0] = 1000.0, 0.0  # standing: not counted at all
     monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (rho, np.zeros_like(rho), speed))
     file = written(signals, replace(fitted(signals), settings=replace(fitted(signals).settings, decimation=1)))
-    title = file.views["/residual/joint\\ 1.x/distribution"][1]
-    sigma = float(title.split("sigma ")[1].split(",")[0])
-    assert sigma == pytest.approx(0.3, rel=0.1)
-    assert title.endswith(", 12 outside")
+    numbers = numbers_of(file)["joint 1.x"]
+    assert float(numbers["residual σ"]) == pytest.approx(0.3, rel=0.1)
+    assert numbers["rows beyond 4 σ"] == "12"
     counts = np.array(file.static["/residual/joint\\ 1.x/distribution/front"]["BarChart:values"][0]["buffer"])
     assert counts.sum() == 980
     assert (counts > 0).sum() > 15, "not one bar"

@@ -17,9 +17,22 @@ from identification.errors import IdentificationError
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.report.comparison import Value, Values, difference_lines, differences, values_of_fit
-from identification.view.charts import trust_drawing
+from identification.study.study import Run
+from identification.view.charts import BESIDE, parameter_drawing, study_drawing, trust_drawing
+from identification.view.panels import (
+    GREEN,
+    GREY,
+    JOINTS,
+    MEASURED,
+    ORANGE,
+    PREDICTED,
+    PURPLE,
+    REFERENCE,
+    RESIDUAL,
+    SIMULATED,
+)
 from identification.view.robot_drawing import pose_stride, robot_scene
-from identification.view.session_panels import event_log, health_plot, span_lanes
+from identification.view.signal_panels import event_log, health_plot, span_lanes
 from identification.view.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 
 SESSION = REPLAY / "scara" / "session.mcap"
@@ -226,9 +239,82 @@ def test_bars_of_a_comparison_end_where_the_difference_is():
     drawing = trust_drawing(a, [b])
     places = {text: x for x, _, text, _ in drawing.labels}
     width = places["+3"] - places["0"] if places["0"] > places["-3"] else None
-    far = [x for x, y, _ in drawing.dots if x > places["-6"] - 1]
+    far = [x for x, y, _ in drawing.crosses if x > places["-6"] - 1]
     assert places["-3"] + (2.0 + 3.0) / 3 * width in [pytest.approx(x) for x in far]
     assert places["-6"] in [pytest.approx(x) for x in far], "beyond the chart it stays at its end"
+
+
+def test_least_squares_is_told_by_a_cross_and_the_truth_by_a_line():
+    own = values("IV", M1=(2.0, 0.3), M2=(-1.0, 0.1))
+    ls, true = values("LS", M1=(2.4, 0.3), M2=(-1.2, 0.1)), values("true", M1=(2.1, 0.0), M2=(-1.0, 0.0))
+    drawing = parameter_drawing(own, [ls, true])
+    assert drawing.title.endswith("× purple LS, | green true")
+    assert (len(drawing.dots), len(drawing.crosses)) == (2, 2)
+    for (_, y, _), (_, cross_y, color) in zip(drawing.dots, drawing.crosses, strict=True):
+        assert cross_y > y
+        assert color == PURPLE
+        upright = [s for s, c, _ in drawing.strokes if c == GREEN and s[0][0] == s[1][0] and s[0][1] < y < s[1][1]]
+        assert len(upright) == 1
+    assert drawing.crosses[0][0] > drawing.dots[0][0], "2.4 is right of 2"
+    assert drawing.crosses[1][0] < drawing.dots[1][0], "-1.2 is left of -1"
+    assert len(trust_drawing(own, [ls, true]).crosses) == 4, "and at the ends of the differences"
+
+
+def test_the_value_axis_is_the_asinh_scale_that_its_label_says():
+    own = values("IV", M1=(20.0, 0.001), M2=(0.001, 0.001))
+    drawing = parameter_drawing(own, [])
+    (label,) = [text for _, _, text, _ in drawing.labels if "asinh scale" in text]
+    linear = float(label.split("±")[1].split(",")[0])
+    ticks = {text: x for x, _, text, _ in drawing.labels}
+    share = [(x - ticks["0"]) / (ticks["100"] - ticks["0"]) for x, _, _ in drawing.dots]
+    expected = [np.arcsinh(value / linear) / np.arcsinh(100.0 / linear) for value in (20.0, 0.001)]
+    np.testing.assert_allclose(share, expected, rtol=1e-9)
+    assert label in [text for _, _, text, _ in trust_drawing(own, []).labels]
+
+
+def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
+    rng = np.random.default_rng(1)
+    true = np.array([1.0, 2.0])
+
+    def a_run(number, cutoff, ls, iv, status="converged"):
+        some = dict.fromkeys(("sigma_ls", "sigma_iv", "hac_ls", "hac_iv"), np.full(2, 0.1))
+        beta = {name: true + 0.01 * rng.standard_normal(2) for name in ("beta_ls", "beta_iv")}
+        return Run(
+            number=number,
+            cutoff=cutoff,
+            start=0.0,
+            gain_error=0.0,
+            status=status,
+            error_ls=ls,
+            error_iv=iv,
+            **beta,
+            **some,
+        )
+
+    runs = [a_run(k, 5.0, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
+    runs += [a_run(3, 0.0, 0.9, 0.05), a_run(4, 0.0, 0.8, 0.07), a_run(5, 0.0, 0.7, float("nan"), "diverged")]
+    drawing = study_drawing(runs, true)
+    assert (len(drawing.crosses), len(drawing.dots)) == (6, 5)
+    ends = [tuple(map(tuple, s)) for s, c, _ in drawing.strokes if c == GREY]
+    dots, crosses = ([(x, y) for x, y, _ in marks] for marks in (drawing.dots, drawing.crosses))
+    for cross, dot in zip(crosses[:5], dots, strict=True):
+        assert (cross, dot) in ends, "of one run"
+    assert not any(cross in pair for pair in ends for cross in crosses[5:]), "no line to an estimate that is not there"
+    bars = [(s, c) for s, c, radius in drawing.strokes if radius == 2.0]
+    labels = [text for _, _, text, c in drawing.labels if c in (PURPLE, ORANGE)]
+    assert labels == ["20 %", "2 %", "80 %", "6 %"]
+    assert [c for _, c in bars] == [PURPLE, ORANGE, PURPLE, ORANGE]
+    assert bars[0][0][0][1] == bars[0][0][1][1] == crosses[1][1], "as high as the median run"
+    assert bars[1][0][0][0] < dots[2][0] < bars[1][0][1][0], "over the runs it is of"
+
+
+def test_colors_are_those_of_okabe_and_ito():
+    published = "E69F00 56B4E9 009E73 F0E442 0072B2 D55E00 CC79A7"
+    own = {tuple(bytes.fromhex(code)) for code in published.split()}
+    told = [*JOINTS, *BESIDE, REFERENCE, SIMULATED, PREDICTED, RESIDUAL]
+    assert {color for color in told if len(set(color)) > 1} <= own
+    assert len({MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL}) == 5
+    assert len(set(JOINTS)) == len(JOINTS)
 
 
 def test_two_fits_are_one_page(tmp_path):

@@ -56,6 +56,6 @@ def run(options: argparse.Namespace) -> None:
         if options.rrd:
             from ..view import write_study_rrd
 
-            write_study_rrd(options.rrd, robot.name, runs, document)
+            write_study_rrd(options.rrd, robot.name, runs, true, document)
     finally:  # a file that cannot be written must not cost an hour of runs
         print_results(document)

@@ -12,7 +12,7 @@ from .comparison import (
     values_of_fit,
     values_of_stored,
 )
-from .document import Document, Section
+from .document import Cell, Document, Number, Section, Table, columns
 from .fit_file import (
     StoredFit,
     base_json,
@@ -32,14 +32,18 @@ from .study_report import base_document, study_document, truth_document
 from .terminal import print_whole
 
 __all__ = [
+    "Cell",
     "Difference",
     "Document",
+    "Number",
     "Section",
     "StoredFit",
+    "Table",
     "Value",
     "Values",
     "base_document",
     "base_json",
+    "columns",
     "comparison_document",
     "comparison_section",
     "differences",

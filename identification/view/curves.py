@@ -1,6 +1,5 @@
-"""The curves of a recording and of its fit over time: tracking, torque, motion, and what is left of the torque as bars."""
+"""The curves of a recording and of its fit over time: position errors, torque, motion."""
 
-import math
 from collections import defaultdict
 from dataclasses import dataclass, replace
 
@@ -8,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data import Signals
-from ..estimation import are_moving, autocorrelation
+from ..estimation import are_moving
 from ..methods import Fit
 from ..model import InverseModel
 from ..regression import Motion, Settings, motion_between, predicted_torque, torque_of_recording
-from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Bars, Curve, Line, Plot
+from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 Vector = NDArray[np.float64]
 
@@ -21,9 +20,7 @@ MODEL_PER_CUTOFF = (
     20.0  # instants per period of the cut-off at which long filtered curves are drawn: straight to the eye
 )
 DROWNED = 3.0  # a raw derivative whose peak is this many times the filtered one's is off until asked for
-LAGS = 60  # of the autocorrelation, in decimated samples
-SHOWN_DEVIATIONS = 4.0  # of the residual: to where its distribution is drawn
-TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of normal x
+_POSITION_COLORS = {"reference": REFERENCE, "simulated": SIMULATED}
 _BLOCK = 200_000  # samples at a time, so that a long recording is not held in every form at once
 
 
@@ -152,60 +149,50 @@ def extremes(x: Vector, step: int) -> NDArray[np.intp]:
     return np.concatenate([np.delete(both.reshape(-1), twice), np.arange(whole, len(x))])
 
 
-def tracking_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, legend: bool = True) -> Plot:
-    """Did joint j follow: its position measured, filtered, simulated, and its reference where one was recorded."""
-    joint = signals.robot.joints[j]
-    curves = [Curve(key="measured", color=MEASURED, line=seen.measured["q"][j], width=2.5)]
-    if fit is not None and fit.settings.cutoff_hz is not None:
-        # The key puts it after, so in front of, what is measured.
-        curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=seen.filtered["q"][j]))
-    # The robot's own tracking and the simulation's, in few words: six of these panels share a screen's width.
-    title = f"q {joint.name} [{joint.position_unit}]"
-    if signals.q_ref is not None:
-        k = extremes(signals.q_ref[:, j], thinning(len(signals.q_ref)))
-        curves.append(Curve(key="reference", color=REFERENCE, line=(signals.t_s[k], signals.q_ref[k, j]), width=1.5))
-        rms = float(np.sqrt(np.mean((signals.q_ref[:, j] - signals.q[:, j]) ** 2)))
-        title = f"q {joint.name}, {'' if seen.simulated else 'tracked to '}{rms:.2g} {joint.position_unit} rms"
-    if seen.simulated:
-        curves.append(Curve(key="simulated", color=SIMULATED, line=seen.simulated["q"][j]))
-        off = fit.iv.direct[j].position_error_percent if fit is not None and fit.iv is not None else None
-        title += "" if off is None else f", sim {off:.2g} %"
-    return Plot(path=("q", joint.name), title=title, curves=tuple(curves), legend=legend)
+def position_plots(signals: Signals, fit: Fit | None, seen: Observed) -> list[Plot]:
+    """One plot per joint of how far reference and simulated position are off the measured one, in a readable unit.
+
+    Positions themselves where neither a reference nor a simulation is known.
+    """
+    joints, legends = signals.robot.joints, _legends(signals)
+    if signals.q_ref is None and not seen.simulated:
+        return [_position_plot(signals, fit, seen, j, legend=legends[j]) for j in range(signals.robot.n)]
+    errors = [_off_measured(signals, seen, j) for j in range(signals.robot.n)]
+    peaks: dict[str, float] = defaultdict(float)  # joints of one kind share a unit, so that they compare at a glance
+    for joint, lines in zip(joints, errors, strict=True):
+        peaks[joint.position_unit] = max(peaks[joint.position_unit], *(np.abs(x).max() for _, x in lines.values()))
+    plots = []
+    for joint, lines, legend in zip(joints, errors, legends, strict=True):
+        factor, unit = readable_unit(peaks[joint.position_unit], joint.position_unit)
+        curves = [
+            Curve(key=key, name=f"{key} − measured", color=_POSITION_COLORS[key], line=(t_s, factor * x))
+            for key, (t_s, x) in lines.items()
+        ]
+        title = f"{joint.name} [{unit}]"
+        plots.append(Plot(path=("error", joint.name), title=title, curves=tuple(curves), legend=legend))
+    return plots
 
 
-def torque_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, legend: bool = True) -> Plot:
-    """Is the torque of joint j explained: measured, inverse model, simulated robot, residual."""
-    name, off = signals.robot.joints[j].name, {}
-    curves = [Curve(key="measured", color=MEASURED, line=seen.measured["tau"][j], width=2.0)]
-    if fit is not None:
-        off["IDM"] = fit.errors[j].relative_error_percent
-        curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=seen.filtered["tau"][j]))
-        curves.append(Curve(key="residual", color=RESIDUAL, line=(seen.rows_t_s, seen.residual[:, j])))
-    if seen.simulated:
-        off["DDM"] = fit.iv.direct[j].torque_error_percent if fit is not None and fit.iv is not None else None
-        curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=seen.simulated["tau"][j]))
-    # The peak in words: of the axis a small panel shows one number or none.
-    told = [f"{name} [{signals.robot.effort_units[j]}]", f"peak {np.abs(signals.effort[:, j]).max():.3g}"]
-    told += [f"{model} {error:.1f} %" for model, error in off.items() if error is not None]
-    title = ", ".join(told) + (" off" if len(told) > 2 else "")
-    return Plot(path=("torque", name), title=title, curves=tuple(curves), legend=legend)
+def torque_plots(signals: Signals, fit: Fit | None, seen: Observed) -> list[Plot]:
+    """One plot per joint of its torque: measured, inverse model, simulated robot, residual."""
+    plots = []
+    for j, (joint, legend) in enumerate(zip(signals.robot.joints, _legends(signals), strict=True)):
+        curves = [Curve(key="measured", color=MEASURED, line=seen.measured["tau"][j], width=2.0)]
+        if fit is not None:
+            curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=seen.filtered["tau"][j]))
+            curves.append(Curve(key="residual", color=RESIDUAL, line=(seen.rows_t_s, seen.residual[:, j])))
+        if seen.simulated:
+            curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=seen.simulated["tau"][j]))
+        title = f"{joint.name} [{signals.robot.effort_units[j]}]"
+        plots.append(Plot(path=("torque", joint.name), title=title, curves=tuple(curves), legend=legend))
+    return plots
 
 
 def motion_plots(signals: Signals, fit: Fit | None, seen: Observed, j: int) -> list[Plot]:
-    """Position errors of joint j, where there are any, and its speed and acceleration: measured, filtered, simulated."""
+    """Position, speed and acceleration of joint j: measured, filtered, simulated; no position where the first page has it."""
     joint, plots = signals.robot.joints[j], []
-    errors = []
-    if signals.q_ref is not None:
-        off = signals.q_ref[:, j] - signals.q[:, j]
-        k = extremes(off, thinning(len(off)))
-        errors.append(Curve(key="reference", name="reference", color=REFERENCE, line=(signals.t_s[k], off[k])))
-    if seen.simulated:
-        errors.append(Curve(key="simulated", name="simulated", color=SIMULATED, line=seen.simulated["error"][j]))
-    if errors:
-        ends = signals.t_s[[0, -1]]
-        errors.insert(0, Curve(key="measured", color=MEASURED, line=(ends, np.zeros(2))))  # as long as the other plots
-        title = f"off the measured position: {joint.name} [{joint.position_unit}]"
-        plots.append(Plot(path=("error", joint.name), title=title, curves=tuple(errors)))
+    if signals.q_ref is not None or seen.simulated:
+        plots.append(_position_plot(signals, fit, seen, j))
     filters = bool(seen.filtered) and (fit is None or fit.settings.cutoff_hz is not None)
     for quantity, per in (("dq", "/s"), ("ddq", "/s²")):
         raw = seen.measured[quantity][j]
@@ -222,38 +209,41 @@ def motion_plots(signals: Signals, fit: Fit | None, seen: Observed, j: int) -> l
     return plots
 
 
-def residual_bars(signals: Signals, fit: Fit, seen: Observed, j: int) -> list[Bars]:
-    """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left.
+def readable_unit(peak: float, unit: str) -> tuple[float, str]:
+    """A factor and the unit it leads to, in which values up to `peak`, given in rad or m, read well: rad, mrad or µrad."""
+    if peak >= 1 or peak == 0:
+        return 1.0, unit
+    return (1e3, f"m{unit}") if peak >= 1e-3 else (1e6, f"µ{unit}")
 
-    The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
-    """
-    rho, name = seen.residual[:, j], signals.robot.joints[j].name
-    T = len(rho)
-    if not rho.any():
-        return []
-    period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
-    lags = np.arange(1.0, min(LAGS, T - 1) + 1)
-    r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
-    told = f", lag-1 {r[0]:.2f}" if len(r) else ""
-    shown = moving if len(moving := rho[seen.moving[:, j]]) else rho
-    # Of the middle of the rows, so that a few far ones do not make it.
-    s = float(TO_DEVIATION * np.median(np.abs(shown))) or float(np.sqrt(np.mean(rho**2)))
-    edge = SHOWN_DEVIATIONS * s
-    outside = int((np.abs(shown) > edge).sum())
-    counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
-    width, x = float(edges[1] - edges[0]), np.linspace(-edge, edge, 301)[:-1]
-    normal = len(shown) * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
-    return [
-        Bars(
-            path=("residual", name, "autocorrelation"),
-            title=f"{name} autocorrelation over lag [s]{told}, grey ±2/√N",
-            front=((lags - 0.3) * period_s, 0.6 * period_s, r),
-            back=(np.zeros(2), (len(lags) + 0.5) * period_s, np.array([bound, -bound])),
-        ),
-        Bars(
-            path=("residual", name, "distribution"),
-            title=f"{name} residual [{signals.robot.effort_units[j]}], sigma {s:.2g}, {outside} outside",
-            front=(np.asarray(edges[:-1], dtype=float), width, counts.astype(float)),
-            back=(x, float(x[1] - x[0]), normal),
-        ),
-    ]
+
+def _legends(signals: Signals) -> list[bool]:
+    """Which of the joints' plots have a legend: all of few, the first of many."""
+    return [j == 0 or signals.robot.n < 4 for j in range(signals.robot.n)]
+
+
+def _position_plot(signals: Signals, fit: Fit | None, seen: Observed, j: int, *, legend: bool = True) -> Plot:
+    """Joint j's position measured, filtered, simulated, and its reference where one was recorded."""
+    joint = signals.robot.joints[j]
+    curves = [Curve(key="measured", color=MEASURED, line=seen.measured["q"][j], width=2.5)]
+    if fit is not None and fit.settings.cutoff_hz is not None:
+        # The key puts it after, so in front of, what is measured.
+        curves.append(Curve(key="measured_filtered", name="filtered", color=PREDICTED, line=seen.filtered["q"][j]))
+    if signals.q_ref is not None:
+        k = extremes(signals.q_ref[:, j], thinning(len(signals.q_ref)))
+        curves.append(Curve(key="reference", color=REFERENCE, line=(signals.t_s[k], signals.q_ref[k, j]), width=1.5))
+    if seen.simulated:
+        curves.append(Curve(key="simulated", color=SIMULATED, line=seen.simulated["q"][j]))
+    title = f"q {joint.name} [{joint.position_unit}]"
+    return Plot(path=("q", joint.name), title=title, curves=tuple(curves), legend=legend)
+
+
+def _off_measured(signals: Signals, seen: Observed, j: int) -> dict[str, Line]:
+    """Reference and simulated position of joint j less the measured one, what there is of them."""
+    lines = {}
+    if signals.q_ref is not None:
+        off = signals.q_ref[:, j] - signals.q[:, j]
+        k = extremes(off, thinning(len(off)))
+        lines["reference"] = signals.t_s[k], off[k]
+    if seen.simulated:
+        lines["simulated"] = seen.simulated["error"][j]
+    return lines

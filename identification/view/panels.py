@@ -13,11 +13,13 @@ Line = tuple[Vector, Vector]  # t_s (k,), values (k,)
 Part = Literal["base", "link", "joint", "tool"]
 Steps = tuple[Vector, float, Vector]  # left edges (k,), width, heights (k,)
 
-GREY, BLUE, ORANGE, RED, GREEN = (140, 140, 140), (60, 140, 245), (255, 140, 0), (225, 60, 60), (50, 170, 90)
-PURPLE, LIGHT = (170, 120, 235), (205, 205, 205)
+# Okabe and Ito's colors, told apart by the color-blind too (Color Universal Design, 2008), on a dark ground and a light one.
+ORANGE, SKY, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
+BLUE, VERMILLION, PURPLE = (0, 114, 178), (213, 94, 0), (204, 121, 167)
+GREY, LIGHT = (140, 140, 140), (205, 205, 205)
 # One color, one meaning on all pages.
-MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL = GREY, GREEN, BLUE, ORANGE, RED
-JOINTS = (BLUE, ORANGE, GREEN, RED, (160, 110, 220), (0, 175, 190), (200, 160, 40), (220, 110, 170))  # in turn
+MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL = GREY, GREEN, SKY, ORANGE, VERMILLION
+JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +56,10 @@ class Bars:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Drawing:
-    """Strokes (points (k, 2), color, radius), dots and labels on a sheet of `size` pixels, y downwards: any other chart."""
+    """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards: any other chart.
+
+    Markers are `dots`, and for least squares `crosses`.
+    """
 
     path: tuple[str, ...]
     title: str
@@ -62,6 +67,7 @@ class Drawing:
     strokes: Sequence[tuple[Any, Color, float]]
     dots: Sequence[tuple[float, float, Color]]
     labels: Sequence[tuple[float, float, str, Color]]
+    crosses: Sequence[tuple[float, float, Color]] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,211 @@
+"""How good the signals are: spectra, what a fit leaves of the torque, phases and events of the session, counters."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import signal
+
+from ..data import Signals
+from ..estimation import autocorrelation
+from ..methods import Fit
+from ..regression import Settings
+from .curves import Observed
+from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot
+
+Vector = NDArray[np.float64]
+
+FOLLOWS = "track"  # the phase that a fit uses
+MOST_LINES = 2000  # of the log
+EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
+LAGS = 60  # of the autocorrelation, in decimated samples
+SHOWN_DEVIATIONS = 4.0  # of the residual: to where its distribution is drawn
+SPECTRUM_SAMPLES = 16  # fewer have no spectrum to show
+TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of normal x
+TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
+
+
+def span_lanes(signals: Signals, plan: Settings | None, *, fitted: bool) -> Lanes | None:
+    """The session's phases and what of the recording the fit uses, or would use; None where neither is known."""
+    end_s = float(signals.t_s[-1])
+    lanes: dict[str, list[tuple[float, str, Color]]] = {}
+    phases = [event for event in signals.events if event.kind == "phase"]
+    if phases:
+        colors: dict[str, Color] = {FOLLOWS: GREEN}
+        states: dict[float, tuple[float, str, Color]] = {}
+        for event in phases:
+            color = colors.setdefault(event.text, (GREY, SKY, *JOINTS[3:7])[len(colors) % 6])
+            at = within(event.t_s, end_s)
+            states[at] = (at, event.text, color)  # of those before the first sample, the last
+        lanes["phase"] = list(states.values())
+    if plan is not None:
+        start, stop = (float(signals.t_s[k]) for k in (plan.start, plan.stop - 1))
+        name = "fitted" if fitted else "to_be_fitted"
+        lanes[name] = [(start, plan.span, ORANGE), (stop, "", GREY)]
+        if start > 0:
+            lanes[name].insert(0, (0.0, "", GREY))
+    if not lanes:
+        return None
+    return Lanes(
+        path=("session",), title="phases of the session, span to fit" if phases else "span to fit", lanes=lanes
+    )
+
+
+def event_log(signals: Signals) -> Log | None:
+    """What happened, None where nothing did. The seconds stand in the text: a viewer's column of times is too narrow for them.
+
+    What is outside of the samples stands at their ends.
+    """
+    end_s, lines = float(signals.t_s[-1]), []
+    for event in signals.events[:MOST_LINES]:
+        at = within(event.t_s, end_s)
+        told = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
+        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{told}"))
+    return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
+
+
+def health_plot(signals: Signals) -> Plot | None:
+    """The recorder's counts of what went wrong, None where it kept none; the title says what they come to."""
+    end_s = float(signals.t_s[-1])
+    curves: list[Curve] = []
+    for name, (t_s, counts) in signals.health.items():
+        known = np.isfinite(counts)
+        if not known.any():
+            continue
+        t_s, counts = t_s[known], counts[known]
+        if name not in TOTALS and not name.endswith("_s"):
+            before = np.flatnonzero(t_s < 0)[-1:]  # counts so far, as the samples begin
+            k = np.r_[before, np.flatnonzero((t_s >= 0) & (t_s <= end_s))]
+            line = np.clip(t_s[k], 0, end_s), counts[k]
+            if len(k) == 0 or line[0][-1] < end_s:
+                line = np.append(line[0], end_s), np.append(line[1], counts[-1])
+            if len(line[0]) == 1:
+                line = np.array([0.0, end_s]), np.repeat(line[1], 2)
+            color = JOINTS[len(curves) % len(JOINTS)]
+            curves.append(Curve(key=name, color=color, line=line, width=2.0))
+    faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
+    title = f"counted: {', '.join(faults) or 'no fault'}"
+    return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
+
+
+def within(t_s: float, end_s: float) -> float:
+    """A time brought to between the first sample and the last."""
+    return min(max(t_s, 0.0), end_s)
+
+
+def spectrum_drawings(signals: Signals, plan: Settings | None) -> list[Drawing]:
+    """Spectra of position and effort of all joints over the span of the plan, with its cut-offs."""
+    robot, fs = signals.robot, signals.sample_rate_hz
+    start, stop = (plan.start, plan.stop) if plan else (0, len(signals.q))
+    bandwidth = (robot.controller.bandwidth_hz, "bandwidth")
+    lowpass = [(plan.cutoff_hz, "low-pass")] if plan and plan.cutoff_hz is not None else []
+    decimation = [(0.4 * fs / plan.decimation, "decimation")] if plan and plan.decimation > 1 else []
+    drawings = []
+    for key, x, units, marks in (
+        ("position", signals.q, [joint.position_unit for joint in robot.joints], [bandwidth, *lowpass]),
+        ("effort", signals.effort, robot.effort_units, [bandwidth, *decimation]),
+    ):
+        names = [f"{joint.name} [{unit}/√Hz]" for joint, unit in zip(robot.joints, units, strict=True)]
+        spectra = [_spectrum(x[start:stop, j], fs) for j in range(robot.n)]
+        lines = [(name, f, a) for name, (f, a) in zip(names, spectra, strict=True) if len(f)]
+        if lines:
+            drawings.append(_log_log(("spectrum", key), f"{key} measured: amplitude over frequency [Hz]", lines, marks))
+    return drawings
+
+
+def _spectrum(x: Vector, sample_rate_hz: float) -> tuple[Vector, Vector]:
+    """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged within 40 bands a decade."""
+    if len(x) < SPECTRUM_SAMPLES:
+        return np.zeros(0), np.zeros(0)
+    f, power = signal.welch(x, sample_rate_hz, nperseg=int(min(len(x) // 2, 20 * sample_rate_hz)), detrend="linear")
+    f, power = f[1:], power[1:]
+    band = np.floor(40 * np.log10(f / f[0])).astype(int)
+    count = np.bincount(band)
+    used = count > 0
+    mean_f, mean_power = (np.bincount(band, z)[used] / count[used] for z in (f, power))
+    seen = mean_power > 0
+    return mean_f[seen], np.sqrt(mean_power[seen])
+
+
+def _log_log(
+    path: tuple[str, ...],
+    title: str,
+    curves: Sequence[tuple[str, Vector, Vector]],
+    marks: Sequence[tuple[float, str]],
+) -> Drawing:
+    """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
+    sheet = np.array([900.0, 560.0])
+    all_x, all_y = (np.log10(np.concatenate([c[i] for c in curves])) for i in (1, 2))
+    low = np.array([all_x.min(), math.floor(max(all_y.min(), all_y.max() - 12))])
+    high = np.array([all_x.max(), math.ceil(all_y.max())])
+    frame = np.array([[70.0, 20.0], [sheet[0] - 20, sheet[1] - 50]])  # left, top; right, bottom
+
+    def place(x: Any, y: Any) -> Vector:
+        u = (np.column_stack([x, y]) - low) / np.maximum(high - low, 1e-9)
+        u[:, 1] = 1.0 - u[:, 1]
+        return np.asarray(frame[0] + np.clip(u, 0, 1) * (frame[1] - frame[0]))
+
+    strokes: list[tuple[Any, Color, float]] = []
+    labels: list[tuple[float, float, str, Color]] = []
+    for d in range(math.ceil(low[0]), math.floor(high[0]) + 1):
+        strokes.append((place([d, d], [low[1], high[1]]), GREY, 0.25))
+        labels.append((float(strokes[-1][0][0, 0]), frame[1, 1] + 5, f"{10.0**d:g}", GREY))
+    for d in range(int(low[1]), int(high[1]) + 1):
+        strokes.append((place([low[0], high[0]], [d, d]), GREY, 0.25))
+        labels.append((35.0, float(strokes[-1][0][0, 1]) - 10, f"1e{d:+d}", GREY))
+    for k, (x, name) in enumerate(marks):
+        at = math.log10(x)
+        if low[0] < at < high[0]:
+            strokes.append((place([at, at], [low[1], high[1]]), GREY, 1.25))
+            labels.append((float(strokes[-1][0][0, 0]), frame[1, 1] - 60 + 26 * k, f"{name} {x:g} Hz", GREY))
+    for j, (name, f, amplitude) in enumerate(curves):
+        strokes.append((place(np.log10(f), np.log10(amplitude)), JOINTS[j % len(JOINTS)], 0.75))
+        labels.append((frame[1, 0] - 70, frame[0, 1] + 26 * j, name, JOINTS[j % len(JOINTS)]))
+    return Drawing(path=path, title=title, size=(sheet[0], sheet[1]), strokes=strokes, dots=[], labels=labels)
+
+
+def residual_of_moving(seen: Observed, j: int) -> Vector:
+    """Residual of joint j where it moves; all of it where it never does."""
+    rho = seen.residual[:, j]
+    return moving if len(moving := rho[seen.moving[:, j]]) else rho
+
+
+def middle_deviation(rho: Vector) -> float:
+    """Standard deviation, of the middle of the rows, so that a few far ones do not make it."""
+    return float(TO_DEVIATION * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
+
+
+def residual_bars(signals: Signals, fit: Fit, seen: Observed, j: int) -> list[Bars]:
+    """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left.
+
+    The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
+    """
+    rho, name = seen.residual[:, j], signals.robot.joints[j].name
+    T = len(rho)
+    if not rho.any():
+        return []
+    period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
+    lags = np.arange(1.0, min(LAGS, T - 1) + 1)
+    r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
+    shown = residual_of_moving(seen, j)
+    s = middle_deviation(shown)
+    edge = SHOWN_DEVIATIONS * s
+    counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
+    width, x = float(edges[1] - edges[0]), np.linspace(-edge, edge, 301)[:-1]
+    normal = len(shown) * width / (s * math.sqrt(2 * math.pi)) * np.exp(-0.5 * (x / s) ** 2)
+    return [
+        Bars(
+            path=("residual", name, "autocorrelation"),
+            title=f"autocorrelation {name} [s]",
+            front=((lags - 0.3) * period_s, 0.6 * period_s, r),
+            back=(np.zeros(2), (len(lags) + 0.5) * period_s, np.array([bound, -bound])),
+        ),
+        Bars(
+            path=("residual", name, "distribution"),
+            title=f"residual {name} [{signals.robot.effort_units[j]}]",
+            front=(np.asarray(edges[:-1], dtype=float), width, counts.astype(float)),
+            back=(x, float(x[1] - x[0]), normal),
+        ),
+    ]
