@@ -13,7 +13,7 @@ from acquisition.recorder.recorder import Recorded, Recorder
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.robot.drives import Bus
 from acquisition.robot.robot import Robot
-from acquisition.session.plan import Ending, Plan, Stop
+from acquisition.session.plan import Outcome, Plan, Stop
 from acquisition.session.session import run_active
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
@@ -63,13 +63,13 @@ class SyncOfAnother(Through):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Outcome:
-    ending: Ending | None
+class DrySession:
+    ending: Outcome | None
     raised: BaseException | None
     drives: SimulatedDrives
     recorded: Recorded
     recording: Recording
-    announced: tuple[Ending, ...] = ()
+    announced: tuple[Outcome, ...] = ()
 
     def events(self, kind: str) -> list[str]:
         return [e.text for e in self.recording.events if e.kind == kind]
@@ -86,7 +86,7 @@ def dry_session(
     through: Callable[..., Through] = Through,
     stop: Stop | None = None,
     drives: Bus | None = None,
-) -> Outcome:
+) -> DrySession:
     """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.
 
     `drives` are those on the bus, where they are others than the session thinks.
@@ -98,7 +98,7 @@ def dry_session(
     mechanism = None if plant is None else Mechanism(plant=plant, loops=typical_loops(robot, rated))
     run = dry_run(robot, drives or bus, mechanism, faults=faults, tap=log.tap)
     ending, raised = None, None
-    announced: list[Ending] = []
+    announced: list[Outcome] = []
     try:
         master = Master(through(link=run.link), bus)
         ending = run_active(robot, master, log, plan, stop or Stop(), announced.append)
@@ -109,7 +109,7 @@ def dry_session(
         pass
     recorded = log.finish(run.link.now_ns())
     run.close()
-    return Outcome(
+    return DrySession(
         ending=ending,
         raised=raised,
         drives=run.drives,

@@ -19,7 +19,7 @@ from acquisition.recording.rows import SENT
 from acquisition.session import scheduling
 from acquisition.session.pacing import largest_delay_s
 from acquisition.session.plan import Plan, Stop
-from acquisition.session.recording_session import Wanted, record
+from acquisition.session.recording_session import RecordOptions, record
 from acquisition.session.scheduling import refuse_jitter, steady
 from acquisition.simulated.lock_step import dry_run
 from acquisition.trajectory.reference import table_reference
@@ -124,7 +124,7 @@ def test_speeds_that_are_none(tmp_path, speed):
     for track, expected in ((path, "expected more than 0, and 1 at most"), (None, "expected it with --track")):
         with pytest.raises(AcquisitionError, match=expected):
             record(
-                robot, "robot.toml", tmp_path / "a.mcap", Wanted(track=track, speed=speed, dry_run=True),
+                robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
                 lambda status, left_s: None, Stop(),
             )  # fmt: skip
     assert not (tmp_path / "a.mcap").exists()

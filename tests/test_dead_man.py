@@ -79,7 +79,7 @@ def last_target_ns(recording: Recording) -> int:
 
 
 def disabled_by_the_recorder(recording: Recording) -> bool:
-    """Told, and the drives' own last words on the disk too."""
+    """ShowStatus, and the drives' own last words on the disk too."""
     told = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
     return told and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
 

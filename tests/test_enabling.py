@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
-from dry_sessions import Outcome, Through, dry_session, swing
+from dry_sessions import DrySession, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol.states import State
@@ -25,14 +25,14 @@ def loaded(share: float) -> JointwisePlant:
     return typical_plant(robot, rated_motor_effort(bus_of(robot)), share)
 
 
-def targets(outcome: Outcome, node: int) -> np.ndarray:
+def targets(outcome: DrySession, node: int) -> np.ndarray:
     """Targets sent to a drive in motor counts, in the order sent."""
     frames = outcome.recording.frames["test"]
     ours = frames[(frames["can_id"] == 0x200 + node) & ((frames["flags"] & SENT) != 0)]
     return ours["data"][:, 2:6].copy().view("<i4")[:, 0]
 
 
-def phase_of(outcome: Outcome, name: str) -> np.ndarray:
+def phase_of(outcome: DrySession, name: str) -> np.ndarray:
     stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
     names = list(stamps)
     at, then = stamps[name], stamps[names[names.index(name) + 1]]
@@ -87,7 +87,7 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
 def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
     """The sag under 50 % load until the loop has built up its effort, and limits on both sides of it."""
 
-    def enabled(name: str, limit_deg: float) -> Outcome:
+    def enabled(name: str, limit_deg: float) -> DrySession:
         robot = robot_of(bus_text(2, extra=f"enable_motion_deg = {limit_deg:.6f}"))
         late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
         return dry_session(tmp_path / name, TRACK, robot=robot, plant=loaded(0.5), faults=late)

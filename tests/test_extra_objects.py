@@ -18,7 +18,7 @@ from acquisition.recording.summary import overview
 from acquisition.robot.extra_objects import extra_columns
 from acquisition.robot.robot import Robot
 from acquisition.session.plan import Plan
-from acquisition.transport.wall_clock import WallClock, words_of_step
+from acquisition.transport.wall_clock import WallClock, describe_step
 
 TEMPERATURE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
 EXTRA = f'extra = ["606C", "6077", {TEMPERATURE}, "2082"]\nobjects = {{ "2081:1" = "I16", "2082" = "U8" }}\nsign = -1\n'
@@ -155,5 +155,5 @@ def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
         monotonic[0] += elapsed_ns
         found.append(clock.step_ns())
     assert found == [0, 0, 3_600_000_000_000, -50_000_000]
-    assert words_of_step(found[2]) == "the clock was set forth by 3.6e+03 s"
-    assert words_of_step(found[3]) == "the clock was set back by 0.05 s"
+    assert describe_step(found[2]) == "the clock was set forth by 3.6e+03 s"
+    assert describe_step(found[3]) == "the clock was set back by 0.05 s"

@@ -6,7 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import Outcome, Through, dry_session
+from dry_sessions import DrySession, Through, dry_session
 from made_up_buses import bus_text, robot_of
 
 import acquisition.session.pacing as pacing
@@ -16,7 +16,7 @@ from acquisition.master.reports import error_words, status_words
 from acquisition.protocol.states import State
 from acquisition.recording.summary import overview
 from acquisition.session.guards import SPEED_MARGIN
-from acquisition.session.plan import Ending, Plan, Stop
+from acquisition.session.plan import Outcome, Plan, Stop
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.node import SimulatedNode
@@ -52,7 +52,7 @@ def there_and_back(height: float, speed: float) -> Callable[[float], float]:
     return lambda t: height * (1 - abs(t - top_s) / top_s) if t < 2 * top_s else 0.0
 
 
-def run(path, where, *, text: str = "") -> Outcome:
+def run(path, where, *, text: str = "") -> DrySession:
     text = text or bus_text(2)
     return dry_session(path, REST, robot=robot_of(text), plant=Scripted(where))
 
@@ -353,7 +353,7 @@ def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind
     assert ending.fault
     assert outcome.events("fault") == [ending.reason]
     assert ending.unconfirmed == ((1,) if kind == "silent" else ())
-    assert [isinstance(told, Ending) for told in outcome.announced] == [True]
+    assert [isinstance(item, Outcome) for item in outcome.announced] == [True]
     assert outcome.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
     if kind == "emergency":
         report = "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 (continuous over current)"

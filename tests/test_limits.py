@@ -9,7 +9,7 @@ from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing.tables import import_tables
-from acquisition.robot.limits import held_against_limits
+from acquisition.robot.limits import check_recorded_positions
 from acquisition.robot.robot import load_robot
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
@@ -28,15 +28,15 @@ def moving(n: int = 6) -> np.ndarray:
 
 def refusal(q: np.ndarray, robot=TX40, t=T) -> str:
     with pytest.raises(AcquisitionError) as caught:
-        held_against_limits(robot, t, q, "log")
+        check_recorded_positions(robot, t, q, "log")
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
 
 def test_what_a_robot_does_passes():
-    assert held_against_limits(TX40, T, moving(), "log") == ()
+    assert check_recorded_positions(TX40, T, moving(), "log") == ()
     noisy = moving() + 5e-4 * np.random.default_rng(1).standard_normal(moving().shape)
-    assert held_against_limits(TX40, T, noisy, "log") == ()
+    assert check_recorded_positions(TX40, T, noisy, "log") == ()
 
 
 @pytest.mark.parametrize("speed_limit", [True, False])
@@ -75,7 +75,7 @@ def test_a_position_beyond_its_limits_is_told_and_far_beyond_refused(over, refus
     if refused:
         assert "joint joint_5 at" in refusal(q)
     else:
-        told = held_against_limits(TX40, T, q, "log")
+        told = check_recorded_positions(TX40, T, q, "log")
         assert [text.split(" at ")[0] for text in told] == (["joint joint_5"] if over > 0.01 else [])
 
 
@@ -87,7 +87,7 @@ def test_a_speed_beyond_its_limit_is_told_and_far_beyond_refused(factor, told):
     if told == "refused":
         assert "joint joint_1 at" in refusal(q)
     else:
-        assert bool(held_against_limits(TX40, T, q, "log")) == (told == "warned")
+        assert bool(check_recorded_positions(TX40, T, q, "log")) == (told == "warned")
 
 
 def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
@@ -106,7 +106,7 @@ def test_a_fit_refuses_what_no_robot_did_and_tells_of_small_overshoots():
 def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps, tx40):
     for path in (emps, tx40):
         signals = load_signals(path)
-        held_against_limits(signals.robot, signals.t_s, signals.q, path.name)
+        check_recorded_positions(signals.robot, signals.t_s, signals.q, path.name)
     folder, out = REPLAY / "emps", tmp_path / "out.mcap"
     table_map = tmp_path / "map.toml"
     text = (folder / "map.toml").read_text()

@@ -12,7 +12,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import load_robot
 from acquisition.session.plan import Stop
-from acquisition.session.recording_session import Wanted, record
+from acquisition.session.recording_session import RecordOptions, record
 from acquisition.simulated.mechanism import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
 from identification.model.inverse import InverseModel
@@ -31,7 +31,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     names = ",".join(joint.name for joint in robot.joints)
     np.savetxt(table, np.column_stack([t_s, reference]), delimiter=",", header=f"time_s,{names}", comments="")
     ending, _ = record(
-        robot, str(place), tmp_path / "a.mcap", Wanted(dry_run=True, track=table), lambda *_: None, Stop()
+        robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), lambda *_: None, Stop()
     )
     assert (ending.reason, ending.all_disabled) == ("finished", True)
     recording = read_recording(tmp_path / "a.mcap")

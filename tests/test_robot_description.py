@@ -10,7 +10,7 @@ import pytest
 from conftest import REPLAY, robot_named
 
 from acquisition.errors import AcquisitionError, one_line
-from acquisition.files.atomic import refuse_input, whole_file
+from acquisition.files.atomic import atomic_write, refuse_clash
 from acquisition.robot.robot import load_robot, robot_from_files
 from acquisition.robot.toml import LARGEST_TOML, LONGEST_LINE
 
@@ -313,11 +313,11 @@ def test_errors_are_one_printable_line() -> None:
 def test_a_whole_file_replaces_the_old_one_only_when_complete(tmp_path: Path) -> None:
     path = tmp_path / "out"
     path.write_text("old")
-    with pytest.raises(UnicodeEncodeError), whole_file(path) as partial:
+    with pytest.raises(UnicodeEncodeError), atomic_write(path) as partial:
         partial.write_text("half, then \udcff", encoding="utf-8")
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert path.read_text() == "old"
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text("new")
         assert path.read_text() == "old"
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
@@ -328,7 +328,7 @@ def test_a_whole_file_is_on_the_disk_before_it_takes_its_place(tmp_path: Path, m
     """A power cut after the renaming must not leave a file without content."""
     synced: list[bool] = []
     monkeypatch.setattr(os, "fsync", lambda _: synced.append((tmp_path / "out").exists()))
-    with whole_file(tmp_path / "out") as partial:
+    with atomic_write(tmp_path / "out") as partial:
         partial.write_text("new")
     assert synced == [False]
 
@@ -344,7 +344,7 @@ def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
         (tmp_path / "file" / "out", "Not a directory"),
         (tmp_path / ("x" * 300), "File name too long"),
     ):
-        with pytest.raises(AcquisitionError, match=message), whole_file(path) as partial:
+        with pytest.raises(AcquisitionError, match=message), atomic_write(path) as partial:
             partial.write_text("new")
     assert {p.name for p in tmp_path.iterdir()} == {"file", "pipe"}
     assert (tmp_path / "pipe").is_fifo()
@@ -355,8 +355,8 @@ def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None
     (tmp_path / "link").symlink_to(tmp_path / "in")
     for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in"):
         with pytest.raises(AcquisitionError, match="is an input too"):
-            refuse_input(out, [tmp_path / "missing", tmp_path / "in"])
-    refuse_input(tmp_path / "out", [tmp_path / "in"])
+            refuse_clash(out, [tmp_path / "missing", tmp_path / "in"])
+    refuse_clash(tmp_path / "out", [tmp_path / "in"])
 
 
 @pytest.mark.parametrize(

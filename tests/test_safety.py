@@ -28,7 +28,7 @@ from acquisition.recording.rows import SENT
 from acquisition.robot.bus import dictionary_label
 from acquisition.robot.drives import axis_of
 from acquisition.session.plan import Plan, Stop
-from acquisition.session.recording_session import Wanted, record, stop_on_signals
+from acquisition.session.recording_session import RecordOptions, record, stop_on_signals
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.simulated.node import SimulatedNode
@@ -448,14 +448,16 @@ def test_what_is_refused_leaves_no_file(tmp_path):
     out = tmp_path / "a.mcap"
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
     with pytest.raises(AcquisitionError, match=r"bus: slcan .*: cannot be opened"):
-        record(nowhere, "robot.toml", out, Wanted(duration_s=1.0), lambda *_: None, Stop())
+        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), lambda *_: None, Stop())
     with pytest.raises(AcquisitionError, match="--track: lasts as long as its reference"):
-        record(nowhere, "robot.toml", out, Wanted(duration_s=1.0, track=tmp_path / "x.csv"), lambda *_: None, Stop())
+        record(
+            nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), lambda *_: None, Stop()
+        )
     assert not out.exists()
     far = tmp_path / "far.csv"
     far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
     with pytest.raises(AcquisitionError, match=r"far.csv: .*position of joint_1"):
-        record(nowhere, "robot.toml", out, Wanted(track=far, dry_run=True), lambda *_: None, Stop())
+        record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), lambda *_: None, Stop())
     assert not out.exists()
 
 

@@ -24,11 +24,11 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Decode, and say what came of it."""
     with Progress("decoding"):
-        from ..files import refuse_input
+        from ..files import refuse_clash
         from ..importing import decode_recording
         from ..robot import load_robot
 
-        refuse_input(options.output, [options.recording, *([options.robot] if options.robot else [])])
+        refuse_clash(options.output, [options.recording, *([options.robot] if options.robot else [])])
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)

@@ -18,9 +18,9 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the table, and say how long it is."""
     with Progress("exporting"):
-        from ..files import refuse_input
+        from ..files import refuse_clash
         from ..importing import export_csv
 
-        refuse_input(options.output, [options.recording])
+        refuse_clash(options.output, [options.recording])
         rows = export_csv(options.recording, options.output)
     print(one_line(f"{options.output}: {rows} rows"))

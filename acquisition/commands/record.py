@@ -13,11 +13,11 @@ if TYPE_CHECKING:
 
     from ..recorder import Recorded, Status
     from ..robot import Robot
-    from ..session import Ending, Stop, Told
+    from ..session import Outcome, ShowStatus, Stop
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; options bear the names of `Wanted`."""
+    """Declare the command; options bear the names of `RecordOptions`."""
     parser = commands.add_parser("record", help="record drives; nothing moves without --track")
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument("robot", type=Path, metavar="ROBOT.toml")
@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Record, say how it goes and what was recorded; 1 when the session ended by a fault."""
     from ..robot import load_robot
-    from ..session import Stop, Wanted, record, stop_on_signals
+    from ..session import RecordOptions, Stop, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
         raise AcquisitionError(f"--duration {options.duration_s:g}: expected more than 0, and an end")
@@ -58,32 +58,32 @@ def run(options: argparse.Namespace) -> int:
         def confirm(words: list[str]) -> bool:
             return options.yes or _agreed(words, stop, progress)
 
-        wanted, told = from_options(Wanted, options, confirm=confirm), _told(robot, progress)
-        ending, recorded = record(robot, str(options.robot), options.output, wanted, told, stop, _announce)
-    return _report(options.output, robot, ending, recorded)
+        asked, show = from_options(RecordOptions, options, confirm=confirm), _shown_by(robot, progress)
+        outcome, recorded = record(robot, str(options.robot), options.output, asked, show, stop, _announce)
+    return _report(options.output, robot, outcome, recorded)
 
 
-def _report(out: Path, robot: "Robot", ending: "Ending", recorded: "Recorded") -> int:
-    if ending.fault:  # the reason comes before what was recorded
-        reason = "; ".join((ending.reason, *ending.reports))
+def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded") -> int:
+    if outcome.fault:  # the reason comes before what was recorded
+        reason = "; ".join((outcome.reason, *outcome.reports))
         print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
-    for text in () if ending.fault else recorded.warnings:
+    for text in () if outcome.fault else recorded.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     held = f"{recorded.samples} samples, {recorded.frames} CAN frames"
-    print(one_line(f"{out}: {robot.name}, {held}; {ending.reason}"))
-    if ending.fault:
+    print(one_line(f"{out}: {robot.name}, {held}; {outcome.reason}"))
+    if outcome.fault:
         return 1
-    if ending.alarm:
-        raise AcquisitionError(f"{out}: {ending.alarm}")
+    if outcome.alarm:
+        raise AcquisitionError(f"{out}: {outcome.alarm}")
     if recorded.no_samples:
         raise AcquisitionError(f"no samples, the frames are kept: {recorded.no_samples}")
     return 0
 
 
-def _announce(ending: "Ending") -> None:
+def _announce(outcome: "Outcome") -> None:
     """Say at once which drives may still be enabled: before the recording is closed, and before all else."""
-    if ending.alarm:
-        print(one_line(ending.alarm), file=sys.stderr, flush=True)
+    if outcome.alarm:
+        print(one_line(outcome.alarm), file=sys.stderr, flush=True)
 
 
 def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
@@ -101,7 +101,7 @@ def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
     return False
 
 
-def _told(robot: "Robot", progress: Progress) -> "Told":
+def _shown_by(robot: "Robot", progress: Progress) -> "ShowStatus":
     """Where to a session reports twice a second: to the terminal, if there is one."""
     if not progress.shown:
         return lambda status, left_s: None

@@ -18,10 +18,10 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write what is whole, and say what it holds."""
     with Progress("recovering"):
-        from ..files import refuse_input
+        from ..files import refuse_clash
         from ..recording import recover
 
-        refuse_input(options.output, [options.recording])
+        refuse_clash(options.output, [options.recording])
         found = recover(options.recording, options.output)
     samples = 0 if found.samples is None else len(found.samples)
     frames = sum(len(block) for block in found.frames.values())

@@ -1,6 +1,6 @@
 """Files: written whole or not at all, columns of tables, MAT files."""
 
-from .atomic import refuse_input, whole_file
+from .atomic import atomic_write, refuse_clash
 from .columns import read_columns
 
-__all__ = ["read_columns", "refuse_input", "whole_file"]
+__all__ = ["atomic_write", "read_columns", "refuse_clash"]

@@ -9,7 +9,7 @@ from ..errors import AcquisitionError
 
 
 @contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
+def atomic_write(path: Path) -> Iterator[Path]:
     """Yield a path beside `path` to write to; rename it to `path` when the block ends without an exception.
 
     On an exception the partial file is removed and whatever stood at `path` before stays as it was.
@@ -34,7 +34,7 @@ def whole_file(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
-def refuse_input(out: Path, inputs: Iterable[Path]) -> None:
+def refuse_clash(out: Path, inputs: Iterable[Path]) -> None:
     """Raise `AcquisitionError` when writing `out` would replace one of the `inputs`."""
     for path in inputs:
         with suppress(OSError):  # a missing input is told by whoever reads it

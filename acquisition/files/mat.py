@@ -26,7 +26,7 @@ class _Part:
     upright: bool
 
     @property
-    def told(self) -> str:
+    def label(self) -> str:
         return f"{self.name} {_size(self.values)}"
 
 
@@ -51,12 +51,12 @@ def read_variables(data: bytes, names: Sequence[str | int], count: int, place: s
     rows = sum(part.values.size for part in parts) // count
     fits = [rows in (part.values.shape[:1] if part.upright else part.values.shape) for part in parts]
     if rows < 2 or not all(fits) or sum(part.values.size for part in parts) != rows * count:
-        told = ", ".join(part.told for part in parts)
-        raise AcquisitionError(f"{place}: {told}: expected variables of one length, {count} columns in all")
+        label = ", ".join(part.label for part in parts)
+        raise AcquisitionError(f"{place}: {label}: expected variables of one length, {count} columns in all")
     for part in parts:
         if part.values.shape == (rows, rows) and not part.upright:
             raise AcquisitionError(
-                f"{place}: {part.told}: rows and columns cannot be told apart: expected "
+                f"{place}: {part.label}: rows and columns cannot be told apart: expected "
                 f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are"
             )
     turned = [part.values if len(part.values) == rows else part.values.T for part in parts]

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..files import whole_file
+from ..files import atomic_write
 from ..recorder import Decoded, decode, written_by_master
 from ..recording import Block, RecordingWriter, read_recording
-from ..robot import Robot, extra_columns, held_against_limits, resolve
+from ..robot import Robot, check_recorded_positions, extra_columns, resolve
 from ..transport import SUFFIXES, Frame, block_of, read_log
 
 
@@ -40,8 +40,8 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     source = recording.metadata.get("source", "")
     known = ("source", "effort_provenance", "sample_rate_hz")
     notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"decoded_from": recording.sha256}
-    kept = {name: content for name, content in recording.attachments.items() if name not in recording.robot.files}
-    with whole_file(out) as partial, _writer(partial, robot, source, provenance, notes, kept) as writer:
+    others = {name: content for name, content in recording.attachments.items() if name not in recording.robot.files}
+    with atomic_write(out) as partial, _writer(partial, robot, source, provenance, notes, others) as writer:
         for name, block in recording.frames.items():
             writer.frames(name, block)
         for event in recording.events:
@@ -68,7 +68,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
     decoded, provenance = _decoded(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    with whole_file(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, notes, {}) as writer:
+    with atomic_write(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, notes, {}) as writer:
         writer.frames("log", frames)
         _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
     return _converted(robot, decoded, "log")
@@ -90,15 +90,15 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
     if len(named) > 1:
         wanted = {robot.bus.channel if robot.bus is not None else ""}
-    told = [f"{count} of interface {name or '(not told)'}" for name, count in counts.items() if name not in wanted]
+    left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
         raise AcquisitionError(
-            f"{log}: frames: {', '.join(told)}: expected one interface: filter the log, or name one of them as "
+            f"{log}: frames: {', '.join(left_out)}: expected one interface: filter the log, or name one of them as "
             "bus.channel in robot.toml"
         )
-    told += [f"{fd} of CAN FD"] if fd else []
+    left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
-    return frames, (f"frames left out: {', '.join(told)}",) if told else ()
+    return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
 def export_csv(path: Path, out: Path) -> int:
@@ -121,7 +121,7 @@ def export_csv(path: Path, out: Path) -> int:
         for k, column in enumerate(extra_columns(robot)):
             names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
             columns.append(samples["extra"][:, k])
-    with whole_file(out) as partial:
+    with atomic_write(out) as partial:
         np.savetxt(partial, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.17g")
     return len(samples)
 
@@ -130,8 +130,8 @@ def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decode
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
     samples = decoded.samples
-    told = held_against_limits(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
-    return replace(decoded, warnings=decoded.warnings + told), bus.provenance
+    warnings = check_recorded_positions(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
+    return replace(decoded, warnings=decoded.warnings + warnings), bus.provenance
 
 
 def _writer(

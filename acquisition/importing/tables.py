@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..files import read_columns, whole_file
+from ..files import atomic_write, read_columns
 from ..recording import LARGEST_STAMP_NS, Block, RecordingWriter, sample_dtype
-from ..robot import Positive, Robot, held_against_limits, parse_toml
+from ..robot import Positive, Robot, check_recorded_positions, parse_toml
 
 Side = Literal["motor", "joint"]
 TablePlace = Annotated[int, msgspec.Meta(ge=1)]
@@ -110,7 +110,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
     stamps, rate_hz = _stamps(table_map, tables, len(q), place)
     samples = np.empty(len(q), sample_dtype(robot.n, reference="reference" in parts))
     samples["stamp_ns"] = stamps
-    warnings = held_against_limits(
+    warnings = check_recorded_positions(
         robot, (stamps - stamps[0]) * np.float64(1e-9), q, ", ".join(table.name for table in tables)
     )
     for key, part in parts.items():
@@ -131,7 +131,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
 def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float, provenance: str, out: Path) -> None:
     source = "tables " + ", ".join(table.name for table in tables)
     with (
-        whole_file(out) as partial,
+        atomic_write(out) as partial,
         RecordingWriter(partial, robot, source=source, sample_rate_hz=rate_hz, effort_provenance=provenance) as writer,
     ):
         writer.samples(samples)

@@ -2,7 +2,7 @@
 
 from .heartbeat import HEARTBEAT_ID, MasterHeartbeat
 from .homing import Confirm, confirm_positions, homed, joint_positions, position_words
-from .listening import LISTEN_S, heard, other_master, refuse_enabled, refuse_other_master, service_of
+from .listening import LISTEN_S, listen, other_master, refuse_enabled, refuse_other_master, service_of
 from .master import OPERATIONAL, Master, Wire
 from .orders import Orders, send_orders
 from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
@@ -23,10 +23,10 @@ __all__ = [
     "confirm_positions",
     "error_report",
     "error_words",
-    "heard",
     "homed",
     "joint_positions",
     "leave_operational",
+    "listen",
     "not_disabled",
     "notices",
     "other_master",

@@ -18,7 +18,7 @@ _OF_NODES = {0x80: "emergency of", 0x580: "SDO answer of", 0x600: "SDO request t
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
-def heard(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
+def listen(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
     """Frames of `seconds`, error frames left out; ends early when `stopped()`. Nothing is sent."""
     until_ns = link.now_ns() + round(seconds * 1e9)
     while link.now_ns() < until_ns and not stopped():
@@ -79,7 +79,7 @@ def _is_boot_up(frame: Frame) -> bool:
 
 def other_master(master: Master) -> str | None:
     """Listen for half a second; what shows that another master is there, None where nothing does. Nothing is sent."""
-    signs = (sign_of_master(frame, master.bus) for frame in heard(master.link, LISTEN_S))
+    signs = (sign_of_master(frame, master.bus) for frame in listen(master.link, LISTEN_S))
     return next((sign for sign in signs if sign is not None), None)
 
 

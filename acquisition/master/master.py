@@ -256,8 +256,10 @@ class Master:
                 until_ns = self.link.now_ns() + 500_000_000
                 while (shown := self.read(drive.node, display)) != mode:
                     if self.link.now_ns() > until_ns:
-                        told = f"node {drive.node}: mode of operation ({display:04X}:0) = {shown}"
-                        raise AcquisitionError(f"{told}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})")
+                        problem = f"node {drive.node}: mode of operation ({display:04X}:0) = {shown}"
+                        raise AcquisitionError(
+                            f"{problem}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})"
+                        )
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:
@@ -268,8 +270,8 @@ class Master:
             for sub, name, expected in dictionary.identity if dictionary is not None else ():
                 said = self.read(drive.node, IDENTITY, sub)
                 if said != expected:
-                    told = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
-                    found.append(f"{told}: expected 0x{expected:X} as its dictionary says")
+                    problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
+                    found.append(f"{problem}: expected 0x{expected:X} as its dictionary says")
             for index, rated in drive.rated.items():
                 if dictionary is None or (index, 0) in dictionary.entries:
                     raw = self.read(drive.node, index)

@@ -71,12 +71,12 @@ def _consumers(master: Master, drive: Drive) -> str:
     except AcquisitionError:
         return "consumer heartbeat 1016: not there: the drive does not notice when the master dies"
     used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
-    told = f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}: {', '.join(used) or 'none in use'}"
+    line = f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}: {', '.join(used) or 'none in use'}"
     sub = free_entry(entries, file.master_node)
     if sub is None:
-        return f"{told}: no free sub-index: the drive does not notice when the master dies"
+        return f"{line}: no free sub-index: the drive does not notice when the master dies"
     entry = entry_of(file)
-    return f"{told}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}"
+    return f"{line}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> str:

@@ -75,14 +75,14 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
             warnings.simplefilter("ignore")
             found = canopen.import_od(source, node)
     except configparser.DuplicateOptionError as error:
-        told = f"[{error.section}] holds {error.option!r} twice"
-        raise AcquisitionError(f"{place}: line {error.lineno}: {told}: expected once; remove one") from error
+        problem = f"[{error.section}] holds {error.option!r} twice"
+        raise AcquisitionError(f"{place}: line {error.lineno}: {problem}: expected once; remove one") from error
     except configparser.DuplicateSectionError as error:
-        told = f"[{error.section}] is there twice"
-        raise AcquisitionError(f"{place}: line {error.lineno}: {told}: expected once; remove one") from error
+        problem = f"[{error.section}] is there twice"
+        raise AcquisitionError(f"{place}: line {error.lineno}: {problem}: expected once; remove one") from error
     except Exception as error:  # the importer meets damage with whatever its parts raise
-        told = str(error) or type(error).__name__
-        raise AcquisitionError(f"{place}: not an EDS or DCF that can be read: {told[:200]}") from error
+        problem = str(error) or type(error).__name__
+        raise AcquisitionError(f"{place}: not an EDS or DCF that can be read: {problem[:200]}") from error
     entries = {}
     for item in found.values():
         parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())

@@ -71,13 +71,13 @@ def error_words(can_id: int, data: bytes) -> str:
         + ([f"in {_LOCATIONS[data[3]]}"] if data[3] in _LOCATIONS else []),
         0x010: _wires(data[4]),
     }
-    told = []
+    parts = []
     for bit, words in _CLASSES.items():
         if can_id & bit:
-            told.append(f"{words}: {', '.join(details[bit])}" if details.get(bit) else words)
+            parts.append(f"{words}: {', '.join(details[bit])}" if details.get(bit) else words)
     if can_id & _COUNTERS:
-        told.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
-    return "; ".join(told) or f"identifier 0x{can_id:03X}, data {data.hex()}"
+        parts.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
+    return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
 
 
 def _wires(state: int) -> list[str]:

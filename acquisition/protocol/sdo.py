@@ -83,8 +83,8 @@ def answer_of(data: bytes) -> Transfer:
 def check_answer(answer: Transfer, wanted: str, place: str) -> int:
     """The number in an answer of the kind `wanted`. Raises `AcquisitionError` for an abort, naming `place`."""
     if answer.kind == "abort":
-        told = ABORTS.get(answer.number, "abort")
-        raise AcquisitionError(f"{place}: refused by the drive: {told} (0x{answer.number:08X})")
+        meaning = ABORTS.get(answer.number, "abort")
+        raise AcquisitionError(f"{place}: refused by the drive: {meaning} (0x{answer.number:08X})")
     if answer.kind != wanted:
         raise AcquisitionError(f"{place}: the drive answered {answer.kind}: expected {wanted}")
     return answer.number

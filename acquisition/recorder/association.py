@@ -138,10 +138,10 @@ def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tup
             made_up.append(waiting.pop())
         # Of duplicates the first stays; after a silence too long to be made up the last ones do.
         spare = len(single) - 1 - len(made_up)
-        kept = len(single) - spare
-        surplus = single[:spare] if too_late else single[kept:]
+        own = len(single) - spare
+        surplus = single[:spare] if too_late else single[own:]
         found += [(place, too_late, None) for place in surplus]
-        beyond_first = (single[spare:] if too_late else single[:kept])[1:]
+        beyond_first = (single[spare:] if too_late else single[:own])[1:]
         found += [(place, False, slot) for place, slot in zip(beyond_first, made_up, strict=True)]
     return found
 

@@ -282,9 +282,9 @@ def _warnings(counts: list[PdoCount], lost: int, clock: SyncTimes, bus: Bus, ans
     if missing:
         found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
     for count in counts:
-        told = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
-        if told:
-            found.append(f"{count.name}: {', '.join(told)} of {count.received}")
+        losses = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
+        if losses:
+            found.append(f"{count.name}: {', '.join(losses)} of {count.received}")
     return found
 
 

@@ -22,7 +22,7 @@ from ..master import HEARTBEAT_ID
 from ..protocol import REQUEST
 from ..recording import FRAME, SENT
 from ..robot import Robot, resolve, robot_from_files
-from ..transport import DRAIN_S, Frame, Receiver, WallClock, block_of, kernel_drops, open_bus, words_of_step
+from ..transport import DRAIN_S, Frame, Receiver, WallClock, block_of, describe_step, kernel_drops, open_bus
 from .dead_man import DeadMan, SignsOfLife
 from .recorder import Recorded, Recorder, Status
 
@@ -216,9 +216,9 @@ def _main(
         if done is not None:
             connection.send(("done", done))
     except (AcquisitionError, OSError) as error:
-        told = str(error) if isinstance(error, AcquisitionError) else f"{path}: cannot be written: {error.strerror}"
+        problem = str(error) if isinstance(error, AcquisitionError) else f"{path}: cannot be written: {error.strerror}"
         try:
-            connection.send(("failed", told))
+            connection.send(("failed", problem))
         except OSError:
             return
     finally:
@@ -247,7 +247,7 @@ def _record(
     if thread is not None:
         thread.start()
     connection.send(("ready", None))
-    stop_ns, gone, told = None, False, False
+    stop_ns, gone, reported = None, False, False
     clock = WallClock()
     while stop_ns is None:
         try:
@@ -272,8 +272,8 @@ def _record(
         if dead_man is not None:
             while dead_man.events:
                 recorder.event(*dead_man.events.popleft())
-            if dead_man.reason is not None and not told:
-                told = True
+            if dead_man.reason is not None and not reported:
+                reported = True
                 with suppress(OSError):
                     connection.send(("stopped", dead_man.reason))
         if receiver is not None:
@@ -290,7 +290,7 @@ def _record(
                 recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
                 raise AcquisitionError(f"bus: cannot be read: {receiver.error}")
         if step_ns := clock.step_ns():
-            recorder.event(time.time_ns(), "mark", words_of_step(step_ns))
+            recorder.event(time.time_ns(), "mark", describe_step(step_ns))
         status = recorder.tick(time.time_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
         if status is not None:
             try:

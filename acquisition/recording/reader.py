@@ -76,13 +76,13 @@ def read_recording(path: Path) -> Recording:
     place = str(path)
     content = read_content(path, "recording", _check_metadata, _is_read)
     metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
-    told = " (the file is cut before its description)" if cut else ""
+    note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
         raise AcquisitionError(
-            f"{place}: holds no metadata record 'recording'{told}: expected a recording of robot-acquire"
+            f"{place}: holds no metadata record 'recording'{note}: expected a recording of robot-acquire"
         )
     if "robot.toml" not in attachments:
-        raise AcquisitionError(f"{place}: holds no robot.toml{told}: expected the robot's description as an attachment")
+        raise AcquisitionError(f"{place}: holds no robot.toml{note}: expected the robot's description as an attachment")
     robot = robot_from_files(attachments, f"{place}: robot.toml")
     if metadata.get("effort_unit") != json.dumps(robot.effort_units):
         expected = json.dumps(robot.effort_units)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from ..errors import AcquisitionError
-from ..files import whole_file
+from ..files import atomic_write
 from .reader import Recording, read_recording
 from .writer import RecordingWriter
 
@@ -19,7 +19,7 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
     known = ("source", "effort_provenance")
     notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"recovered_from": recording.sha256}
     with (
-        whole_file(out_path) as partial,
+        atomic_write(out_path) as partial,
         RecordingWriter(
             partial,
             recording.robot,

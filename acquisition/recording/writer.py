@@ -28,7 +28,7 @@ class RecordingWriter:
     """Writes a recording; a context manager. `flush` makes what was written so far survive a kill or a power cut.
 
     Metadata and attachments are on the disk when the constructor returns. Raises `OSError` as files do (use it within
-    `whole_file` where the file must be whole or not there), and `AcquisitionError` for blocks that do not fit.
+    `atomic_write` where the file must be whole or not there), and `AcquisitionError` for blocks that do not fit.
     """
 
     def __init__(

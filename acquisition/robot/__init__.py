@@ -4,7 +4,7 @@ from .bus import BusFile, DriveFile, parse_homed
 from .description import DH, Controller, Edges, Joint, LowSpeed, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import extra_columns
-from .limits import held_against_limits
+from .limits import check_recorded_positions
 from .resolving import resolve
 from .robot import Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml
@@ -24,8 +24,8 @@ __all__ = [
     "Robot",
     "axis_of",
     "check_carriers",
+    "check_recorded_positions",
     "extra_columns",
-    "held_against_limits",
     "load_robot",
     "low_speed_by_method",
     "parse_homed",

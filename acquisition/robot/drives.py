@@ -99,10 +99,10 @@ class Bus:
     @property
     def provenance(self) -> str:
         """Where efforts come from, drive by drive; drives alike are named together."""
-        told: dict[str, list[str]] = {}
+        names_by_text: dict[str, list[str]] = {}
         for drive in self.drives:
-            told.setdefault(drive.effort.provenance, []).append(drive.name)
-        return "; ".join(f"{', '.join(names)}: {text}" for text, names in told.items())
+            names_by_text.setdefault(drive.effort.provenance, []).append(drive.name)
+        return "; ".join(f"{', '.join(names)}: {text}" for text, names in names_by_text.items())
 
 
 def refuse_load(bus: Bus, place: str) -> None:
@@ -126,9 +126,9 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
             counts = drive.position_codec.exact(motors[:, i])
-            good = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
-            if not good.all():
-                k = int(np.argmin(good))
+            inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
+            if not inside.all():
+                k = int(np.argmin(inside))
                 raise AcquisitionError(
                     f"{place}: at {k * bus.file.sync_period_s:.4g} s: target of node {drive.node} ({drive.name}) = "
                     f"{counts[k]:.10g} counts: expected {low} to {high}"
@@ -159,8 +159,8 @@ def refuse_pdos(bus: Bus, place: str) -> None:
                     expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}"
                     raise AcquisitionError(f"{key}: identifier 0x{pdo.can_id:03X}: expected {expected}")
                 if pdo.can_id in used:
-                    told = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
-                    raise AcquisitionError(f"{key}: {told}: expected one of its own")
+                    problem = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
+                    raise AcquisitionError(f"{key}: {problem}: expected one of its own")
                 used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
@@ -174,11 +174,11 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
     slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
     if file.counts_per_m is not None and (unit == "N m" or (unit != "N" and not slides)):
         why = "gives a torque" if unit == "N m" else "moves no prismatic joint"
-        told = f"{place}.counts_per_m = {file.counts_per_m:g}: motor {motor.name!r} {why}"
-        raise AcquisitionError(f"{told}: expected counts_per_turn")
+        problem = f"{place}.counts_per_m = {file.counts_per_m:g}: motor {motor.name!r} {why}"
+        raise AcquisitionError(f"{problem}: expected counts_per_turn")
     if file.counts_per_turn is not None and unit == "N":
-        told = f"{place}.counts_per_turn = {file.counts_per_turn:g}: motor {motor.name!r} gives a force"
-        raise AcquisitionError(f"{told}: expected counts_per_m")
+        problem = f"{place}.counts_per_turn = {file.counts_per_turn:g}: motor {motor.name!r} gives a force"
+        raise AcquisitionError(f"{problem}: expected counts_per_m")
 
 
 def axis_of(drive: Drive) -> int:
@@ -209,5 +209,5 @@ def check_carriers(bus: Bus) -> None:
         if drive.carrier(drive.status, "tpdo") is None:
             raise AcquisitionError(f"node {drive.node}: no PDO from it carries {drive.status}: expected one to track")
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
-            told = f"node {drive.node}: a PDO to the drive carries {other}"
-            raise AcquisitionError(f"{told}: expected only {', '.join(sorted(known))} to track")
+            problem = f"node {drive.node}: a PDO to the drive carries {other}"
+            raise AcquisitionError(f"{problem}: expected only {', '.join(sorted(known))} to track")

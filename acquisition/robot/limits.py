@@ -21,20 +21,20 @@ NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
 
 
-def held_against_limits(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
+def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
     """What is to be said of joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots.
 
     Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
     limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.
     """
-    told = []
+    overshoots = []
     steps = np.diff(stamp_s)
     step_s = np.maximum(steps, np.median(steps)) if len(steps) else steps
     for j, joint in enumerate(robot.joints):
         x = q[:, j]
-        told += _position(joint, stamp_s, x, place)
-        told += _speed(joint, stamp_s, step_s, x, place)
-    return tuple(told)
+        overshoots += _position(joint, stamp_s, x, place)
+        overshoots += _speed(joint, stamp_s, step_s, x, place)
+    return tuple(overshoots)
 
 
 def _shown(joint: Joint, value: float) -> str:
@@ -82,8 +82,8 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) ->
         if stated is None or beyond[k] <= (1 + OVERSHOOT) * stated:
             return []
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
-    beside = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
-    if step[k] > _JUMP * beside:
+    neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
+    if step[k] > _JUMP * neighbour:
         raise AcquisitionError(
             f"{place}: joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit}): "
             "expected motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"

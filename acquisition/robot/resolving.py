@@ -155,8 +155,8 @@ def _pdos(
             )
         pdo = Pdo(number=number, can_id=can_id, entries=entries)
         if pdo.bits > 64:
-            told = " + ".join(str(e.bits // 8) for e in entries)
-            raise AcquisitionError(f"{key}.objects: {told} = {pdo.length} bytes: expected 8 at most; use a second PDO")
+            sizes = " + ".join(str(e.bits // 8) for e in entries)
+            raise AcquisitionError(f"{key}.objects: {sizes} = {pdo.length} bytes: expected 8 at most; use a second PDO")
         found.append(pdo)
     return tuple(found)
 
@@ -176,8 +176,8 @@ def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, place:
     name = getattr(file, f"{word}_rule")
     if name is None:
         if known is None or known.entry.type != entry.type:
-            told = f"{place}.{word}_rule is not there: {entry} ({entry.type}) is not known"
-            raise AcquisitionError(f"{told}: expected one of {', '.join(RULES)}")
+            problem = f"{place}.{word}_rule is not there: {entry} ({entry.type}) is not known"
+            raise AcquisitionError(f"{problem}: expected one of {', '.join(RULES)}")
         name = known.rule
     rule = RULES[name]
     rated = getattr(file, rule.rated) if rule.rated else 1.0

@@ -53,12 +53,12 @@ def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
                 command = None  # it acts on the rising edge
             controls.append(command.controlword if command else 0)
         yield list(zip(controls, targets, strict=True))
-    told = ", ".join(
+    states = ", ".join(
         f"node {w.drive.node} {'silent' if w.statusword is None else status_words(w.statusword)}"
         for w in master.nodes
         if w.state is not State.OPERATION_ENABLED
     )
-    raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {told}: expected operation enabled")
+    raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {states}: expected operation enabled")
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:

@@ -22,7 +22,7 @@ _OPERATING = {
 
 
 @dataclass(kw_only=True)
-class Motion:
+class MotionState:
     """What the guards remember of the motion, from the start of enabling on.
 
     Attributes:
@@ -69,20 +69,20 @@ def node_fault(master: Master, now_ns: int) -> str | None:
     return None
 
 
-def motion_fault(master: Master, robot: Robot, motion: Motion) -> str | None:
+def motion_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
     """States, limits and following errors: reasons to stop motion. To be called once each SYNC."""
     return state_fault(master, motion) or joint_fault(master, robot, motion)
 
 
-def state_fault(master: Master, motion: Motion) -> str | None:
+def state_fault(master: Master, motion: MotionState) -> str | None:
     """A drive that leaves operation enabled, or that says in its statusword that it does not obey."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"
         if watch.state is not State.OPERATION_ENABLED or word is None:
             if not motion.enabling or node in motion.enabled:
-                told = "unknown" if word is None else status_words(word)
-                return f"{name}: {told} in motion: expected operation enabled"
+                state = "unknown" if word is None else status_words(word)
+                return f"{name}: {state} in motion: expected operation enabled"
             continue
         motion.enabled.add(node)
         motion.seen[node] = motion.seen.get(node, 0) | word
@@ -94,7 +94,7 @@ def state_fault(master: Master, motion: Motion) -> str | None:
     return None
 
 
-def joint_fault(master: Master, robot: Robot, motion: Motion) -> str | None:
+def joint_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
     """Position, speed and following error of each joint, and what it moves while drives are enabled."""
     q = motion.measured[-1]
     dq = None

@@ -47,9 +47,9 @@ class Pace:
         else:
             patience_ns = self._latest_ns if in_motion else ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
-                told = f"{patience_ns / self._period_ns:.3g} periods"
+                waited = f"{patience_ns / self._period_ns:.3g} periods"
                 raise AcquisitionError(
-                    f"bus: no SYNC in {told}: expected the other producer's; or sync_producer = 'recorder'"
+                    f"bus: no SYNC in {waited}: expected the other producer's; or sync_producer = 'recorder'"
                 )
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()

@@ -12,7 +12,7 @@ from ..master import (
 from ..recorder import Status
 
 
-class Log(Protocol):
+class SessionLog(Protocol):
     """Where a session writes down what happens; the frames come to it by themselves."""
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
@@ -47,7 +47,7 @@ class Plan:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ending:
+class Outcome:
     """How a session ended: in order or by a fault, and which drives that were addressed did not confirm to be disabled.
 
     `reports` are what drives in trouble say of their errors, one line each.

@@ -15,16 +15,16 @@ from ..robot import Robot, refuse_load, resolve
 from ..simulated import DryRun, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
 from ..transport import SHARED, Link, open_link
-from .plan import Ending, Plan, Stop
+from .plan import Outcome, Plan, Stop
 from .scheduling import refuse_jitter, steady
 from .session import run_active
 
 STOPPED = "stopped by"
-Told = Callable[[Status, float | None], None]  # status of the recorder, seconds left
+ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
 
 
 @dataclass(frozen=True, kw_only=True)
-class Wanted:
+class RecordOptions:
     """What `robot-acquire record` was asked for; `confirm` shows joint positions to somebody before anything moves."""
 
     passive: bool = False
@@ -39,47 +39,47 @@ def record(
     robot: Robot,
     place: str,
     out: Path,
-    wanted: Wanted,
-    told: Told,
+    options: RecordOptions,
+    show: ShowStatus,
     stop: Stop,
-    announce: Callable[[Ending], None] = lambda _: None,
-) -> tuple[Ending, Recorded]:
+    announce: Callable[[Outcome], None] = lambda _: None,
+) -> tuple[Outcome, Recorded]:
     """Record until the plan ends or `stop` has a reason; `announce` is told how a session ended, as soon as it is known.
 
     Raises `AcquisitionError` where the description, the bus or the file refuses; what fails once the session runs stands
-    in the ending.
+    in the outcome.
     """
     assert robot.bus is not None
-    if wanted.passive and (wanted.track is not None or wanted.dry_run):
+    if options.passive and (options.track is not None or options.dry_run):
         raise AcquisitionError("--passive: sends nothing: expected it without --track and --dry-run")
     by_traffic = [drive for drive in robot.bus.drive if drive.mapping == "traffic"]
-    if by_traffic and not wanted.passive:
+    if by_traffic and not options.passive:
         raise AcquisitionError(
             f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
         )
-    if wanted.track is not None and wanted.duration_s is not None:
+    if options.track is not None and options.duration_s is not None:
         raise AcquisitionError("--track: lasts as long as its reference: expected it without --duration")
-    if wanted.track is None and wanted.speed != 1.0:
-        raise AcquisitionError(f"--speed {wanted.speed:g}: is that of a reference: expected it with --track")
-    if not 0 < wanted.speed <= 1:
-        raise AcquisitionError(f"--speed {wanted.speed:g}: expected more than 0, and 1 at most")
-    plan = Plan(duration_s=wanted.duration_s)
-    if wanted.track is not None:
-        reference = table_reference(wanted.track, robot, robot.bus.sync_period_s, wanted.speed)
-        check_limits(reference, robot, robot.bus.sync_period_s, str(wanted.track))  # before there is a file
-        plan = Plan(reference=reference, place=str(wanted.track))
-        if not wanted.dry_run:
-            plan = replace(plan, before_motion=lambda master: _before_motion(robot, master, wanted))
+    if options.track is None and options.speed != 1.0:
+        raise AcquisitionError(f"--speed {options.speed:g}: is that of a reference: expected it with --track")
+    if not 0 < options.speed <= 1:
+        raise AcquisitionError(f"--speed {options.speed:g}: expected more than 0, and 1 at most")
+    plan = Plan(duration_s=options.duration_s)
+    if options.track is not None:
+        reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
+        check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))  # before there is a file
+        plan = Plan(reference=reference, place=str(options.track))
+        if not options.dry_run:
+            plan = replace(plan, before_motion=lambda master: _before_motion(robot, master, options))
     if not by_traffic:
         resolve(robot, place)  # what can be refused is refused before anything is opened
-    if wanted.passive:
-        return _listen(robot, place, out, plan, told, stop)
+    if options.passive:
+        return _listen(robot, place, out, plan, show, stop)
     bus = resolve(robot, place)
     refuse_load(bus, place)
     simulated: DryRun | None = None
     link: Link
     log: InlineLog | ProcessLog
-    if wanted.dry_run:
+    if options.dry_run:
         mechanism = mechanism_of(robot, bus)
         log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
         simulated = dry_run(robot, bus, mechanism, tap=log.tap)
@@ -91,7 +91,7 @@ def record(
         # The link first: a bus that cannot be opened leaves no file behind.
         link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
         try:
-            dead_man = shared and wanted.track is not None
+            dead_man = shared and options.track is not None
             log = ProcessLog(
                 out, robot, source="CAN, active", place=place, feed=not shared, passive=False, dead_man=dead_man
             )
@@ -100,18 +100,18 @@ def record(
             raise
     try:
         started_ns = link.now_ns()
-        watched = _Told(
-            log, told, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
+        watched = _StatusLog(
+            log, show, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
         )
         with nullcontext() if simulated is not None else steady() as granted:  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
-            ending = run_active(robot, Master(link, bus), watched, plan, stop, announce)
+            outcome = run_active(robot, Master(link, bus), watched, plan, stop, announce)
         try:
-            return ending, log.finish(link.now_ns())
+            return outcome, log.finish(link.now_ns())
         except AcquisitionError as error:
-            raise AcquisitionError(ending.reason if ending.fault else str(error)) from error
+            raise AcquisitionError(outcome.reason if outcome.fault else str(error)) from error
     finally:
         log.close()
         if simulated is not None:
@@ -120,19 +120,19 @@ def record(
             link.close()
 
 
-def _before_motion(robot: Robot, master: Master, wanted: Wanted) -> list[str]:
+def _before_motion(robot: Robot, master: Master, options: RecordOptions) -> list[str]:
     """What is looked at before a real robot moves, in words for `/events`."""
-    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, wanted.confirm))}"]
+    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, options.confirm))}"]
     jitter = refuse_jitter(master)
     marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
-    if wanted.speed != 1:
-        marks.append(f"{wanted.track} at {wanted.speed:g} of its speed")
+    if options.speed != 1:
+        marks.append(f"{options.track} at {options.speed:g} of its speed")
     if master.bus.file.interface not in SHARED:
         marks.append(f"second stop: {second_stop(master.bus.file)}")
     return marks
 
 
-def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: Stop) -> tuple[Ending, Recorded]:
+def _listen(robot: Robot, place: str, out: Path, plan: Plan, show: ShowStatus, stop: Stop) -> tuple[Outcome, Recorded]:
     """Record what goes by. No link is opened here: the recorder's own cannot send."""
     log = ProcessLog(out, robot, source="CAN, passive", place=place, feed=False, passive=True)
     try:
@@ -146,7 +146,7 @@ def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: S
                     break
                 status = log.poll(time.time_ns())
                 if status is not None:
-                    told(status, None if plan.duration_s is None else plan.duration_s - elapsed_s)
+                    show(status, None if plan.duration_s is None else plan.duration_s - elapsed_s)
                     if status.disk_full:
                         stop.reason = "disk nearly full"
                 time.sleep(0.02)
@@ -157,16 +157,16 @@ def _listen(robot: Robot, place: str, out: Path, plan: Plan, told: Told, stop: S
             log.event(time.time_ns(), "fault" if fault else "end", reason)
         if fault:
             raise AcquisitionError(reason)
-        return Ending(reason=reason, fault=fault), log.finish(time.time_ns())
+        return Outcome(reason=reason, fault=fault), log.finish(time.time_ns())
     finally:
         log.close()
 
 
-class _Told:
+class _StatusLog:
     """A log that passes statuses on to whoever shows them."""
 
-    def __init__(self, log: InlineLog | ProcessLog, told: Told, left: Callable[[int], float | None]) -> None:
-        self._log, self._told, self._left = log, told, left
+    def __init__(self, log: InlineLog | ProcessLog, show: ShowStatus, left: Callable[[int], float | None]) -> None:
+        self._log, self._show, self._left = log, show, left
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """As the log."""
@@ -176,7 +176,7 @@ class _Told:
         """As the log."""
         status = self._log.poll(stamp_ns)
         if status is not None:
-            self._told(status, self._left(stamp_ns))
+            self._show(status, self._left(stamp_ns))
         return status
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..master import LISTEN_S, heard, service_of
+from ..master import LISTEN_S, listen, service_of
 from ..protocol import ANSWER
 from ..recorder import written_by_master
 from ..recording import ERROR, EXTENDED, REMOTE, Block, Recording, read_recording
@@ -40,7 +40,7 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     count = 0
     try:
         listen_s = max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s)
-        for frame in heard(link, listen_s, lambda: bool(stop.reason)):
+        for frame in listen(link, listen_s, lambda: bool(stop.reason)):
             who = service_of(frame, recording.robot.bus.sync_can_id)
             raise AcquisitionError(
                 f"{file.interface} {file.channel}: {who} is heard: expected a silent bus; nothing was sent"

@@ -28,9 +28,9 @@ from ..protocol import DISABLED, Command, Mode, State
 from ..robot import Drive, Robot, check_carriers, refuse_out_of_range
 from ..trajectory import approach, check_limits, follow
 from .enabling import all_enabled, disable, enable
-from .guards import Motion, motion_fault, node_fault
+from .guards import MotionState, motion_fault, node_fault
 from .pacing import Clock, Pace
-from .plan import Ending, Log, Plan, Stop
+from .plan import Outcome, Plan, SessionLog, Stop
 
 HOLD_S = 0.3  # at the end of motion, before drives are disabled
 
@@ -38,14 +38,14 @@ HOLD_S = 0.3  # at the end of motion, before drives are disabled
 def run_active(
     robot: Robot,
     master: Master,
-    log: Log,
+    log: SessionLog,
     plan: Plan,
     stop: Stop,
-    announce: Callable[[Ending], None] = lambda _: None,
-) -> Ending:
+    announce: Callable[[Outcome], None] = lambda _: None,
+) -> Outcome:
     """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
 
-    `announce` is told the ending as soon as it is known, whatever is raised. Raises what was raised inside, after the drives
+    `announce` is told the outcome as soon as it is known, whatever is raised. Raises what was raised inside, after the drives
     were disabled.
     """
     link = master.link
@@ -64,34 +64,34 @@ def run_active(
         with suppress(AcquisitionError):  # a recorder that has ended keeps no drive enabled
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
-        ending = Ending(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
+        outcome = Outcome(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
-            announce(ending)  # before the drives are asked for more
+            announce(outcome)  # before the drives are asked for more
         if session.addressed:
-            text = ending.alarm or "every drive confirmed"
+            text = outcome.alarm or "every drive confirmed"
             with suppress(AcquisitionError):
                 log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
-        ending = replace(ending, reports=tuple(session.reports(unconfirmed)) if fault else ())
-        for text in ending.reports:
+        outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
+        for text in outcome.reports:
             with suppress(AcquisitionError):
                 log.event(link.now_ns(), "mark", text)
         session.leave(unconfirmed)
         if not unconfirmed:
-            announce(ending)
-    return ending
+            announce(outcome)
+    return outcome
 
 
 class _Session:
     """One run: every method below either yields orders for one SYNC after the other, or carries them out."""
 
-    def __init__(self, robot: Robot, master: Master, log: Log, plan: Plan, stop: Stop) -> None:
+    def __init__(self, robot: Robot, master: Master, log: SessionLog, plan: Plan, stop: Stop) -> None:
         self._robot, self._master, self._log, self._plan, self._stop = robot, master, log, plan, stop
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
         self._pace, self._clock = Pace(master), Clock()
         self._heartbeat = MasterHeartbeat(master)
         self._until_ns: int | None = None
-        self._motion: Motion | None = None
+        self._motion: MotionState | None = None
         self._held: list[int] = []  # target counts of the drives, as last commanded
         self._targets: list[Array] = []  # the last joint targets
         self._started = False
@@ -178,13 +178,13 @@ class _Session:
             raise AcquisitionError(reason)
         step_s = self._clock.step_s()
         if step_s:
-            told = f"this computer's clock was set by {step_s:+.3g} s: the receive times of frames jump by that"
-            self._log.event(now_ns, "warning", told)
+            warning = f"this computer's clock was set by {step_s:+.3g} s: the receive times of frames jump by that"
+            self._log.event(now_ns, "warning", warning)
         status = self._log.poll(now_ns)
         if status is not None and status.disk_full and not self._stop.reason:
             self._stop.reason = "disk nearly full"
 
-    def _note(self, motion: Motion) -> None:
+    def _note(self, motion: MotionState) -> None:
         """Write down what drives warn of, once each."""
         for watch in self._master.nodes:
             for text in notices(watch.statusword or 0):
@@ -219,7 +219,7 @@ class _Session:
 
     def _enable(self) -> Iterator[Orders | None]:
         """All drives to operation enabled, each held where it stands; guards are on from here."""
-        self._motion = Motion()
+        self._motion = MotionState()
         targets: list[int] = []
         for order in enable(self._master, targets):
             if self._stop.reason:

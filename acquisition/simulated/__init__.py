@@ -1,14 +1,14 @@
 """Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
 
 from .lock_step import DryRun, dry_run, serve
-from .loops import SUBSTEPS, Loops
+from .loops import SUBSTEPS, LoopGains
 from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
 from .plants import TablePlant, middle_of_range
 
 __all__ = [
     "SUBSTEPS",
     "DryRun",
-    "Loops",
+    "LoopGains",
     "Mechanism",
     "TablePlant",
     "dry_run",

@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..protocol import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
 from ..robot import Bus, Robot
 from .faults import FaultKind, SimulatedFault
-from .loops import SUBSTEPS, LoopMemory, Loops
+from .loops import SUBSTEPS, LoopGains, LoopMemory
 from .node import Sent, simulated_node
 from .plants import Plant
 from .supervision import Supervision, leave_unsupervised
@@ -51,7 +51,7 @@ class SimulatedDrives:
         robot: Robot,
         bus: Bus,
         plant: Plant,
-        loops: Loops,
+        loops: LoopGains,
         faults: Sequence[SimulatedFault] = (),
         *,
         supervised: bool = True,

@@ -11,7 +11,7 @@ SUBSTEPS = 4  # of the loops in a period
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Loops:
+class LoopGains:
     """Gains of the drives at the joints: position 1/s, velocity effort/(rad/s), integral 1/s; each (n,).
 
     `feedforward` is the share of the reference's speed that goes to the velocity loop directly.

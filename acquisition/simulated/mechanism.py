@@ -14,11 +14,11 @@ import numpy as np
 from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Bus, Robot
-from .loops import Loops
+from .loops import LoopGains
 from .plants import Plant, typical_inertia, typical_plant
 
 GROUP = "robot_idim.plants"
-PlantOf = Callable[[Robot], tuple[Plant, Loops]]
+PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class Mechanism:
     """What simulated drives move, and their loops; `warning` says where it is not the described robot."""
 
     plant: Plant
-    loops: Loops
+    loops: LoopGains
     warning: str | None = None
 
 
@@ -50,8 +50,8 @@ def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
 
 def _stand_in(robot: Robot, bus: Bus, why: str) -> Mechanism:
     rated = rated_motor_effort(bus)
-    told = f"a stand-in of independent joints with a gravity-like load moves, not the described robot: {why}"
-    return Mechanism(plant=typical_plant(robot, rated), loops=typical_loops(robot, rated), warning=told)
+    warning = f"a stand-in of independent joints with a gravity-like load moves, not the described robot: {why}"
+    return Mechanism(plant=typical_plant(robot, rated), loops=typical_loops(robot, rated), warning=warning)
 
 
 def rated_motor_effort(bus: Bus) -> Array:
@@ -59,7 +59,7 @@ def rated_motor_effort(bus: Bus) -> Array:
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])
 
 
-def typical_loops(robot: Robot, rated: Array) -> Loops:
+def typical_loops(robot: Robot, rated: Array) -> LoopGains:
     """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast."""
     w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
-    return Loops(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)
+    return LoopGains(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)

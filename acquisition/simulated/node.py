@@ -102,8 +102,8 @@ class SimulatedNode:
                 return self.boot()
             if data[0] in NMT_STATE:
                 self.nmt = NMT_STATE[data[0]]
-                told = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
-                if not self.operational and self.state is State.OPERATION_ENABLED and told:
+                option = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
+                if not self.operational and self.state is State.OPERATION_ENABLED and option:
                     self.state = State.SWITCH_ON_DISABLED  # no more commands can come: the power stage goes off
         elif can_id == 0x600 + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
@@ -141,13 +141,13 @@ class SimulatedNode:
     def home(self, name: str) -> None:
         """Be homed, as the description says that the drive tells it."""
         index, sub, bit = parse_homed(name)
-        told = 1 if bit is None else 1 << bit
+        mask = 1 if bit is None else 1 << bit
         if (index, sub) == (self.drive.status.index, self.drive.status.sub):
-            self.more_status |= told
+            self.more_status |= mask
             self.initial[index, sub] = self.statusword
         else:
             self.types.setdefault((index, sub), "U32")
-            self.values[index, sub] = self.initial[index, sub] = self.values.get((index, sub), 0) | told
+            self.values[index, sub] = self.initial[index, sub] = self.values.get((index, sub), 0) | mask
         self.tick()
 
     def _set(self, key: Key, value: int) -> None:

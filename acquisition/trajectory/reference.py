@@ -95,8 +95,8 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
-            told = f"{path}: time_s: {length_s:.6g} s from first to last{slower}"
-            raise AcquisitionError(f"{told}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
+            problem = f"{path}: time_s: {length_s:.6g} s from first to last{slower}"
+            raise AcquisitionError(f"{problem}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
@@ -108,8 +108,8 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
 
 
 def _no_spline(path: Path, time_s: Array, table: Array) -> str:
-    told = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-    return f"{path}: {told}: expected positions in rad or m at times that a smooth path leads through"
+    found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
+    return f"{path}: {found}: expected positions in rad or m at times that a smooth path leads through"
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
@@ -137,9 +137,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
         ):
             slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
-            good = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
-            if not good.all():
-                k = int(np.argmin(good))
+            inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
+            if not inside.all():
+                k = int(np.argmin(inside))
                 raise AcquisitionError(
                     f"{place}: at {k * period_s:.4g} s: {name} of {joint.name} = {values[k]:.4g} {unit}{per}: "
                     f"expected {bottom:.4g} to {top:.4g}"

@@ -6,7 +6,7 @@ from .link import Link, LockStepLink, open_link
 from .logs import SUFFIXES, read_log
 from .receiver import DRAIN_S, Receiver
 from .sockets import QUEUE_BYTES, kernel_drops, queue_bytes, socket_of
-from .wall_clock import WallClock, words_of_step
+from .wall_clock import WallClock, describe_step
 
 __all__ = [
     "DRAIN_S",
@@ -20,11 +20,11 @@ __all__ = [
     "Tap",
     "WallClock",
     "block_of",
+    "describe_step",
     "kernel_drops",
     "open_bus",
     "open_link",
     "queue_bytes",
     "read_log",
     "socket_of",
-    "words_of_step",
 ]

@@ -57,8 +57,8 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
     try:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
-        told = str(error) or type(error).__name__
-        raise AcquisitionError(f"bus: {file.interface} {file.channel}: cannot be opened: {told}") from error
+        problem = str(error) or type(error).__name__
+        raise AcquisitionError(f"bus: {file.interface} {file.channel}: cannot be opened: {problem}") from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:

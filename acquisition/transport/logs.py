@@ -48,15 +48,15 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
             for message in reader:
                 count += 1
                 if not 0 <= message.timestamp <= latest_s:  # nor is NaN
-                    told = f"{path}: frame {count}: time {message.timestamp:.10g} s"
-                    raise AcquisitionError(f"{told}: expected 0 to {latest_s:.10g}")
+                    problem = f"{path}: frame {count}: time {message.timestamp:.10g} s"
+                    raise AcquisitionError(f"{problem}: expected 0 to {latest_s:.10g}")
                 interface = None if message.channel is None else str(message.channel)
                 if getattr(message, "is_fd", False):
                     yield interface, None
                     continue
                 if len(message.data) > LARGEST_PAYLOAD:
-                    told = f"{path}: frame {count} (0x{message.arbitration_id:03X}): {len(message.data)} bytes"
-                    raise AcquisitionError(f"{told}: expected {LARGEST_PAYLOAD} at most, as of classic CAN")
+                    problem = f"{path}: frame {count} (0x{message.arbitration_id:03X}): {len(message.data)} bytes"
+                    raise AcquisitionError(f"{problem}: expected {LARGEST_PAYLOAD} at most, as of classic CAN")
                 yield interface, frame_of(message)
         if doubts.first is not None:
             raise AcquisitionError(f"{path}: damaged: {doubts.first[:200]}")
@@ -65,8 +65,8 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     except OSError as error:
         raise AcquisitionError(f"{path}: cannot be read: {error.strerror or error}") from error
     except Exception as error:  # the readers meet damage with whatever their parts raise
-        told = str(error) or type(error).__name__
-        raise AcquisitionError(f"{path}: damaged after {count} frames: {told[:200]}") from error
+        problem = str(error) or type(error).__name__
+        raise AcquisitionError(f"{path}: damaged after {count} frames: {problem[:200]}") from error
     finally:
         logger.removeHandler(doubts)
 

@@ -28,6 +28,6 @@ class WallClock:
         return step if abs(step) >= SMALLEST_STEP_NS else 0
 
 
-def words_of_step(step_ns: int) -> str:
+def describe_step(step_ns: int) -> str:
     """For the events of a recording."""
     return f"the clock was set {'forth' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"

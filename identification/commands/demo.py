@@ -25,7 +25,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Record, fit by both methods, draw, and print both fits against the truth."""
     with Progress("starting") as progress:
-        from acquisition.files import whole_file
+        from acquisition.files import atomic_write
         from acquisition.robot import load_robot
 
         from ..data import load_signals
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
         place, out = description(options.robot), options.out
         robot = load_robot(place)
         make_folder(out)
-        with whole_file(out / "session.mcap") as recording:
+        with atomic_write(out / "session.mcap") as recording:
             rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), progress.say)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)

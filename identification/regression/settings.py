@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import Edges, LowSpeed, held_against_limits, low_speed_by_method
+from acquisition.robot import Edges, LowSpeed, check_recorded_positions, low_speed_by_method
 
 from ..data import Signals
 from ..errors import IdentificationError
@@ -82,7 +82,7 @@ def make_settings(signals: Signals, overrides: Overrides) -> Settings:
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     try:
-        warnings = list(held_against_limits(signals.robot, signals.t_s, signals.q, signals.recording))
+        warnings = list(check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording))
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
     bandwidth_hz = signals.robot.controller.bandwidth_hz

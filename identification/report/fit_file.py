@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.files import whole_file
+from acquisition.files import atomic_write
 from acquisition.robot import Edges, Robot, robot_from_files
 
 from ..data import Signals
@@ -116,7 +116,7 @@ def read_fit(path: Path) -> StoredFit:
 def write_json(path: Path, content: dict[str, Any]) -> None:
     """Write a JSON file whole or not at all."""
     text = json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Robot
-from acquisition.simulated import SUBSTEPS, Loops, middle_of_range
+from acquisition.simulated import SUBSTEPS, LoopGains, middle_of_range
 from acquisition.trajectory import UNSTATED_RANGE
 
 from ..arrays import Array
@@ -62,7 +62,7 @@ class RigidBodyPlant:
             self._q, self._dq = self._q + 0.5 * self._step_s * (self._dq + after), after
 
 
-def described_robot(robot: Robot) -> tuple[RigidBodyPlant, Loops]:
+def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
     """The robot of the description's `[parameters]` in the middle of its ranges, and loops of drives for its inertias.
 
     Raises `AcquisitionError` where the parameters are not of this robot, or no motion is possible with them.
@@ -90,16 +90,16 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, Loops]:
     return plant, drive_loops(robot, inertias(model, poses))
 
 
-def drive_loops(robot: Robot, J: Array) -> Loops:
-    """Loops of simulated drives: those of the description, or of its bandwidth for the inertias J (n,) at the joints.
+def drive_loops(robot: Robot, J: Array) -> LoopGains:
+    """Loop gains of simulated drives: those of the description, or of its bandwidth for the inertias J (n,) at the joints.
 
     Simulated drives have cascaded loops, each on a joint of its own: a description with others is given the second.
     """
     if not has_controller(robot.controller) or not has_cascades(robot):
         w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
-        return Loops(position=w, velocity=4 * w * J, integral=w)
+        return LoopGains(position=w, velocity=4 * w * J, integral=w)
     loop, reduction = recorded_loop(robot), np.diag(robot.R)
-    return Loops(
+    return LoopGains(
         position=loop.Kp / loop.Kd,
         velocity=reduction**2 * loop.G * loop.Kd,
         integral=loop.Ki / loop.Kd,

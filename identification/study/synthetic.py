@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.files import whole_file
+from acquisition.files import atomic_write
 from acquisition.recording import RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import fourier_reference
@@ -139,7 +139,7 @@ def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[s
     if signals.q_ref is not None:
         samples["reference"] = signals.q_ref
     with (
-        whole_file(path) as partial,
+        atomic_write(path) as partial,
         RecordingWriter(
             partial,
             signals.robot,

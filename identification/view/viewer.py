@@ -15,7 +15,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
-from acquisition.files import whole_file
+from acquisition.files import atomic_write
 
 from ..data import Signals
 from ..errors import IdentificationError
@@ -142,7 +142,7 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
     finally:
         content = stream.read()  # after a failure too: rerun warns of what it drops
         recording.disconnect()
-    with whole_file(path) as partial:
+    with atomic_write(path) as partial:
         partial.write_bytes(content)
 
 
