@@ -44,23 +44,38 @@ def test_every_command_is_one_the_program_takes(command):
     assert callable(PROGRAMS[program].parser().parse_args(arguments).run)
 
 
+FIRST_FIT = "robot-identify fit log.mcap --method iv --json fit.json --rrd fit.rrd"
+
+
+def masked(line):
+    """A line without its numbers, and its numbers."""
+    number = r"(?<![A-Za-z])[0-9][0-9.e-]*"
+    return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
+
+
 def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
     for name in ("log.mcap", "other.mcap"):
         shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / name)
     for name in ("robot.toml", "corrected.toml"):
         shutil.copy(REPLAY / "tx40" / "robot.toml", tmp_path / name)
     monkeypatch.chdir(tmp_path)
-    # `compare` of the fits that other commands of the same READMEs make comes after them.
-    ran, later = [], [command for command in COMMANDS if command.split()[1] in ("compare", "validate")]
+    # Fits come before the commands that read them.
+    later = [command for command in COMMANDS if command.split()[1] in ("compare", "validate")]
+    printed = {}
     for command in [command for command in COMMANDS if command not in later] + later:
         program, *arguments = shlex.split(command)
         runs = {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
         if arguments[0] not in runs or not Path(arguments[1]).exists():
             continue
         assert PROGRAMS[program].main(arguments) == 0, command
-        ran.append(arguments[0])
-    assert set(ran) == {"base", "info", "fit", "validate", "decode", "export", "view", "compare"}
-    capsys.readouterr()
+        printed[command] = capsys.readouterr().out
+    assert {command.split()[1] for command in printed} == runs
+    # The beginning of the report that the first README shows; " ..." stands for the rest of a line.
+    shown = TEXT[FIRST].split("the recording of the demo gives:\n\n")[1].split("\n\n")[0].splitlines()
+    for line, now in zip(shown, printed[FIRST_FIT].splitlines(), strict=False):
+        (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now)
+        assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
+        assert numbers_now[: len(numbers)] == pytest.approx(numbers, rel=0.05)
 
 
 def test_the_first_readme_is_short():
