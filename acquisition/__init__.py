@@ -14,4 +14,31 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
     session      the one loop that sends: record, enable, track, stop; its guards
     importing    recordings out of tables and CAN logs
     commands     the command line
+
+From Python, what is used most is here under one name, imported when it is first used::
+
+    import acquisition
+
+    samples = acquisition.read_recording("log.mcap").samples
 """
+
+from typing import TYPE_CHECKING
+
+from .lazy import lazy_names
+
+if TYPE_CHECKING:
+    from .errors import AcquisitionError
+    from .recording import Recording, read_recording
+    from .robot import Robot, load_robot
+
+__all__ = ["AcquisitionError", "Recording", "Robot", "load_robot", "read_recording"]
+
+if not TYPE_CHECKING:  # a type checker would take any name
+    __getattr__, __dir__ = lazy_names(
+        __name__,
+        {
+            "errors": ("AcquisitionError",),
+            "recording": ("Recording", "read_recording"),
+            "robot": ("Robot", "load_robot"),
+        },
+    )

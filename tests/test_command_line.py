@@ -1,15 +1,19 @@
 """How commands end: files before words, a status that says what happened, streams that cannot fail a command."""
 
 import os
+import platform
 import subprocess
 import sys
+from argparse import Namespace
+from dataclasses import dataclass
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 from conftest import REPLAY, ROOT
 from made_up_recordings import write
 
-from acquisition.commands.command_line import STATUSES, run_command
+from acquisition.commands.command_line import STATUSES, Progress, from_options, run_command
 from acquisition.commands.program import main as acquire
 from acquisition.errors import AcquisitionError
 from acquisition.robot.robot import load_robot
@@ -178,3 +182,55 @@ def test_a_bus_that_cannot_be_opened_is_one_line(tmp_path):
     done = in_shell("ACQ check robot.toml", tmp_path)
     assert (done.returncode, done.stderr.count("\n")) == (1, 1)
     assert "bus: udp_multicast nowhere: cannot be opened" in done.stderr
+
+
+@pytest.mark.parametrize(("program", "name"), [(acquire, "robot-acquire"), (identify, "robot-identify")])
+def test_versions_are_those_of_what_is_installed(program, name, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        program(["--version"])
+    assert stopped.value.code == 0
+    first, *others = capsys.readouterr().out.splitlines()
+    assert first == f"{name} {metadata.version('robot-idim')}"
+    told = dict(line.split() for line in others)
+    assert told.pop("Python") == platform.python_version()
+    assert {"numpy", "scipy", "pin", "rerun-sdk", "mcap", "python-can", "canopen"} <= set(told)
+    assert told == {package: metadata.version(package) for package in told}
+
+
+def test_options_become_fields():
+    @dataclass(frozen=True, kw_only=True)
+    class Settings:
+        span: str = "motion"
+        factor: int = 3
+        share: float | None = None
+        start: str = "regular"
+
+    options = Namespace(span=None, factor=0, other=1, start="ls")
+    assert from_options(Settings, options) == Settings(factor=0, start="ls")
+    assert from_options(Settings, options, start="a file", share=0.5) == Settings(factor=0, start="a file", share=0.5)
+
+
+def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
+    with Progress("reading") as progress:
+        progress.say("fitting")
+    assert capfd.readouterr() == ("", "")
+    monkeypatch.setenv("TERM", "xterm")
+    controller, terminal = os.openpty()
+    with open(terminal, "w") as stderr:
+        monkeypatch.setattr(sys, "stderr", stderr)
+        with Progress("reading") as progress:
+            progress.say("fitting")
+            with progress.cleared():
+                stderr.write("a question\n")
+        stderr.write("the end")
+        stderr.flush()
+        told = ""
+        while not told.endswith("the end"):
+            told += os.read(controller, 1000).decode()
+    os.close(controller)
+    before, after = told.split("a question")
+    erased = "\x1b[2K"
+    assert "fitting" in before
+    assert before.endswith(erased), "the question has a line of its own"
+    assert "fitting" in after
+    assert after.endswith(f"{erased}the end")

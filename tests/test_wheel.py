@@ -49,6 +49,11 @@ def test_programs_and_demo_are_in_it(installed, tmp_path):
     assert "usage: robot-acquire" in done.stdout
 
 
+def test_its_packages_say_that_they_are_typed(installed):
+    for package in ("acquisition", "identification"):
+        assert (installed / package / "py.typed").exists()
+
+
 def test_its_robots_are_those_of_the_checkout_and_tests_are_not_in_it(installed):
     for name in ("scara", "tx40"):
         inside = installed / "identification" / "robots" / name / "robot.toml"

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
@@ -66,13 +67,19 @@ class Recording:
     cut: bool
     sha256: str
 
+    def __repr__(self) -> str:
+        samples, frames = 0 if self.samples is None else len(self.samples), sum(map(len, self.frames.values()))
+        held = f"{samples} samples at {self.sample_rate_hz:g} Hz, {frames} CAN frames"
+        return f"Recording({self.robot.name}: {held}{', cut' if self.cut else ''})"
 
-def read_recording(path: Path) -> Recording:
+
+def read_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording; CRCs are checked. A file without its end reads as far as it goes, with `cut` set.
 
     Raises `AcquisitionError` when the file cannot be read, is no recording, is damaged, is of a newer schema version,
     or holds blocks that do not fit their layout.
     """
+    path = Path(path)
     place = str(path)
     content = read_content(path, "recording", _check_metadata, _is_read)
     metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut

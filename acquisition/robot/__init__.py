@@ -1,7 +1,7 @@
 """The robot's description: joints, motors, limits, the bus and its drives, resolved."""
 
 from .bus import BusFile, DriveFile, parse_homed
-from .description import DH, Controller, Edges, Joint, LowSpeed, low_speed_by_method
+from .description import DH, Controller, Edges, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import extra_columns
 from .limits import check_recorded_positions
@@ -22,6 +22,7 @@ __all__ = [
     "LowSpeed",
     "Positive",
     "Robot",
+    "RobotFile",
     "axis_of",
     "check_carriers",
     "check_recorded_positions",

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +39,9 @@ class Robot:
     bus: BusFile | None
     files: Mapping[str, bytes]
     urdf: str | None
+
+    def __repr__(self) -> str:
+        return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
 
     @property
     def n(self) -> int:
@@ -78,11 +82,12 @@ class Robot:
         return np.linalg.solve(self.R.T, effort.T).T / self.gain
 
 
-def load_robot(path: Path) -> Robot:
+def load_robot(path: str | PathLike[str]) -> Robot:
     """Read a robot description, and the URDF and object dictionaries it names.
 
     Raises `AcquisitionError` naming the file, the key, the value and what was expected.
     """
+    path = Path(path)
     try:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from os import PathLike
 from pathlib import Path
 
 import numpy as np
@@ -74,13 +75,21 @@ class Signals:
                     )
                 array.flags.writeable = False
 
+    def __repr__(self) -> str:
+        reference = ", with reference" if self.q_ref is not None else ""
+        return (
+            f"Signals({self.recording}: {self.robot.name}, {len(self.t_s)} samples of {self.robot.n} joints "
+            f"at {self.sample_rate_hz:g} Hz{reference})"
+        )
 
-def load_signals(path: Path, robot: Robot | None = None) -> Signals:
+
+def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
     """Read a recording; `robot` takes the place of the description stored in it.
 
     Raises `AcquisitionError` when the file cannot be read and `IdentificationError` when its samples do not form one
     uniform grid; both are one line.
     """
+    path = Path(path)
     recording = read_recording(path)
     if recording.cut:
         raise IdentificationError(

@@ -1,6 +1,7 @@
 """What an identification gives: an estimate, the settings it was made with, and the evidence for and against it."""
 
 from dataclasses import dataclass
+from html import escape
 from typing import Literal
 
 from ..arrays import Array
@@ -129,3 +130,20 @@ class Fit:
         if self.status in NO_FIXED_POINT:
             why.insert(0, f"status {self.status}" + (f": {self.iv.reason}" if self.iv and self.iv.reason else ""))
         return tuple(why)
+
+    def __repr__(self) -> str:
+        essential, error = len(self.essential.kept), self.errors[-1].moving_relative_error_percent
+        moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
+        return f"Fit({self.method}, {self.status}: {len(self.beta)} parameters, {essential} essential, {moving})"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the one line, and the table of essential parameters."""
+        e, essential = self.estimate, set(self.essential.estimate.names)
+        units = dict(zip(self.base.names, self.base.units, strict=True))
+        rows = "".join(
+            f"<tr><th>{escape(name)}</th><td>{value:.5g}</td><td>{sigma:.2g}</td><td>{escape(units[name])}</td></tr>"
+            for name, value, sigma in zip(e.names, e.beta, e.sigma, strict=True)
+            if name in essential
+        )
+        heading = "<tr><th>parameter</th><th>value</th><th>sigma</th><th>unit</th></tr>"
+        return f"<p>{escape(repr(self))}</p><table><thead>{heading}</thead><tbody>{rows}</tbody></table>"

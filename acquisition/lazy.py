@@ -1,0 +1,22 @@
+"""Names of a package that are imported when they are first asked for (PEP 562), so that importing the package costs nothing."""
+
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+
+def lazy_names(
+    package: str, names_of: Mapping[str, Sequence[str]], *others: str
+) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
+    """`__getattr__` and `__dir__` of a package whose modules `names_of` lists with the names that they give it.
+
+    `others` are names that the package itself defines. A name that nobody gives raises `AttributeError`.
+    """
+    module_of = {name: module for module, names in names_of.items() for name in names}
+
+    def get(name: str) -> Any:
+        if name not in module_of:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{module_of[name]}"), name)
+
+    return get, lambda: sorted((*module_of, *others))

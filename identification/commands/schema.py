@@ -1,0 +1,45 @@
+"""`robot-identify schema`: JSON Schemas of the files that people and programs write and read, for editors and checks."""
+
+import argparse
+import json
+from typing import Any
+
+from acquisition.commands import Commands
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("schema", help="JSON Schema of a robot.toml or of a fit's JSON file")
+    parser.add_argument("file", choices=["robot", "fit"], help="robot: the description; fit: as fit --json writes it")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Print the schema as JSON."""
+    print(json.dumps(schema(options.file), indent=1, ensure_ascii=False))
+
+
+def schema(file: str) -> dict[str, Any]:
+    """The JSON Schema (draft 2020-12) of `robot` or `fit`, from the types that these files are read into."""
+    import msgspec
+
+    from acquisition.robot import RobotFile
+
+    from ..report import StoredFit
+
+    made = msgspec.json.schema(RobotFile if file == "robot" else StoredFit)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(made)}
+
+
+def _with_common_anchors(part: Any) -> Any:
+    r"""Patterns with ^ and $, which in a schema are the ends of the text, for Python's \A and \Z, which it does not have."""
+    if isinstance(part, list):
+        return [_with_common_anchors(x) for x in part]
+    if not isinstance(part, dict):
+        return part
+    return {
+        key: x.replace(r"\A", "^").replace(r"\Z", "$")
+        if key == "pattern" and isinstance(x, str)
+        else _with_common_anchors(x)
+        for key, x in part.items()
+    }

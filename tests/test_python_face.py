@@ -1,0 +1,158 @@
+"""The packages from Python: light to import, typed, a fit of arrays, results that say what they are."""
+
+import ast
+import html.parser
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from conftest import REPLAY, ROOT, robot_named
+
+import acquisition
+import identification
+
+SCARA = REPLAY / "scara" / "robot.toml"
+PACKAGES = {"acquisition": acquisition, "identification": identification}
+
+
+@pytest.fixture(scope="module")
+def signals():
+    """Simulated, so without a recording."""
+    from identification.study import Noise, closed_loop, random_reference
+
+    robot = robot_named("scara")
+    q_ref = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=3)
+    return closed_loop(robot, q_ref, 1000.0, noise=Noise(encoder_step=1e-5, effort_percent=2.0), seed=3)
+
+
+@pytest.fixture(scope="module")
+def by_iv(signals):
+    return identification.fit(signals.q, signals.effort, 1000.0, SCARA, signals.q_ref)
+
+
+def test_importing_loads_no_library():
+    code = (
+        "import sys, acquisition, identification; dir(identification); identification.IdentificationError\n"
+        "rooms = [m for m in sys.modules if m.startswith(('acquisition.', 'identification.'))]\n"
+        "print({'numpy', 'scipy', 'msgspec', 'pinocchio'} & set(sys.modules) or sorted(rooms))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "['acquisition.errors', 'acquisition.lazy', 'identification.errors']\n"
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_is_named_is_there_and_typed(package):
+    module = PACKAGES[package]
+    assert dir(module) == sorted(module.__all__)
+    assert {getattr(module, name).__name__ for name in module.__all__} == set(module.__all__)
+    tree = ast.parse((ROOT / package / "__init__.py").read_text())
+    (typed,) = (n for n in tree.body if isinstance(n, ast.If) and ast.unparse(n.test) == "TYPE_CHECKING")
+    stubs = {a.name for n in typed.body if isinstance(n, ast.ImportFrom) and n.level == 1 for a in n.names}
+    own = {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}
+    assert stubs | own == set(module.__all__)
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nothing'"):
+        module.nothing  # noqa: B018
+
+
+@pytest.mark.parametrize("method", ["wls", "ols"])
+def test_a_fit_of_arrays_is_that_of_the_same_signals(signals, method):
+    fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method=method)
+    same = identification.identify_ls(signals, identification.Overrides(), method=method)
+    np.testing.assert_array_equal(fit.beta, same.beta)
+    assert fit.method == method
+
+
+def test_a_fit_of_arrays_finds_the_true_parameters(signals, by_iv):
+    from identification.study import study_truth
+
+    base, true = study_truth(signals.robot)
+    assert (by_iv.status, by_iv.base.names, by_iv.iv.reference) == ("converged", base.names, "recorded")
+    assert np.linalg.norm(by_iv.beta - true) < 0.01 * np.linalg.norm(true)
+    without = identification.fit(signals.q, signals.effort, 1000.0, signals.robot)
+    assert without.iv.reference == "surrogate"
+
+
+def test_arrays_stay_what_they_are(signals):
+    from identification.data import signals_from_arrays
+
+    q, tau = np.array(signals.q), signals.effort.tolist()
+    made = signals_from_arrays(q, tau, 1000.0, signals.robot, q)
+    q[:] = 0.0
+    np.testing.assert_array_equal(made.q, signals.q)
+    np.testing.assert_array_equal(made.effort, signals.effort)
+    np.testing.assert_allclose(made.t_s, np.arange(len(q)) / 1000.0)
+    other = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot)
+    assert made.sha256 != other.sha256, "the reference is part of what was fitted"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"q": np.zeros(50)}, r"arrays: q has shape \(50,\): expected \(N, 2\), time first"),
+        ({"q": np.zeros((2, 50))}, r"arrays: q has shape \(2, 50\): expected \(N, 2\), time first"),
+        ({"q": [["a", "b"]] * 50}, r"arrays: q: could not convert .*: expected numbers of shape \(N, 2\)"),
+        ({"tau": np.zeros((49, 2))}, r"arrays: effort has shape \(49, 2\): expected \(50, 2\), as q has"),
+        ({"q_ref": np.zeros((51, 2))}, r"arrays: q_ref has shape \(51, 2\): expected \(50, 2\), as q has"),
+        ({"tau": np.full((50, 2), np.nan)}, "arrays: effort row 0 is not finite"),
+        ({"sample_rate_hz": 0.0}, "arrays: sample_rate_hz = 0.0: expected a number above 0"),
+        ({"sample_rate_hz": np.nan}, "arrays: sample_rate_hz = nan"),
+        ({"method": "ls"}, "method = 'ls': expected 'iv', 'wls' or 'ols'"),
+    ],
+)
+def test_what_cannot_be_fitted_is_refused(change, told):
+    given = {"q": np.zeros((50, 2)), "tau": np.zeros((50, 2)), "sample_rate_hz": 100.0, "robot": SCARA}
+    with pytest.raises(identification.IdentificationError, match=told):
+        identification.fit(**{**given, **change})
+
+
+def test_results_say_in_a_line_what_they_are(signals, by_iv):
+    error = by_iv.errors[-1].moving_relative_error_percent
+    assert (
+        repr(by_iv)
+        == f"Fit(iv, converged: 8 parameters, {len(by_iv.essential.kept)} essential, moving error {error:.3g} %)"
+    )
+    assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
+    assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"
+    recording = acquisition.read_recording(str(REPLAY / "scara" / "session.mcap"))
+    assert repr(recording) == (
+        f"Recording(SCARA: {len(recording.samples)} samples at 1000 Hz, {sum(map(len, recording.frames.values()))} CAN frames)"
+    )
+    loaded = identification.load_signals(str(REPLAY / "scara" / "session.mcap"))
+    assert repr(loaded).startswith("Signals(session.mcap: SCARA, ")
+
+
+class Cells(html.parser.HTMLParser):
+    """The texts of a table's rows; every tag must be closed."""
+
+    def __init__(self):
+        super().__init__()
+        self.rows, self.open = [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.open.append(tag)
+        if tag == "tr":
+            self.rows.append([])
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if self.open[-1] in ("td", "th"):
+            self.rows[-1].append(data)
+
+
+def test_a_notebook_shows_the_essential_parameters(signals):
+    noise = np.random.default_rng(1).standard_normal(signals.effort.shape) * signals.effort.std(axis=0)
+    fit = identification.fit(signals.q, signals.effort + noise, 1000.0, SCARA, signals.q_ref)
+    few = {*fit.essential.estimate.names}
+    assert 2 < len(few) < len(fit.base.names)
+    shown = Cells()
+    shown.feed(fit._repr_html_())
+    assert shown.open == []
+    assert [row[0] for row in shown.rows[1:]] == [name for name in fit.base.names if name in few]
+    for name, value, sigma, unit in shown.rows[1:]:
+        k = fit.estimate.names.index(name)
+        assert float(value) == pytest.approx(fit.estimate.beta[k], rel=1e-4)
+        assert float(sigma) == pytest.approx(fit.estimate.sigma[k], rel=0.06)
+        assert unit == fit.base.units[fit.base.names.index(name)]
