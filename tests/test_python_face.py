@@ -2,8 +2,11 @@
 
 import ast
 import html.parser
+import re
+import shutil
 import subprocess
 import sys
+import textwrap
 
 import numpy as np
 import pytest
@@ -156,3 +159,23 @@ def test_a_notebook_shows_the_essential_parameters(signals):
         assert float(value) == pytest.approx(fit.estimate.beta[k], rel=1e-4)
         assert float(sigma) == pytest.approx(fit.estimate.sigma[k], rel=0.06)
         assert unit == fit.base.units[fit.base.names.index(name)]
+
+
+def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
+    section = (ROOT / "identification" / "README.md").read_text().split("## From Python\n")[1].split("\n## ")[0]
+    lines = re.findall(r"(?:^ {4}.*\n|^\n(?= {4}))+", section, flags=re.MULTILINE)
+    (block,) = (textwrap.dedent(part).strip() for part in lines if part.strip())
+    assert len([line for line in block.splitlines() if line]) <= 5
+    shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / "log.mcap")
+    shutil.copy(SCARA, tmp_path / "robot.toml")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block, "README", "exec"), {})
+    told = capsys.readouterr().out
+    assert told.startswith("Fit(iv, converged: 8 parameters, ")
+    assert "'ZZ1R': " in told
+
+
+def test_a_fit_is_validated_from_python(signals, by_iv):
+    settings, errors = identification.validate(signals, identification.Overrides(), lambda base: by_iv.beta)
+    assert settings.decimation == by_iv.settings.decimation
+    assert errors[-1].relative_error_percent == pytest.approx(by_iv.errors[-1].relative_error_percent, rel=0.05)
