@@ -7,8 +7,8 @@ from conftest import REPLAY
 
 from identification.commands.program import main
 from identification.report.document import Document, Section, Table, columns
+from identification.report.renderers import print_whole
 from identification.report.study_report import study_notes
-from identification.report.terminal import print_whole
 from identification.study.study import FALSE_ERROR, Study
 from identification.study.synthetic import Noise
 

@@ -16,7 +16,7 @@ from identification.data.signals import Happening, load_signals
 from identification.errors import IdentificationError
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
-from identification.report.comparison import Value, Values, difference_lines, differences, values_of_fit
+from identification.report.comparison import Parameter, ParameterSet, difference_lines, differences, fitted_parameters
 from identification.study.study import Run
 from identification.view.charts import BESIDE, parameter_drawing, study_drawing, trust_drawing
 from identification.view.panels import (
@@ -207,10 +207,10 @@ def test_a_robot_that_stands_still_is_shown(tmp_path):
 
 
 def values(label, **parameters):
-    return Values(
+    return ParameterSet(
         label=label,
         parameters={
-            name: Value(value=v, sigma=s, sigma_hac=None, unit="kg", essential=True)
+            name: Parameter(name=name, value=v, sigma=s, unit="kg", essential=True)
             for name, (v, s) in parameters.items()
         },
     )
@@ -318,8 +318,8 @@ def test_colors_are_those_of_okabe_and_ito():
 
 
 def test_two_fits_are_one_page(tmp_path):
-    a = values_of_fit(fitted(made_up()))
-    b = values_of_fit(fitted(made_up(), essential=True))
+    a = fitted_parameters(fitted(made_up()))
+    b = fitted_parameters(fitted(made_up(), essential=True))
     write_comparison_rrd(tmp_path / "both.rrd", a, b)
     file = Written(tmp_path / "both.rrd")
     assert file.is_complete()

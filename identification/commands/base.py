@@ -24,10 +24,10 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..model import InverseModel, base_parameters
-        from ..report import base_document, base_json, write_json
+        from ..report import base_document, base_file, write_json
 
         robot = load_robot(options.robot)
         base = base_parameters(InverseModel(robot))
     if options.json:
-        write_json(options.json, {"robot": robot.name, "parameters": base_json(base)})
+        write_json(options.json, base_file(base, robot.name))
     print_results(base_document(base, robot.name))

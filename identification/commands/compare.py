@@ -14,23 +14,27 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("compare", help="parameters of two fits side by side")
     parser.add_argument("a", type=Path, metavar="A.json")
     parser.add_argument("b", type=Path, metavar="B.json")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the comparison as JSON")
     parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the comparison as a Rerun file")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and what must be known of either fit."""
-    from ..report import comparison_document, doubts, frame_lines, read_fit, values_of_stored
+    from ..report import comparison_document, comparison_file, doubts, frame_lines, read_fit, write_json
 
-    refuse_clash([options.a, options.b], options.rrd)
+    refuse_clash([options.a, options.b], options.json, options.rrd)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
-    a, b = (values_of_stored(fit, label) for fit, label in zip(fits, labels, strict=True))
+    a, b = (fit.parameter_set(label) for fit, label in zip(fits, labels, strict=True))
     told = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
     told += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
+    document = comparison_document(a, b, tuple(told))
+    if options.json:
+        write_json(options.json, comparison_file(a, b, document))
     if options.rrd:
         from ..view import write_comparison_rrd
 
         write_comparison_rrd(options.rrd, a, b)
-    print_results(comparison_document(a, b, tuple(told)))
+    print_results(document)

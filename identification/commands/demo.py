@@ -31,7 +31,7 @@ def run(options: argparse.Namespace) -> None:
         from ..data import load_signals
         from ..methods import Iteration, identify_iv, identify_ls
         from ..regression import Overrides
-        from ..report import fit_document, fit_json, truth_document, truth_json, write_json
+        from ..report import base_file, fit_document, fit_file, truth_document, write_json
         from ..study import Rehearsal, description, rehearse, study_truth
         from ..view import write_fit_rrd
 
@@ -42,16 +42,15 @@ def run(options: argparse.Namespace) -> None:
             rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), progress.say)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
-        write_json(out / "truth.json", truth_json(robot.name, base, true))
+        write_json(out / "truth.json", base_file(base, robot.name, true))
         fits = {}
         progress.say("least squares")
         fits["ls"] = identify_ls(signals, Overrides())
         fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
+        reports = {name: fit_document(signals, fit) for name, fit in fits.items()}
         for name, fit in fits.items():
-            write_json(out / f"{name}.json", fit_json(signals, fit))
+            write_json(out / f"{name}.json", fit_file(signals, fit, reports[name]))
         progress.say("writing the Rerun file")
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], beside=fits["ls"], truth=true)
-    for fit in fits.values():
-        print_results(fit_document(signals, fit))
-    print_results(truth_document(robot.name, list(fits.values()), true))
+    print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))
     print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")

@@ -67,19 +67,20 @@ def run(options: argparse.Namespace) -> int:
     refuse_clash(inputs, options.json)
     refuse_clash(inputs, options.json, options.rrd, folders=False)
     with Progress("reading") as progress:
-        from ..report import fit_document, fit_json, write_json
+        from ..report import fit_document, fit_file, write_json
 
         signals = load(options)
         progress.say("fitting")
         fit = _identify(options, signals, progress.say)
+    document = fit_document(signals, fit, everything=options.all)
     try:
         if options.json:
-            write_json(options.json, fit_json(signals, fit))
+            write_json(options.json, fit_file(signals, fit, document))
         if options.rrd:
             with Progress("writing the Rerun file"):
                 _write_rrd(options, signals, fit)
     finally:  # a file that cannot be written must not cost its fit
-        print_results(fit_document(signals, fit, everything=options.all))
+        print_results(document)
     return untrusted(fit.distrust)
 
 

@@ -37,8 +37,8 @@ def run(options: argparse.Namespace) -> None:
 
     from acquisition.robot import load_robot
 
-    from ..report import study_document, write_json
-    from ..study import Noise, Study, run_study, study_json, study_truth
+    from ..report import study_document, study_file, write_json
+    from ..study import Noise, Study, run_study, study_truth
 
     refuse_clash([options.robot], options.json, options.rrd)
     robot = load_robot(options.robot)
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> None:
     document = study_document(robot.name, study, runs, true)
     try:
         if options.json:
-            write_json(options.json, study_json(study, runs, base.names, true))
+            write_json(options.json, study_file(study, runs, base, true, document))
         if options.rrd:
             from ..view import write_study_rrd
 

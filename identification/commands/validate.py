@@ -33,19 +33,18 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         from ..methods import validate
         from ..regression import Overrides
-        from ..report import doubts, errors_json, plan_json, provenance, read_fit, validation_document, write_json
+        from ..report import doubts, read_fit, validation_document, validation_file, write_json
 
         stored, signals = read_fit(options.fit), load(options)
         signals, told = as_fitted(signals, options.recording, stored, str(options.fit), kept=options.robot is not None)
         progress.say("predicting")
         overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
         plan, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
-    units = signals.robot.effort_units
-    warnings = [*plan.warnings, *told, *doubts(stored, str(options.fit))]
+    warnings = (*plan.warnings, *told, *doubts(stored, str(options.fit)))
+    document = validation_document(signals, plan, options.fit.name, errors, warnings)
     if options.json:
-        content = {"fit": options.fit.name, **errors_json(errors, units), **plan_json(signals, plan)}
-        write_json(options.json, {**content, "warnings": warnings, "provenance": provenance(signals)})
-    print_results(validation_document(signals, plan, options.fit.name, errors, tuple(warnings)))
+        write_json(options.json, validation_file(signals, plan, options.fit.name, errors, document, warnings))
+    print_results(document)
     error, most = errors[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
         return 0

@@ -1,69 +1,54 @@
-"""One report of a fit, a recording, a comparison or a study, and its renderers; the JSON files."""
+"""One report of a fit, a recording, a comparison or a study, its renderers, and the JSON files."""
 
 from .comparison import (
-    Difference,
-    Value,
-    Values,
+    Parameter,
+    ParameterSet,
     comparison_document,
+    comparison_file,
     comparison_section,
     differences,
-    frame_lines,
-    true_values,
-    values_of_fit,
-    values_of_stored,
+    fitted_parameters,
+    true_parameters,
 )
-from .document import Cell, Document, Number, Section, Table, columns
-from .fit_file import (
-    StoredFit,
-    base_json,
-    doubts,
-    errors_json,
-    fit_json,
-    plan_json,
-    provenance,
-    read_fit,
-    truth_json,
-    write_json,
-)
+from .document import Cell, Document, Number, Section, Table, columns, write_json
+from .fit_files import fit_file, fit_schema, validation_file
 from .fit_report import fit_document
-from .markdown import to_markdown
 from .recording_report import recording_document, validation_document
-from .study_report import base_document, study_document, truth_document
-from .terminal import print_whole
+from .renderers import print_whole, to_markdown
+from .stored_fit import StoredFit, doubts, frame_lines, read_fit
+from .study_report import base_document, base_file, study_document, study_file, truth_document
 
 __all__ = [
     "Cell",
-    "Difference",
     "Document",
     "Number",
+    "Parameter",
+    "ParameterSet",
     "Section",
     "StoredFit",
     "Table",
-    "Value",
-    "Values",
     "base_document",
-    "base_json",
+    "base_file",
     "columns",
     "comparison_document",
+    "comparison_file",
     "comparison_section",
     "differences",
     "doubts",
-    "errors_json",
     "fit_document",
-    "fit_json",
+    "fit_file",
+    "fit_schema",
+    "fitted_parameters",
     "frame_lines",
-    "plan_json",
     "print_whole",
-    "provenance",
     "read_fit",
     "recording_document",
     "study_document",
+    "study_file",
     "to_markdown",
-    "true_values",
+    "true_parameters",
     "truth_document",
-    "truth_json",
     "validation_document",
-    "values_of_fit",
-    "values_of_stored",
+    "validation_file",
     "write_json",
 ]

@@ -4,30 +4,28 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-import numpy as np
-from numpy.typing import NDArray
+import msgspec
 
+from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Fit
-from .document import Document, Number, Row, Section, Table, columns, value_form
-from .fit_file import StoredFit
-
-Vector = NDArray[np.float64]
+from ..model import BaseParameters
+from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
 
 
-@dataclass(frozen=True, kw_only=True)
-class Value:
-    """A parameter's value; `sigma` is 0 where it is known exactly, `sigma_hac` None where it is not known.
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter with its deviations; `sigma` is 0 where it is known exactly, `sigma_hac` None where it is not known.
 
     `expression` says what it stands for, None in a file of an earlier version.
     """
 
+    name: str
     value: float
-    sigma: float
-    sigma_hac: float | None
     unit: str
-    essential: bool
     expression: str | None = None
+    sigma: float = 0.0
+    sigma_hac: float | None = None
+    essential: bool = False
 
     @property
     def spread(self) -> float:
@@ -36,11 +34,11 @@ class Value:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Values:
+class ParameterSet:
     """Parameters by name under a label such as `IV`, in the order of the robot's parameters."""
 
     label: str
-    parameters: Mapping[str, Value]
+    parameters: Mapping[str, Parameter]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,65 +50,46 @@ class Difference:
 
     name: str
     unit: str
-    a: Value | None
-    b: Value | None
+    a: Parameter | None
+    b: Parameter | None
     off: float | None
     off_percent: float | None
     off_sigma: float | None
 
 
-def values_of_fit(fit: Fit) -> Values:
+def fitted_parameters(fit: Fit) -> ParameterSet:
     """The parameters a fit estimated."""
     e, essential = fit.estimate, set(fit.essential.estimate.names)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
-    return Values(
+    return ParameterSet(
         label={"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
         parameters={
-            name: Value(
+            name: Parameter(
+                name=name,
                 value=float(value),
+                unit=known[name][0],
+                expression=known[name][1],
                 sigma=float(sigma),
                 sigma_hac=float(hac) if math.isfinite(hac) else None,
-                unit=known[name][0],
                 essential=name in essential,
-                expression=known[name][1],
             )
             for name, value, sigma, hac in zip(e.names, e.beta, e.sigma, fit.sigma_hac, strict=True)
         },
     )
 
 
-def true_values(fit: Fit, truth: Vector) -> Values:
-    """Known base parameters (b,) in the order of the fit's base."""
-    return Values(
+def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
+    """Known values (b,) of the base parameters."""
+    return ParameterSet(
         label="true",
         parameters={
-            name: Value(value=float(x), sigma=0.0, sigma_hac=None, unit=unit, essential=False, expression=expression)
-            for name, x, unit, expression in zip(
-                fit.base.names, truth, fit.base.units, fit.base.expressions, strict=True
-            )
+            name: Parameter(name=name, value=float(x), unit=unit, expression=expression)
+            for name, x, unit, expression in zip(base.names, true, base.units, base.expressions, strict=True)
         },
     )
 
 
-def values_of_stored(stored: StoredFit, label: str) -> Values:
-    """The parameters of a fit's JSON file."""
-    return Values(
-        label=label,
-        parameters={
-            p.name: Value(
-                value=p.value,
-                sigma=p.sigma,
-                sigma_hac=p.sigma_hac,
-                unit=p.unit,
-                essential=p.essential,
-                expression=p.expression,
-            )
-            for p in stored.parameters
-        },
-    )
-
-
-def differences(a: Values, b: Values) -> list[Difference]:
+def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """Parameter by parameter, those of `a` first, then those that only `b` has.
 
     Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
@@ -148,16 +127,16 @@ def differences(a: Values, b: Values) -> list[Difference]:
     return rows
 
 
-def _alone(name: str, *, a: Value | None = None, b: Value | None = None) -> Difference:
+def _alone(name: str, *, a: Parameter | None = None, b: Parameter | None = None) -> Difference:
     unit = a.unit if a else b.unit if b else ""
     return Difference(name=name, unit=unit, a=a, b=b, off=None, off_percent=None, off_sigma=None)
 
 
-def _have_expressions(*sets: Values) -> bool:
+def _have_expressions(*sets: ParameterSet) -> bool:
     return all(value.expression is not None for values in sets for value in values.parameters.values())
 
 
-def _partners(a: Values, b: Values) -> dict[str, str]:
+def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
     """By name in `a`, the name in `b` of the parameter that stands for the same."""
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
@@ -165,24 +144,7 @@ def _partners(a: Values, b: Values) -> dict[str, str]:
     return {name: named[x.expression] for name, x in a.parameters.items() if x.expression in named}
 
 
-def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str]:
-    """A line where the link frames of two fits differ: equal names then stand for different quantities."""
-    robots = [fit.robot(label) for fit, label in zip((a, b), labels, strict=True)]
-    if any(robot is None for robot in robots):
-        return []
-    told = ["a URDF" if robot and robot.urdf is not None else "DH rows" for robot in robots]
-    frames = [(robot.urdf, tuple(joint.dh for joint in robot.joints)) for robot in robots if robot]
-    if frames[0] == frames[1]:
-        return []
-    which = f"{labels[0]} has {told[0]}, {labels[1]} {told[1]}" if told[0] != told[1] else f"two different {told[0]}"
-    if told[0] == told[1] == "a URDF":
-        which = "two different URDFs"
-    return [
-        f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"
-    ]
-
-
-def difference_lines(a: Values, b: Values, rows: list[Difference]) -> list[str]:
+def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
     """The comparison in words."""
     named = (
         []
@@ -203,13 +165,13 @@ def difference_lines(a: Values, b: Values, rows: list[Difference]) -> list[str]:
     return lines
 
 
-def comparison_document(a: Values, b: Values, warnings: tuple[str, ...] = ()) -> Document:
+def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
     """Two sets of parameters side by side. Raises `IdentificationError` as `differences` does."""
     compared = comparison_section(a, b)
     return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))
 
 
-def comparison_section(a: Values, b: Values) -> Section:
+def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
     """Two sets of parameters side by side; sigma is the larger of a set's two deviations."""
     rows = differences(a, b)
     numbers = (a.label, "sigma", b.label, "sigma", "off by", "%", "in sigma")
@@ -232,3 +194,16 @@ def _cells(row: Difference) -> Row:
         Number(row.off_percent, "+.1f", most=1000),
         Number(row.off_sigma, "+.2f"),
     )
+
+
+class ComparisonFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of a comparison: two labels, and parameter by parameter what differs."""
+
+    a: str
+    b: str
+    differences: list[Difference]
+
+
+def comparison_file(a: ParameterSet, b: ParameterSet, report: Document) -> ComparisonFile:
+    """A comparison as it goes into its JSON file."""
+    return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b), report=document_json(report))

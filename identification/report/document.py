@@ -1,8 +1,15 @@
-"""A report as data: sections of tables and lines. `terminal`, `markdown` and `document_json` render it."""
+"""A report as data: sections of tables and lines. `renderers` shows it, `document_json` stores it."""
 
+import json
 import math
 from dataclasses import dataclass, replace
-from typing import Any
+from pathlib import Path
+
+import msgspec
+
+from acquisition.files import atomic_write
+
+FORMAT = 1  # of all JSON files
 
 
 @dataclass(frozen=True)
@@ -95,17 +102,48 @@ def cell_text(cell: Cell) -> str:
     return cell if isinstance(cell, str) else cell.text
 
 
-def document_json(document: Document) -> dict[str, Any]:
-    """The report as JSON values: numbers with all their digits, null where one does not exist."""
-    return {"title": document.title, "sections": [_section_json(section) for section in document.sections]}
+class SectionFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A section in a JSON file; a number has all its digits, null where it does not exist."""
+
+    title: str
+    columns: list[str]
+    rows: list[list[str | float | None]]
+    lines: list[str]
+    warnings: list[str]
 
 
-def _section_json(section: Section) -> dict[str, Any]:
+class DocumentFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A report in a JSON file."""
+
+    title: str
+    sections: list[SectionFile]
+
+
+class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
+    """What every JSON file has: the version of its format, and the report that the terminal shows."""
+
+    format: int = FORMAT
+    report: DocumentFile
+
+
+def document_json(document: Document) -> DocumentFile:
+    """The report for a JSON file."""
+    return DocumentFile(title=document.title, sections=[_section_json(section) for section in document.sections])
+
+
+def _section_json(section: Section) -> SectionFile:
     table = section.table
-    return {
-        "title": section.title,
-        "columns": [column.heading.replace("\n", " ") for column in table.columns] if table else [],
-        "rows": [[x if isinstance(x, str) else x.exact for x in row] for row in table.rows] if table else [],
-        "lines": list(section.lines),
-        "warnings": list(section.warnings),
-    }
+    return SectionFile(
+        title=section.title,
+        columns=[column.heading.replace("\n", " ") for column in table.columns] if table else [],
+        rows=[[x if isinstance(x, str) else x.exact for x in row] for row in table.rows] if table else [],
+        lines=list(section.lines),
+        warnings=list(section.warnings),
+    )
+
+
+def write_json(path: Path, content: ResultFile) -> None:
+    """Write a result as a JSON file, whole or not at all."""
+    text = json.dumps(msgspec.to_builtins(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_write(path) as partial:
+        partial.write_text(text, encoding="utf-8")

@@ -1,26 +1,72 @@
 """What is told of robots whose parameters are known: base parameters, estimates against the truth, studies."""
 
 from collections.abc import Sequence
+from typing import Any
 
+import msgspec
 import numpy as np
-from numpy.typing import NDArray
+from msgspec import UNSET, UnsetType
 
+from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
-from ..study import FALSE_ERROR, Run, Study, summaries
-from .document import Document, Number, Row, Section, Table, columns, value_form
+from ..study import FALSE_ERROR, Run, Study, study_json, summaries
+from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
 
 
-def base_document(base: BaseParameters, robot: str) -> Document:
-    """The base parameters of a robot with the sums of standard parameters that they stand for."""
+class BaseParameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A base parameter, the sum of standard parameters it stands for, and its value where it is known."""
+
+    name: str
+    expression: str
+    unit: str
+    value: float | UnsetType = UNSET
+
+
+class BaseFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of a robot's base parameters, or of the values that a recording was simulated with."""
+
+    robot: str
+    parameters: list[BaseParameter]
+
+
+class StudyFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of a study: settings, names of the parameters, truth, summaries, every run."""
+
+    study: dict[str, Any]
+    parameters: list[str]
+    true: list[float]
+    summaries: list[dict[str, Any]]
+    runs: list[dict[str, Any]]
+
+
+def base_file(base: BaseParameters, robot: str, true: Array | None = None) -> BaseFile:
+    """Base parameters as they go into their JSON file; `true` are known values (b,)."""
+    values: list[float | UnsetType] = [UNSET] * base.b if true is None else [float(x) for x in true]
+    parameters = [
+        BaseParameter(name=name, expression=expression, unit=unit, value=value)
+        for name, expression, unit, value in zip(base.names, base.expressions, base.units, values, strict=True)
+    ]
+    return BaseFile(robot=robot, parameters=parameters, report=document_json(base_document(base, robot, true)))
+
+
+def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array, report: Document) -> StudyFile:
+    """A study as it goes into its JSON file."""
+    return StudyFile(**study_json(study, runs, base.names, true), report=document_json(report))
+
+
+def base_document(base: BaseParameters, robot: str, true: Array | None = None) -> Document:
+    """The base parameters of a robot with the sums of standard parameters that they stand for, and known values (b,)."""
+    names = zip(base.names, base.expressions, base.units, strict=True)
+    values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
     table = Table(
-        columns=columns("name", "expression", "unit"),
-        rows=tuple(zip(base.names, base.expressions, base.units, strict=True)),
+        columns=columns("name", "expression", "unit", numbers=() if true is None else ("value",)),
+        rows=tuple((*row, *value) for row, value in zip(names, values, strict=True)),
     )
     return Document(title=f"{robot}: {base.b} base parameters", sections=(Section(table=table),))
 
 
-def truth_document(robot: str, fits: Sequence[Fit], true: NDArray[np.float64]) -> Document:
+def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     """Estimates beside the values (b,) that a recording was simulated with.
 
     They are off by a number of deviations: the larger of HAC and formula.
@@ -47,7 +93,7 @@ def truth_document(robot: str, fits: Sequence[Fit], true: NDArray[np.float64]) -
     )
 
 
-def study_document(robot: str, study: Study, runs: Sequence[Run], true: NDArray[np.float64]) -> Document:
+def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
     """A study's summaries, one row per cut-off and method, and what it varied."""
     percents = ("bias %", "spread %", "median error %", "worst error %")
     shares = ("sigma / spread", "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %")

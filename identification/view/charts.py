@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..methods import Fit, Pass
-from ..report import Values, differences
+from ..report import ParameterSet, differences
 from ..study import Run, summaries
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing
 
@@ -52,7 +52,7 @@ class _Scale:
         return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low)))
 
 
-def parameter_drawing(own: Values, others: Sequence[Values]) -> Drawing:
+def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
     """Every parameter's value with two deviations, others beside it, in one or two columns."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
@@ -73,7 +73,7 @@ def parameter_drawing(own: Values, others: Sequence[Values]) -> Drawing:
     return sheet.drawing(("parameters",), title, (540.0, height + 30))
 
 
-def trust_drawing(own: Values, others: Sequence[Values]) -> Drawing:
+def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
     """Beside each value its deviation in percent of it and, in deviations, how far the others are from it."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
@@ -124,7 +124,7 @@ def trust_drawing(own: Values, others: Sequence[Values]) -> Drawing:
 
 
 def _value_scale(
-    sets: Sequence[Values], names: Sequence[str], decades: int
+    sets: Sequence[ParameterSet], names: Sequence[str], decades: int
 ) -> tuple[Callable[[float, float], _Scale], list[float], str]:
     """An axis linear about zero and logarithmic beyond, to be put between two edges, its ticks, and what it is in words."""
     shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
@@ -149,7 +149,7 @@ def _value_axis(sheet: _Sheet, place: _Scale, ticks: Sequence[float], top: float
 
 
 def _value(
-    sheet: _Sheet, place: _Scale, own: Values, others: Sequence[Values], name: str, y: float, pitch: float
+    sheet: _Sheet, place: _Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
 ) -> None:
     """A parameter's dot with its deviations, and below it the others' crosses with theirs; an upright line if exact."""
     p, color = own.parameters[name], _color(own, name)
@@ -168,18 +168,18 @@ def _value(
             sheet.line(place(other.value - spread), level, place(other.value + spread), level, BESIDE[k], 0.75)
 
 
-def _is_exact(values: Values, name: str) -> bool:
+def _is_exact(values: ParameterSet, name: str) -> bool:
     return values.parameters[name].sigma == 0
 
 
-def _marks(others: Sequence[Values]) -> str:
+def _marks(others: Sequence[ParameterSet]) -> str:
     """What the sets beside a fit are told by: marker and color."""
     names = {PURPLE: "purple", GREEN: "green"}
     marks = ["|" if all(_is_exact(values, name) for name in values.parameters) else "×" for values in others]
     return "".join(f", {mark} {names[BESIDE[k]]} {others[k].label}" for k, mark in enumerate(marks))
 
 
-def _color(own: Values, name: str) -> Color:
+def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
 
 

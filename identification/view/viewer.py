@@ -23,14 +23,14 @@ from ..methods import Fit
 from ..regression import Overrides, Settings, make_settings
 from ..report import (
     Document,
-    Values,
+    ParameterSet,
     comparison_document,
     comparison_section,
     fit_document,
+    fitted_parameters,
     recording_document,
     to_markdown,
-    true_values,
-    values_of_fit,
+    true_parameters,
 )
 from ..study import Run
 from .charts import parameter_drawing, passes_drawing, study_drawing, trust_drawing
@@ -86,7 +86,7 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
     _write(path, signals.robot.name, f"{signals.sha256} {plan}", signals.recording, pages)
 
 
-def write_comparison_rrd(path: Path, own: Values, other: Values) -> None:
+def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
     """Write two sets of parameters as a Rerun file: entities `trust` and `report`. Errors as in `write_fit_rrd`."""
     document = comparison_document(own, other)
 
@@ -149,9 +149,9 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
 def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, truth: Vector | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
     n, seen = signals.robot.n, observed(signals, fit.settings, fit)
-    own = values_of_fit(fit)
-    others = [values_of_fit(beside)] if beside else []
-    others += [true_values(fit, truth)] if truth is not None else []
+    own = fitted_parameters(fit)
+    others = [fitted_parameters(beside)] if beside else []
+    others += [true_parameters(fit.base, truth)] if truth is not None else []
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)

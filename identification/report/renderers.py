@@ -1,5 +1,6 @@
-"""Prints a report whole, whatever the width of the terminal."""
+"""Renders a report: whole in a terminal of any width, and as Markdown for the text panel of a viewer."""
 
+import re
 import textwrap
 
 from rich import box
@@ -85,3 +86,42 @@ def _set_close(column: Column) -> None:
         column.header = Text("\n".join(textwrap.wrap(heading, width, break_on_hyphens=False)))
         column.no_wrap, column.max_width = True, width
     column.min_width = width
+
+
+def to_markdown(document: Document) -> str:
+    """The report as Markdown; text of the report, such as a robot's name, is never taken for markup."""
+    parts = [
+        f"# {_plain(document.title)}",
+        *(part for section in document.sections for part in _markdown_section(section)),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _markdown_section(section: Section) -> list[str]:
+    lines = [
+        *(f"- **warning: {_plain(text)}**" for text in section.warnings),
+        *(f"- {_plain(text)}" for text in section.lines),
+    ]
+    return [
+        *([f"## {_plain(section.title)}"] if section.title else []),
+        *([_markdown_table(section.table)] if section.table else []),
+        *(["\n".join(lines)] if lines else []),
+    ]
+
+
+def _markdown_table(table: Table) -> str:
+    rows = [
+        [column.heading for column in table.columns],
+        *([cell_text(cell) for cell in row] for row in table.rows),
+    ]
+    heading, *body = [f"| {' | '.join(_cell(text) for text in row)} |" for row in rows]
+    return "\n".join([heading, f"|{'|'.join('--:' if c.numeric else '---' for c in table.columns)}|", *body])
+
+
+def _cell(text: str) -> str:
+    return _plain(text).replace("|", "\\|")
+
+
+def _plain(text: str) -> str:
+    """Text without markup: on one line, with a backslash before what Markdown would read as more than itself."""
+    return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))

@@ -1,0 +1,237 @@
+"""The JSON files of a fit and of a validation, typed: `fit_schema` describes them to other programs."""
+
+import math
+import platform
+from importlib.metadata import version
+from typing import Any
+
+import msgspec
+from msgspec import UNSET, UnsetType
+
+from acquisition.robot import Edges, LowSpeed
+
+from ..data import Signals
+from ..estimation import TorqueError
+from ..methods import DirectModelError, Doubt, Fit, InstrumentEvidence, InstrumentKind, Method, Status
+from ..regression import Settings, Span, forward_backward_3db_hz
+from .comparison import Parameter, fitted_parameters
+from .document import Document, ResultFile, document_json
+
+
+class JointErrors(msgspec.Struct, frozen=True, kw_only=True):
+    """The torque errors of a joint in percent, as `estimation.TorqueError` has them; null where there are no such rows."""
+
+    name: str
+    relative_error_percent: float | None
+    moving_relative_error_percent: float | None
+    standing_relative_error_percent: float | None
+    moving_rows: int
+    standing_rows: int
+    autocorrelation: float | None
+    unit: str
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a result comes from: the recording by name and digest, the robot, the versions."""
+
+    recording: str
+    sha256: str
+    robot: str
+    versions: dict[str, str]
+
+
+class OnRecording(ResultFile, frozen=True, kw_only=True):
+    """What a fit and a validation have in common: torque errors, of all joints and one by one, settings, warnings."""
+
+    warnings: list[str]
+    relative_error_percent: float | None
+    moving_relative_error_percent: float | None
+    standing_relative_error_percent: float | None
+    joints: list[JointErrors]
+    sample_rate_hz: float
+    off_grid_periods: float
+    cutoff_hz: float | None
+    cutoff_forward_backward_3db_hz: float | None
+    decimation: int
+    edges: Edges
+    low_speed_percent: LowSpeed
+    span: str
+    span_rule: Span
+    samples: tuple[int, int]
+    provenance: Provenance
+
+
+class ValidationFile(OnRecording, frozen=True, kw_only=True):
+    """The JSON file of `validate`: the errors of a fit, by its file's name, on another recording."""
+
+    fit: str
+
+
+class EssentialSet(msgspec.Struct, frozen=True, kw_only=True):
+    """The parameters that the recording determines well, and the F tests of leaving out the others."""
+
+    names: list[str]
+    F: float | None
+    p_value: float | None
+    F_effective: float | None
+    p_effective: float | None
+
+
+class FittedParameter(Parameter, frozen=True, kw_only=True):
+    """A parameter as `fit` writes it."""
+
+    sigma_percent: float | None
+
+
+class PassFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A pass of the instrumental variable method."""
+
+    instruments: InstrumentKind
+    reason: str | None
+    residual_norm: float
+    largest_change_sigma: float | None
+    largest_change_percent: float | None
+    changed_most: str
+    gains: list[float | None]
+    tracking_error_percent: float | None
+    condition_number_ztw: float | None
+    settled: bool
+
+
+class FitFile(OnRecording, frozen=True, kw_only=True):
+    """The JSON file of a fit; the last keys are there for the instrumental variable method only."""
+
+    method: Method
+    status: Status
+    doubts: list[Doubt]
+    condition_number: float
+    condition_number_scaled: float
+    rows: int
+    parameters: list[FittedParameter]
+    essential: EssentialSet
+    description: dict[str, str]
+    reason: str | UnsetType | None = UNSET
+    pass_returned: int | UnsetType = UNSET
+    start: str | UnsetType = UNSET
+    reference: str | UnsetType = UNSET
+    controller: str | UnsetType = UNSET
+    iterations: list[PassFile] | UnsetType = UNSET
+    instrument_tests: dict[str, float | None] | UnsetType = UNSET
+    rows_used_percent: float | UnsetType = UNSET
+    saturated_percent: float | UnsetType | None = UNSET
+    direct_model: list[DirectModelError] | UnsetType = UNSET
+
+
+def fit_schema() -> dict[str, Any]:
+    """The JSON Schema of a fit's file."""
+    return msgspec.json.schema(FitFile)
+
+
+def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
+    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null."""
+    e, reduction = fit.estimate, fit.essential
+    return FitFile(
+        **_on_recording(signals, fit.settings, fit.errors, fit.warnings, report),
+        method=fit.method,
+        status=fit.status,
+        doubts=list(fit.doubts),
+        condition_number=e.condition_number,
+        condition_number_scaled=e.condition_number_scaled,
+        rows=e.rows,
+        parameters=[
+            FittedParameter(**msgspec.structs.asdict(parameter), sigma_percent=_number(percent))
+            for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
+        ],
+        essential=EssentialSet(
+            names=list(reduction.estimate.names),
+            F=_number(reduction.F),
+            p_value=_number(reduction.p_value),
+            F_effective=_number(reduction.F_effective),
+            p_effective=_number(reduction.p_effective),
+        ),
+        description={
+            name: signals.robot.files[name].decode("utf-8", errors="replace")
+            for name in ("robot.toml", "robot.urdf")
+            if name in signals.robot.files
+        },
+        **(_iv_keys(fit.iv) if fit.iv else {}),
+    )
+
+
+def validation_file(
+    signals: Signals,
+    settings: Settings,
+    fit: str,
+    errors: tuple[TorqueError, ...],
+    report: Document,
+    warnings: tuple[str, ...],
+) -> ValidationFile:
+    """A validation as it goes into its JSON file."""
+    return ValidationFile(fit=fit, **_on_recording(signals, settings, errors, warnings, report))
+
+
+def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
+    """What the instrumental variable method adds: why it ended, pass by pass, tests of the instruments, direct model."""
+    return {
+        "reason": iv.reason,
+        "pass_returned": iv.returned,
+        "start": iv.start,
+        "reference": iv.reference,
+        "controller": iv.controller,
+        "iterations": [
+            PassFile(
+                instruments=p.instruments,
+                reason=p.reason,
+                residual_norm=p.residual_norm,
+                largest_change_sigma=_number(p.change_sigma),
+                largest_change_percent=_number(p.change_percent),
+                changed_most=p.changed,
+                gains=[_number(g) for g in p.gains],
+                tracking_error_percent=p.tracking_percent,
+                condition_number_ztw=_number(p.condition),
+                settled=p.settled,
+            )
+            for p in iv.passes
+        ],
+        "instrument_tests": {name: None if x is None else _number(x) for name, x in vars(iv.tests).items()},
+        "rows_used_percent": iv.rows_used_percent,
+        "saturated_percent": iv.saturated_percent,
+        "direct_model": list(iv.direct),
+    }
+
+
+def _on_recording(
+    signals: Signals, settings: Settings, errors: tuple[TorqueError, ...], warnings: tuple[str, ...], report: Document
+) -> dict[str, Any]:
+    whole, units = errors[-1], signals.robot.effort_units
+    packages = ("robot-idim", "numpy", "scipy", "pin")
+    return {
+        "report": document_json(report),
+        "warnings": list(warnings),
+        "relative_error_percent": whole.relative_error_percent,
+        "moving_relative_error_percent": whole.moving_relative_error_percent,
+        "standing_relative_error_percent": whole.standing_relative_error_percent,
+        "joints": [JointErrors(**vars(error), unit=unit) for error, unit in zip(errors[:-1], units, strict=True)],
+        "sample_rate_hz": signals.sample_rate_hz,
+        "off_grid_periods": signals.off_grid,
+        "cutoff_hz": settings.cutoff_hz,
+        "cutoff_forward_backward_3db_hz": (
+            forward_backward_3db_hz(settings.cutoff_hz, signals.sample_rate_hz) if settings.cutoff_hz else None
+        ),
+        "decimation": settings.decimation,
+        "edges": settings.edges,
+        "low_speed_percent": settings.low_speed,
+        "span": settings.span,
+        "span_rule": settings.span_rule,
+        "samples": (settings.start, settings.stop),
+        "provenance": Provenance(
+            recording=signals.recording,
+            sha256=signals.sha256,
+            robot=signals.robot.name,
+            versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
+        ),
+    }
+
+
+def _number(x: float) -> float | None:
+    return float(x) if math.isfinite(x) else None

@@ -1,0 +1,114 @@
+"""A fit's JSON file, or that of known values, read back."""
+
+import math
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import numpy as np
+
+from acquisition.robot import Edges, Robot, robot_from_files
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..methods import NO_FIXED_POINT, Doubt
+from ..model import BaseParameters
+from ..regression import Overrides, Span
+from .comparison import Parameter, ParameterSet
+from .document import FORMAT
+
+
+class StoredFit(msgspec.Struct, frozen=True):
+    """The JSON file of a fit, or of known values, as far as it is read back."""
+
+    parameters: list[Parameter]
+    format: int = FORMAT
+    method: str = "known"
+    status: str = "known"
+    doubts: list[Doubt] = msgspec.field(default_factory=list)
+    description: dict[str, str] = msgspec.field(default_factory=dict)
+    sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
+    decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    span_rule: Span | None = None
+    edges: Edges | None = None
+
+    def settings(self, sample_rate_hz: float) -> Overrides:
+        """The settings that the fit was made with, for a recording of that rate; known values have none."""
+        if self.sample_rate_hz is None:
+            return Overrides()
+        n_d = self.decimation and max(1, round(self.decimation * sample_rate_hz / self.sample_rate_hz))
+        return Overrides(cutoff_hz=self.cutoff_hz or 0.0, decimation=n_d, span=self.span_rule, edges=self.edges)
+
+    def robot(self, place: str) -> Robot | None:
+        """The robot as the fit's own description has it; None where the file holds none."""
+        return (
+            robot_from_files({k: v.encode() for k, v in self.description.items()}, place) if self.description else None
+        )
+
+    def parameter_set(self, label: str) -> ParameterSet:
+        """The parameters under a label, such as the file's name."""
+        return ParameterSet(label=label, parameters={p.name: p for p in self.parameters})
+
+    def other_meaning(self, base: BaseParameters) -> list[str]:
+        """Parameters that `base` does not have, or has in another unit or for another sum of standard parameters."""
+        known = dict(zip(base.names, zip(base.units, base.expressions, strict=True), strict=True))
+        return [
+            p.name
+            for p in self.parameters
+            if p.name not in known or p.unit != known[p.name][0] or p.expression not in (None, known[p.name][1])
+        ]
+
+    def beta(self, base: BaseParameters, place: str) -> Array:
+        """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""
+        values = {p.name: p.value for p in self.parameters}
+        foreign = [name for name in values if name not in base.names]
+        if foreign or not values:
+            raise IdentificationError(
+                f"{place}: parameters {', '.join(foreign[:5]) or '(none)'}: expected those of the recording's robot: "
+                f"{', '.join(base.names[:5])}, ..."
+            )
+        units = {p.name: p.unit for p in self.parameters}
+        for name, unit in zip(base.names, base.units, strict=True):
+            if units.get(name, unit) != unit:
+                raise IdentificationError(f"{place}: {name} in {units[name]}; the recording's robot has it in {unit}")
+        return np.array([values.get(name, 0.0) for name in base.names])
+
+
+def doubts(stored: StoredFit, place: str) -> list[str]:
+    """What must be said wherever a fit is used that is not what it should be."""
+    unsettled = stored.status in (*NO_FIXED_POINT, "not_confirmed")
+    told = [f"its status is {stored.status}"] if unsettled else []
+    return [f"{place}: {text}" for text in (*told, *(doubt.text for doubt in stored.doubts if doubt.severe))]
+
+
+def read_fit(path: Path) -> StoredFit:
+    """Read a fit's JSON file; an error is one line that names the file, the key and what was expected."""
+    try:
+        stored = msgspec.json.decode(path.read_bytes(), type=StoredFit)
+    except OSError as error:
+        raise IdentificationError(f"{path}: cannot be read: {error.strerror}") from error
+    except msgspec.MsgspecError as error:
+        raise IdentificationError(f"{path}: not a fit as `robot-identify fit --json` writes it: {error}") from error
+    if stored.format != FORMAT:
+        raise IdentificationError(f"{path}: format = {stored.format}; this version reads {FORMAT}")
+    if not all(math.isfinite(p.value) and p.sigma >= 0 and (p.sigma_hac or 0) >= 0 for p in stored.parameters):
+        raise IdentificationError(f"{path}: parameters: expected finite values and sigmas of at least 0")
+    return stored
+
+
+def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str]:
+    """A line where the link frames of two fits differ: equal names then stand for different quantities."""
+    robots = [fit.robot(label) for fit, label in zip((a, b), labels, strict=True)]
+    if any(robot is None for robot in robots):
+        return []
+    told = ["a URDF" if robot and robot.urdf is not None else "DH rows" for robot in robots]
+    frames = [(robot.urdf, tuple(joint.dh for joint in robot.joints)) for robot in robots if robot]
+    if frames[0] == frames[1]:
+        return []
+    which = f"{labels[0]} has {told[0]}, {labels[1]} {told[1]}" if told[0] != told[1] else f"two different {told[0]}"
+    if told[0] == told[1] == "a URDF":
+        which = "two different URDFs"
+    return [
+        f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"
+    ]
