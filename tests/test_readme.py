@@ -49,7 +49,7 @@ FIRST_FIT = "robot-identify fit log.mcap --method iv --json fit.json --rrd fit.r
 
 def masked(line):
     """A line without its numbers, and its numbers."""
-    number = r"(?<![A-Za-z])[0-9][0-9.e-]*"
+    number = r"(?<![A-Za-z0-9])[0-9][0-9.e-]*"
     return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
 
 

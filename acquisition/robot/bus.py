@@ -1,6 +1,6 @@
 """`[bus]` of robot.toml: the CAN interface, SYNC, and what stands in each drive, as written in the file.
 
-`drives` resolves it with the object dictionaries. The README explains every key.
+`drives` resolves it with the object dictionaries. acquisition/README.md explains every key.
 """
 
 import math

@@ -1,6 +1,7 @@
 """`robot.toml` as written in the file: its tables and keys, and the checks that types cannot express.
 
-The layout of the file is that of the `RobotFile` structure below; the README explains every key. Angles are degrees here.
+The layout of the file is that of the `RobotFile` structure below. identification/README.md explains every key.
+Angles are degrees here.
 """
 
 import math

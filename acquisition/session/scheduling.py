@@ -135,6 +135,6 @@ def refuse_jitter(master: Master) -> Jitter:
     if not found.fit_for_motion:
         raise AcquisitionError(
             f"bus: SYNC jitter sd {found.sd_s * 1e3:.3f} ms: {DEVIATIONS} of it are more than {found.largest_s * 1e3:g} ms, "
-            "the largest delay in motion: expected less; stop other programs, or permit SCHED_FIFO (README)"
+            "the largest delay in motion: expected less; stop other programs, or permit SCHED_FIFO (acquisition/README.md)"
         )
     return found
