@@ -529,9 +529,9 @@ def test_pdos_as_a_master_takes_them(bus):
     master = Master(Answering({}), bus)
     watch = master.nodes[0]
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4")))  # too short
-    assert (watch.statusword, watch.counts, watch.effort, watch.answers) == (None, None, None, 0)
+    assert (watch.statusword, watch.counts, watch.answers) == (None, None, 0)
     master.dispatch(Frame(0, 0x185, data("37 12 FB FF FF FF D4 FE")))
-    assert (watch.statusword, watch.counts, watch.effort, watch.answers) == (0x1237, -5, -300, 1)
+    assert (watch.statusword, watch.counts, watch.answers) == (0x1237, -5, 1)
     assert watch.state is State.OPERATION_ENABLED
 
 

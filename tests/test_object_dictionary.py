@@ -83,8 +83,8 @@ def test_identities(text, expected):
 
 def test_device_sections():
     with_section, without = found(DEVICE + EDS), found(EDS)
-    assert (with_section.vendor, with_section.product, with_section.product_name) == (0x9A, 0x30924, "gold")
-    assert (without.vendor, without.product, without.product_name) == (0, 0, "")
+    assert (with_section.vendor, with_section.product) == (0x9A, 0x30924)
+    assert (without.vendor, without.product) == (0, 0)
 
 
 def test_a_dictionary_of_four_mebibytes_and_no_more():
@@ -247,7 +247,7 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
         "[DeviceInfo]\r\nVendorName=\r\nVendorNumber=\r\nProductName=\r\nProductNumber= ; later\r\nNrOfRXPDO = \r\n"
     )
     dictionary = found(device + "BaudRate_1000=1\nGranularity=\n" + EDS.replace("DefaultValue=0x777", ""))
-    assert (dictionary.vendor, dictionary.product, dictionary.product_name) == (0, 0, "")
+    assert (dictionary.vendor, dictionary.product) == (0, 0)
     assert dictionary.identity == []
     assert dictionary.warnings == tuple(
         f"a.eds: line {line}: {key} is empty: read as 0, which says nothing"

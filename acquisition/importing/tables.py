@@ -84,7 +84,6 @@ class Imported:
     samples: int
     sample_rate_hz: float
     effort_units: tuple[str, ...]
-    effort_provenance: str
     has_reference: bool
     warnings: tuple[str, ...] = ()
 
@@ -122,7 +121,6 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
         samples=len(samples),
         sample_rate_hz=rate_hz,
         effort_units=robot.effort_units,
-        effort_provenance=provenance,
         has_reference="reference" in parts,
         warnings=warnings,
     )

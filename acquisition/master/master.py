@@ -28,7 +28,7 @@ from ..robot import Bus, Drive, axis_of
 from ..transport import Frame
 
 SDO_TIMEOUT_NS = 300_000_000
-START, PRE_OPERATIONAL, RESET_NODE = 1, 128, 129
+START, PRE_OPERATIONAL = 1, 128
 OPERATIONAL = 5
 INTERPOLATION_PERIOD = 0x60C2
 
@@ -59,7 +59,6 @@ class NodeWatch:
     drive: Drive
     statusword: int | None = None
     counts: int | None = None
-    effort: int | None = None
     answers: int = 0
     silent_syncs: int = 0
     nmt: int | None = None
@@ -145,7 +144,6 @@ class Master:
             return  # too short: as if it had not come
         values, drive = pdo.unpack(frame.data), watch.drive
         watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
-        watch.effort = values.get((drive.effort.entry.index, drive.effort.entry.sub), watch.effort)
         counts = values.get((drive.position.index, drive.position.sub))
         if counts is not None:
             watch.counts = counts
@@ -177,7 +175,7 @@ class Master:
     def start(self) -> None:
         """START to all drives; what they said before counts no more, positions least of all."""
         for watch in self.nodes:
-            watch.statusword, watch.counts, watch.effort = None, None, None
+            watch.statusword, watch.counts = None, None
             watch.answers, watch.silent_syncs = 0, 0
             watch.booted, watch.emergency, watch.nmt = False, None, None
             watch.started, watch.unstarted = False, 0

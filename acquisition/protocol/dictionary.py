@@ -39,7 +39,6 @@ class ObjectDictionary:
     entries: Mapping[tuple[int, int], DictionaryEntry]
     vendor: int
     product: int
-    product_name: str
     warnings: tuple[str, ...] = ()
 
     @property
@@ -101,6 +100,5 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         entries=entries,
         vendor=about.vendor_number or 0,
         product=about.product_number or 0,
-        product_name=about.product_name or "",
         warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which says nothing" for line, key in empty),
     )

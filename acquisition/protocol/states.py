@@ -46,7 +46,6 @@ class Mode(IntEnum):
     """Modes of operation, 6060h and 6061h."""
 
     CYCLIC_SYNCHRONOUS_POSITION = 8
-    CYCLIC_SYNCHRONOUS_TORQUE = 10
 
 
 _S, _C = State, Command

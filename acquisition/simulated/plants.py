@@ -100,11 +100,6 @@ class TablePlant:
     def _row(self) -> int:
         return min(round(self._elapsed_s * self._rate_hz), len(self._samples) - 1)
 
-    @property
-    def ended(self) -> bool:
-        """Whether the last row is reached."""
-        return self._row == len(self._samples) - 1
-
     def state(self) -> tuple[Array, Array]:
         """Position of the row; speed between it and the next."""
         q = self._samples["position"]
