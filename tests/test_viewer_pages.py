@@ -105,6 +105,56 @@ def test_a_urdf_shows_its_own_shapes_where_the_recording_has_them(shape, tmp_pat
     assert len(moved) == 2, "one for each joint"
 
 
+@pytest.fixture
+def mesh(tmp_path):
+    """A tetrahedron as a binary STL in a ROS package `arm`."""
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.4]], dtype="<f4")
+    faces = np.zeros(4, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")]))
+    faces["corners"] = corners[[[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]]]
+    file = tmp_path / "src" / "arm" / "meshes" / "l.STL"
+    file.parent.mkdir(parents=True)
+    file.write_bytes(bytes(80) + np.uint32(4).tobytes() + faces.tobytes())
+    return file
+
+
+PLACES = {
+    "absolute path": ("{mesh}", {}),
+    "file": ("file://{mesh}", {}),
+    "package among sources": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere:{src}"}),
+    "package itself": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "{src}/arm"}),
+    "installed package": ("package://arm/meshes/l.STL", {"AMENT_PREFIX_PATH": "{src}"}),
+    "package that is not there": ("package://arm/meshes/l.STL", {"ROS_PACKAGE_PATH": "/nowhere"}),
+    "another mesh": ("package://arm/meshes/m.stl", {"ROS_PACKAGE_PATH": "{src}"}),
+    "relative name": ("meshes/l.STL", {}),
+    "not a mesh": ("file://{mesh}.txt", {}),
+}
+
+
+@pytest.mark.parametrize("place", PLACES)
+def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypatch, capfd):
+    name, variables = PLACES[place]
+    mesh.with_name("l.STL.txt").write_text("text")
+    folder = tmp_path / "src"
+    if "AMENT_PREFIX_PATH" in variables:
+        (folder / "share").mkdir()
+        (folder / "arm").rename(folder / "share" / "arm")
+    for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH"):
+        monkeypatch.setenv(variable, variables.get(variable, "").format(src=folder))
+    monkeypatch.chdir(mesh.parents[1] if mesh.exists() else tmp_path)  # a relative name is not relative to this
+    robot = urdf_robot(f"<mesh filename='{name.format(mesh=mesh)}'/>")
+    collision = "<collision><geometry><mesh filename='/nowhere/c.stl'/></geometry></collision></link>"
+    robot = replace(robot, urdf=robot.urdf.replace("</link>", collision))
+    signals = replace(made_up(types=("revolute", "revolute")), robot=robot)
+    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    own = [columns for path, columns in file.static.items() if "/robot/measured/visual_geometries/l2" in path]
+    found = place in list(PLACES)[:5]
+    assert (len(own) > 0) == found
+    assert any(any(name.startswith("Asset3D:blob") for name in columns) for columns in own) == found
+    assert any("/robot/measured/2" in path for path in file.static) != found, "solids where the mesh is not found"
+    assert capfd.readouterr() == ("", "")
+
+
 def test_both_robots_stand_where_their_data_says(tmp_path):
     signals = scara()
     fit = fitted_iv(signals)

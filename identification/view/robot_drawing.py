@@ -5,7 +5,9 @@ modified Denavit-Hartenberg table goes (d along x, then r along z) and how most 
 their axes, or a slide on its rail; the last link ends in a tool.
 """
 
+import os
 import xml.etree.ElementTree as ET
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +22,7 @@ Vector = NDArray[np.float64]
 
 POSES_PER_S = 50.0  # as smooth as a screen shows it
 MOST_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
+MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # that Rerun reads
 _SMALL = 1e-6
 
 
@@ -85,12 +88,39 @@ def _moving(dynamics: InverseModel, key: str, t_s: Vector, q: Vector, *, ghost: 
 
 
 def _drawable(urdf: str | None) -> str | None:
-    """A URDF with shapes of its own. Meshes are files beside it, which a recording does not hold."""
+    """A URDF with shapes of its own, its meshes named by their files; None without shapes, or where a mesh is not found.
+
+    A recording holds the text of the URDF, not the meshes, and not the folder that relative names are relative to.
+    """
     if urdf is None:
         return None
     root = ET.fromstring(urdf)
+    for link in root.iter("link"):
+        for collision in link.findall("collision"):
+            link.remove(collision)  # a viewer hides them
     shapes = [shape for visual in root.iter("visual") for geometry in visual.iter("geometry") for shape in geometry]
-    return urdf if shapes and not any(shape.tag == "mesh" for shape in shapes) else None
+    for mesh in (shape for shape in shapes if shape.tag == "mesh"):
+        if (file := _mesh_file(mesh.get("filename", ""))) is None:
+            return None
+        mesh.set("filename", str(file))
+    return ET.tostring(root, encoding="unicode") if shapes else None
+
+
+def _mesh_file(name: str) -> Path | None:
+    """The file that a URDF names: by an absolute path, or as package://, in the folders where ROS looks for packages."""
+    if name.startswith("package://"):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        sources, installed = (
+            [Path(folder).resolve() for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
+            for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+        )
+        folders = [folder if folder.name == package else folder / package for folder in sources]
+        folders += [folder / "share" / package for folder in installed]
+        files = [folder / rest for folder in folders]
+    else:
+        files = [Path(name.removeprefix("file://"))]
+    found = (file for file in files if file.is_absolute() and file.suffix.lower() in MESHES and file.is_file())
+    return next(found, None)
 
 
 def _up(dynamics: InverseModel) -> Vector:
