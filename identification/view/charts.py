@@ -18,6 +18,7 @@ Vector = NDArray[np.float64]
 BESIDE = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
 FAR = 6.0  # deviations at which a difference runs off its chart
 SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
+STUDY_SHEET = (1140.0, 960.0)  # what a study has beside its report
 TRUSTED = 3.0  # deviations that a difference should stay within
 
 
@@ -231,7 +232,7 @@ def passes_drawing(fit: Fit) -> Drawing:
 
 def study_drawing(runs: Sequence[Run], true: Vector) -> Drawing:
     """Error of every run over its cut-off, least squares and instrumental variables of a run joined, and their medians."""
-    sheet, (width, height) = _Sheet(), SHEET
+    sheet, (width, height) = _Sheet(), STUDY_SHEET
     cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
     errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
     low, high = 10 ** math.floor(_log10(min(errors, default=1.0))), 10 ** math.ceil(_log10(max(errors, default=100.0)))
@@ -258,11 +259,11 @@ def study_drawing(runs: Sequence[Run], true: Vector) -> Drawing:
                 sheet.dots.append((x_iv, up(100 * run.error_iv), ended))
     for s in summaries(runs, true):
         if math.isfinite(s.median_error_percent):
-            column, side, color = cutoffs.index(s.cutoff), *((0.3, PURPLE) if s.method == "wls" else (0.7, ORANGE))
-            y = up(s.median_error_percent)
-            sheet.line(across(column + side - 0.14), y, across(column + side + 0.14), y, color, 2.0)
-            sheet.labels.append((across(column + side), y - 28, f"{s.median_error_percent:.3g} %", color))
+            column, y = cutoffs.index(s.cutoff), up(s.median_error_percent)
+            at, outside, color = (0.3, -0.23, PURPLE) if s.method == "wls" else (0.7, 0.23, ORANGE)
+            sheet.line(across(column + at - 0.14), y, across(column + at + 0.14), y, color, 2.0)
+            sheet.labels.append((across(column + at + outside), y - 10, f"{s.median_error_percent:.3g} %", color))
     title = (
         f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
     )
-    return sheet.drawing(("study",), title, SHEET)
+    return sheet.drawing(("study",), title, STUDY_SHEET)
