@@ -46,7 +46,7 @@ def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
         ["compare", fit, SESSION, "--rrd", fit],
     ):
         before = {path: path.read_bytes() for path in (robot_file, fit)}
-        assert "named twice; expected a file of its own" in refused(capsys, *command)
+        assert "is an input too" in refused(capsys, *command)
         assert before == {path: path.read_bytes() for path in before}
 
 

@@ -197,6 +197,20 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert told == {package: metadata.version(package) for package in told}
 
 
+def test_the_help_of_a_fit_has_groups(capsys):
+    with pytest.raises(SystemExit):
+        identify(["fit", "--help"])
+    parts = capsys.readouterr().out.split("\n\n")
+    groups = {title: text for title, _, text in (part.partition(":\n") for part in parts)}
+    for title, option in (
+        ("inputs", "--robot"),
+        ("settings of the fit", "--cutoff-hz"),
+        ("settings of --method iv", "--start"),
+        ("outputs", "--rrd"),
+    ):
+        assert option in groups[title]
+
+
 def test_options_become_fields():
     @dataclass(frozen=True, kw_only=True)
     class Settings:

@@ -167,7 +167,7 @@ def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):
 def test_outputs_are_whole_or_not_there(capsys, tmp_path):
     copy = tmp_path / "log.mcap"
     shutil.copy(SESSION, copy)
-    assert "named twice" in refused(capsys, "fit", copy, "--json", copy)
+    assert "is an input too" in refused(capsys, "fit", copy, "--json", copy)
     assert copy.read_bytes() == SESSION.read_bytes()
     assert "no folder" in refused(capsys, "fit", copy, "--json", tmp_path / "none" / "fit.json")
     assert "expected a file, found a folder" in refused(capsys, "fit", copy, "--json", tmp_path)

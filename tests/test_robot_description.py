@@ -353,10 +353,13 @@ def test_places_where_no_file_can_stand(tmp_path: Path) -> None:
 def test_an_input_is_not_replaced_under_any_of_its_names(tmp_path: Path) -> None:
     (tmp_path / "in").write_text("")
     (tmp_path / "link").symlink_to(tmp_path / "in")
-    for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in"):
+    (tmp_path / "hard link").hardlink_to(tmp_path / "in")
+    for out in (tmp_path / "in", tmp_path / "link", tmp_path / "." / "in", tmp_path / "hard link"):
         with pytest.raises(AcquisitionError, match="is an input too"):
-            refuse_clash(out, [tmp_path / "missing", tmp_path / "in"])
-    refuse_clash(tmp_path / "out", [tmp_path / "in"])
+            refuse_clash([tmp_path / "missing", tmp_path / "in", None], out)
+    refuse_clash([tmp_path / "in"], None, tmp_path / "out", tmp_path / "other")
+    with pytest.raises(AcquisitionError, match="out: named twice"):
+        refuse_clash([tmp_path / "in"], tmp_path / "out", None, tmp_path / "." / "out")
 
 
 @pytest.mark.parametrize(

@@ -446,4 +446,4 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
     assert "-3.00" in out
     status, _, err = run(capsys, "compare", a, a, "--rrd", a)
     assert status == 1
-    assert "named twice" in err
+    assert "is an input too" in err

@@ -28,7 +28,7 @@ def run(options: argparse.Namespace) -> None:
         from ..importing import decode_recording
         from ..robot import load_robot
 
-        refuse_clash(options.output, [options.recording, *([options.robot] if options.robot else [])])
+        refuse_clash([options.recording, options.robot], options.output)
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)

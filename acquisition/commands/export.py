@@ -21,6 +21,6 @@ def run(options: argparse.Namespace) -> None:
         from ..files import refuse_clash
         from ..importing import export_csv
 
-        refuse_clash(options.output, [options.recording])
+        refuse_clash([options.recording], options.output)
         rows = export_csv(options.recording, options.output)
     print(one_line(f"{options.output}: {rows} rows"))

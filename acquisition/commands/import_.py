@@ -36,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
         from ..importing import import_tables
         from ..robot import load_robot
 
-        refuse_clash(options.output, [options.robot, options.map, *options.tables])
+        refuse_clash([options.robot, options.map, *options.tables], options.output)
         result = import_tables(options.tables, load_robot(options.robot), options.map, options.output)
     units = ", ".join(dict.fromkeys(result.effort_units))
     reference = ", with reference" if result.has_reference else ""
@@ -58,6 +58,6 @@ def _import_log(options: argparse.Namespace) -> None:
             raise AcquisitionError(f"{tables[0]}: a table, and --map is not there: {expected}")
         if len(options.tables) > 1:
             raise AcquisitionError(f"{options.tables[1]}: a second CAN log: expected one")
-        refuse_clash(options.output, [options.robot, *options.tables])
+        refuse_clash([options.robot, *options.tables], options.output)
         found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
     tell_converted(options.output, found)

@@ -21,7 +21,7 @@ def run(options: argparse.Namespace) -> None:
         from ..files import refuse_clash
         from ..recording import recover
 
-        refuse_clash(options.output, [options.recording])
+        refuse_clash([options.recording], options.output)
         found = recover(options.recording, options.output)
     samples = 0 if found.samples is None else len(found.samples)
     frames = sum(len(block) for block in found.frames.values())

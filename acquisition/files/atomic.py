@@ -1,7 +1,7 @@
 """Output files that are whole or not there: written beside their place, renamed when complete."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -34,9 +34,26 @@ def atomic_write(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
-def refuse_clash(out: Path, inputs: Iterable[Path]) -> None:
-    """Raise `AcquisitionError` when writing `out` would replace one of the `inputs`."""
-    for path in inputs:
-        with suppress(OSError):  # a missing input is told by whoever reads it
-            if out.exists() and out.samefile(path):
-                raise AcquisitionError(f"{out}: is an input too ({path}): expected another name for the output")
+def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None) -> None:
+    """Raise `AcquisitionError` when writing one of `outputs` would replace one of `inputs`, or another output.
+
+    None stands for a file that was not asked for. Files are the same by whatever link they are reached.
+    """
+    given = [path for path in inputs if path is not None]
+    earlier: list[Path] = []
+    for output in (path for path in outputs if path is not None):
+        for path in given:
+            if _same(output, path):
+                raise AcquisitionError(f"{output}: is an input too ({path}): expected another name for the output")
+        if any(_same(output, path) for path in earlier):
+            raise AcquisitionError(f"{output}: named twice; expected a file of its own for each output")
+        earlier.append(output)
+
+
+def _same(a: Path, b: Path) -> bool:
+    if os.path.realpath(a) == os.path.realpath(b):  # of a loop of links too
+        return True
+    try:
+        return a.samefile(b)
+    except OSError:  # a file that is not there is told by whoever reads it
+        return False

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from acquisition.commands import Commands, Progress
 
-from .options import refuse_clash
+from .options import refuse_outputs
 from .results import print_results
 
 
@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the base parameters."""
-    refuse_clash([options.robot], options.json)
+    refuse_outputs([options.robot], options.json)
     with Progress("base parameters"):
         from acquisition.robot import load_robot
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from acquisition.commands import Commands
 
-from .options import refuse_clash
+from .options import refuse_outputs
 from .results import print_results
 
 
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> None:
     """Print the differences, and what must be known of either fit."""
     from ..report import comparison_document, comparison_file, doubts, frame_lines, read_fit, write_json
 
-    refuse_clash([options.a, options.b], options.json, options.rrd)
+    refuse_outputs([options.a, options.b], options.json, options.rrd)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]

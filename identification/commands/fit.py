@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from acquisition.commands import Commands, Progress, from_options
 
 from ..errors import IdentificationError
-from .options import above_zero, add_recording, add_settings, load, positive, refuse_clash, share
+from .options import above_zero, add_recording, add_settings, load, positive, refuse_outputs, share
 from .results import print_results, untrusted
 
 if TYPE_CHECKING:
@@ -64,8 +64,7 @@ def run(options: argparse.Namespace) -> int:
                 f"{told}: does nothing with --method {options.method}: expected --method iv with it"
             )
     inputs = [options.recording, options.robot, Path(options.start or "regular")]
-    refuse_clash(inputs, options.json)
-    refuse_clash(inputs, options.json, options.rrd, folders=False)
+    refuse_outputs(inputs, options.json, picture=options.rrd)
     with Progress("reading") as progress:
         from ..report import fit_document, fit_file, write_json
 

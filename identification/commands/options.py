@@ -4,7 +4,6 @@ Options bear the names of the fields that they set, of `Overrides` and `Noise`: 
 """
 
 import argparse
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -103,20 +102,17 @@ def make_folder(out: Path) -> None:
         raise IdentificationError(f"{out}: cannot be made: {error.strerror}; expected a folder") from error
 
 
-def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None, folders: bool = True) -> None:
-    """No output may take the place of an input or of another output, or name a folder that is not there.
+def refuse_outputs(inputs: Sequence[Path | None], *outputs: Path | None, picture: Path | None = None) -> None:
+    """Before any work: no output may replace an input or another output, or name a folder that is not there.
 
-    Without `folders` these are not looked for: a picture that cannot be written must not cost its fit.
+    The folder of a `picture` is not looked for: a picture that cannot be written must not cost its fit.
     """
-    seen = {os.path.realpath(path) for path in inputs if path is not None}  # of a loop of links too
+    from acquisition.files import refuse_clash
+
+    refuse_clash(inputs, *outputs, picture)
     for output in outputs:
-        if output is None:
-            continue
-        if os.path.realpath(output) in seen:
-            raise IdentificationError(f"{output}: named twice; expected a file of its own for each output")
-        if folders and not output.absolute().parent.is_dir():
+        if output is not None and not output.absolute().parent.is_dir():
             raise IdentificationError(f"{output}: no folder {output.parent}")
-        seen.add(os.path.realpath(output))
 
 
 def not_negative(text: str) -> float:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from acquisition.commands import Commands, Progress, from_options
 
-from .options import add_simulation_options, refuse_clash
+from .options import add_simulation_options, refuse_outputs
 from .results import print_results
 
 
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and say what it holds."""
-    refuse_clash([options.robot], options.out)
+    refuse_outputs([options.robot], options.out)
     with Progress("simulating"):
         from acquisition.robot import load_robot
 

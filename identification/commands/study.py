@@ -6,7 +6,7 @@ from pathlib import Path
 from acquisition.commands import Commands, from_options
 
 from ..errors import IdentificationError
-from .options import add_simulation_options, cutoffs, factors, positive, refuse_clash, share
+from .options import add_simulation_options, cutoffs, factors, positive, refuse_outputs, share
 from .results import print_results
 
 
@@ -40,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
     from ..report import study_document, study_file, write_json
     from ..study import Noise, Study, run_study, study_truth
 
-    refuse_clash([options.robot], options.json, options.rrd)
+    refuse_outputs([options.robot], options.json, options.rrd)
     robot = load_robot(options.robot)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)

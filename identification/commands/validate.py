@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Commands, Progress, from_options
 
-from .options import above_zero, add_recording, add_settings, load, refuse_clash
+from .options import above_zero, add_recording, add_settings, load, refuse_outputs
 from .results import print_results, untrusted
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
-    refuse_clash([options.fit, options.recording, options.robot], options.json)
+    refuse_outputs([options.fit, options.recording, options.robot], options.json)
     with Progress("reading") as progress:
         from ..methods import validate
         from ..regression import Overrides

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from acquisition.commands import Commands, Progress, from_options
 
-from .options import add_recording, add_settings, load, refuse_clash
+from .options import add_recording, add_settings, load, refuse_outputs
 from .results import print_results
 
 
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the Rerun file, and say how to open it."""
     out = options.out or Path(str(options.recording).removesuffix(options.recording.suffix) + ".rrd")
-    refuse_clash([options.recording, options.robot], out)
+    refuse_outputs([options.recording, options.robot], out)
     with Progress("reading") as progress:
         from ..regression import Overrides
         from ..view import write_recording_rrd
