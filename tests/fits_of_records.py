@@ -8,7 +8,8 @@ from pathlib import Path
 
 from identification.data.signals import Signals, load_signals
 from identification.methods.fit import Fit
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.regression.settings import Overrides
 
 

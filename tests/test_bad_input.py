@@ -18,7 +18,8 @@ from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import robot_from_files
 from identification.data.signals import load_signals
 from identification.errors import IdentificationError
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.study.synthetic import Noise, closed_loop, random_reference

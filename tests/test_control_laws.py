@@ -8,7 +8,7 @@ from conftest import REPLAY
 from scipy.linalg import expm
 
 from acquisition.robot.robot import load_robot, robot_from_files
-from identification.methods.replica import inertias
+from identification.methods.plausibility import inertias
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
 from identification.simulation.loop import Loop, _Control, recorded_loop, simulate

@@ -20,7 +20,8 @@ from independent_simulator import (
 )
 
 from acquisition.robot.robot import Robot
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides

@@ -16,6 +16,7 @@ from identification.estimation.estimators import (
     weighted_least_squares,
 )
 from identification.estimation.f_test import f_tail, independent_share
+from identification.estimation.system import System
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -35,7 +36,8 @@ def test_instruments_of_two_joints_worked_out_on_paper():
     W = np.array([[2.0, 1.0], [1.0, 2.0], [1.0, 0.0], [5.0, 5.0]])
     Y = np.array([11.0, 7.0, 3.0, 9.0])
     used = np.array([1.0, 1.0, 1.0, 0.0])  # the last row does not count
-    fit = instrumental_variables(Z, W, Y, np.array([0, 1, 1, 1]), ("a", "b"), np.array([2.0, 1.0]), used)
+    problem = System.whole(W, Y, np.array([0, 1, 1, 1]), ("a", "b")).with_rows(used)
+    fit = instrumental_variables(problem, Z, np.array([2.0, 1.0]))
     beta = [Fraction(53 * 2 - 4 * 7, 18), Fraction(11 * 7 - 53, 18)]
     np.testing.assert_allclose(fit.beta, [float(x) for x in beta], rtol=1e-12)
     rho = [2 * (11 - 2 * beta[0] - beta[1]), 7 - beta[0] - 2 * beta[1], 3 - beta[0]]
@@ -50,7 +52,7 @@ def test_instruments_with_weights_and_left_out_rows_are_the_formula():
     Z, W, Y = system(1, 40, 3)
     joints, weights = np.repeat([0, 1], 20), np.array([3.0, 0.2])
     used = (np.arange(40) % 5 > 0).astype(float)
-    fit = instrumental_variables(Z, W, Y, joints, tuple("abc"), weights, used)
+    fit = instrumental_variables(System.whole(W, Y, joints, tuple("abc")).with_rows(used), Z, weights)
     D2 = np.diag(weights[joints] ** 2 * used)
     inverse = np.linalg.inv(Z.T @ D2 @ W)
     np.testing.assert_allclose(fit.beta, inverse @ Z.T @ D2 @ Y, rtol=1e-10)
@@ -75,15 +77,16 @@ def test_weights_count_the_rows_less_the_rank_of_the_joints_own_columns():
     W[6:, 3] = 2 * W[6:, 2]
     Y = rng.normal(size=11)
     joints = np.repeat([0, 1], [6, 5])
-    found = joint_weights(W, Y, joints, np.array([6, 5]))
+    found = joint_weights(System.whole(W, Y, joints, tuple("abcd")))
     for j, (columns, freedom) in enumerate((([0, 1], 4), ([1, 2], 3))):
         A, y = W[joints == j][:, columns], Y[joints == j]
         rho = y - A @ np.linalg.solve(A.T @ A, A.T @ y)
         assert found[j] == pytest.approx(np.sqrt(freedom / (rho @ rho)), rel=1e-10)
     # The weighted estimate is that of the rows divided by s_j.
     full = W[:, :3]
-    fit = weighted_least_squares(full, Y, joints, np.array([6, 5]), tuple("abc"))
-    D = np.diag(joint_weights(full, Y, joints, np.array([6, 5]))[joints])
+    problem = System.whole(full, Y, joints, tuple("abc"))
+    fit = weighted_least_squares(problem)
+    D = np.diag(joint_weights(problem)[joints])
     np.testing.assert_allclose(fit.beta, np.linalg.lstsq(D @ full, D @ Y, rcond=None)[0], rtol=1e-9)
     rho = D @ (Y - full @ fit.beta)
     np.testing.assert_allclose(fit.covariance, rho @ rho / 10 * np.linalg.inv(full.T @ D @ D @ full), rtol=1e-9)
@@ -94,9 +97,9 @@ def test_the_f_test_of_the_reduction_is_the_formula():
     rng = np.random.default_rng(12)
     W = rng.normal(size=(12, 5))
     Y = W @ np.array([50.0, 0.01, -40.0, 0.0, 60.0]) + rng.normal(size=12)
-    problem = (W, Y, np.zeros(12, dtype=int), np.array([12]))
-    full = ordinary_least_squares(*problem, tuple("abcde"))
-    reduced = essential_parameters(*problem, full, correlation=0.2)
+    problem = System.whole(W, Y, np.zeros(12, dtype=int), tuple("abcde"))
+    full = ordinary_least_squares(problem)
+    reduced = essential_parameters(problem, full, correlation=0.2)
     assert reduced.estimate.names == ("a", "c", "e")
     rss = {}
     for kept in ((0, 1, 2, 3, 4), (0, 2, 4)):
@@ -134,7 +137,7 @@ def test_the_durbin_wu_hausman_test_is_the_regression_on_what_instruments_leave(
 def test_a_joint_without_torque_weighs_no_more_than_a_million_others():
     W = np.random.default_rng(3).normal(size=(12, 2))
     Y = np.r_[np.zeros(6), np.arange(6.0) ** 2]
-    weights = joint_weights(W, Y, np.repeat([0, 1], 6), np.array([6, 6]))
+    weights = joint_weights(System.whole(W, Y, np.repeat([0, 1], 6), ("a", "b")))
     assert weights[0] / weights[1] == pytest.approx(1e6)
 
 
@@ -143,10 +146,10 @@ def test_the_reduction_ends_at_the_stated_ratio_of_deviations(ratio, kept):
     """Orthonormal columns, s = 1: %sigma 5 and 66.7, a ratio of 13.3; F = 1.5² (r - 2)/(r - 1) does not keep the second."""
     Q = np.linalg.qr(np.random.default_rng(8).normal(size=(40, 3)))[0]
     W, Y = Q[:, :2], Q @ np.array([20.0, 1.5, np.sqrt(39.0)])
-    problem = (W, Y, np.zeros(40, dtype=int), np.array([40]))
-    full = ordinary_least_squares(*problem, ("a", "b"))
+    problem = System.whole(W, Y, np.zeros(40, dtype=int), ("a", "b"))
+    full = ordinary_least_squares(problem)
     np.testing.assert_allclose(full.sigma_percent, [5.0, 100 / 1.5])
-    reduced = essential_parameters(*problem, full, correlation=0.0, ratio=ratio)
+    reduced = essential_parameters(problem, full, correlation=0.0, ratio=ratio)
     assert reduced.estimate.names == kept
     if len(kept) == 1:
         assert pytest.approx(1.5**2 * 38 / 39) == reduced.F
@@ -156,7 +159,7 @@ def test_a_column_of_rounding_alone_is_not_excited():
     rng = np.random.default_rng(5)
     W = rng.normal(size=(30, 3)) * np.array([1.0, 1e-14, 1.0])
     with pytest.raises(IdentificationError, match="does not excite b: no torque depends on them"):
-        ordinary_least_squares(W, rng.normal(size=30), np.zeros(30, dtype=int), np.array([30]), tuple("abc"))
+        ordinary_least_squares(System.whole(W, rng.normal(size=30), np.zeros(30, dtype=int), tuple("abc")))
 
 
 def test_the_tail_of_f_is_that_of_scipy_stats():

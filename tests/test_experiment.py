@@ -6,10 +6,12 @@ from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
-from identification.methods.replica import experiment, simulated_motion
+from identification.methods.experiment import make_experiment
+from identification.methods.instruments import simulated_motion
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides, make_settings
+from identification.regression.problem import make_problem
+from identification.regression.settings import Overrides
 from identification.study.synthetic import truth
 
 
@@ -23,9 +25,8 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     robot = description(toml)
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    true = truth(dynamics, base)
-    e = experiment(signals, make_settings(signals, Overrides()), dynamics, base, true)
+    true = truth(dynamics, base_parameters(dynamics))
+    e = make_experiment(make_problem(signals, Overrides()), true)
     at = np.rint(e.times_s * 1000).astype(int)
     np.testing.assert_allclose(e.times_s, at / 1000, atol=1e-9)
     np.testing.assert_allclose(e.q_ref, reference.q[0, at], atol=1e-12)

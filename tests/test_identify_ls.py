@@ -8,6 +8,7 @@ from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
 import identification.regression.system as regression_module
+from acquisition.trajectory import fourier_reference
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.estimation.diagnostics import hac_sigma
@@ -17,17 +18,37 @@ from identification.estimation.estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
+from identification.estimation.system import System
 from identification.methods.idim import identify_ls
-from identification.model.base import base_parameters
+from identification.model.base import BaseParameters, base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.filtering import Motion
+from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides, decimation_rule, make_settings
-from identification.regression.system import regression_of_motion, regression_of_recording
-from identification.study.synthetic import Noise, closed_loop, exact_motion, random_reference, truth, write_signals
+from identification.regression.system import regression_of_recording
+from identification.study.synthetic import (
+    Noise,
+    closed_loop,
+    known_parameters,
+    random_reference,
+    truth,
+    write_signals,
+)
 
 
-def rows(r):
-    return r.counted
+def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
+    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
+    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
+    q, dq, ddq = fourier_reference(model.robot, period_s=duration_s, seed=seed).at(t_s)
+    tau = model.regressor(q, dq, ddq) @ known_parameters(model)
+    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
+
+
+def system_of(motion: Motion, model: InverseModel, base: BaseParameters) -> System:
+    """W and Y of every sample of a motion, rows joint by joint."""
+    W = model.regressor(motion.q, motion.dq, motion.ddq)[:, :, base.columns].transpose(1, 0, 2).reshape(-1, base.b)
+    n = model.robot.n
+    return System.whole(W, motion.tau.T.reshape(-1), np.repeat(np.arange(n), len(motion.t_s)), base.names)
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("tx40", 60)])
@@ -36,7 +57,7 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=200.0, seed=4)
-    estimate = solve(*rows(regression_of_motion(motion, dynamics, base)), base.names)
+    estimate = solve(system_of(motion, dynamics, base))
     true = truth(dynamics, base)
     assert len(true) == count
     # Relative to the parameter, or to its size in the torque's own digits where it is zero.
@@ -71,14 +92,14 @@ def white_problem(rng, sigma):
     joint_of_row = np.repeat([0, 1], 300)
     beta = np.array([1.0, -2.0, 0.5, 3.0])
     Y = W @ beta + sigma[joint_of_row] * rng.normal(size=600)
-    return W, Y, joint_of_row, np.array([300, 300]), beta
+    return System.whole(W, Y, joint_of_row, tuple("abcd")), beta
 
 
 def test_sigma_is_the_spread_over_repetitions():
-    rng, names, estimates, sigmas = np.random.default_rng(5), tuple("abcd"), [], []
+    rng, estimates, sigmas = np.random.default_rng(5), [], []
     for _ in range(400):
-        *problem, beta = white_problem(rng, np.array([0.1, 2.0]))
-        estimate = weighted_least_squares(*problem, names)
+        problem, beta = white_problem(rng, np.array([0.1, 2.0]))
+        estimate = weighted_least_squares(problem)
         estimates.append(estimate.beta)
         sigmas.append(estimate.sigma)
     spread = np.std(estimates, axis=0)
@@ -88,10 +109,10 @@ def test_sigma_is_the_spread_over_repetitions():
 
 def test_weights_are_the_joints_noise_and_beat_equal_rows():
     rng, sigma = np.random.default_rng(6), np.array([0.1, 2.0])
-    *problem, beta = white_problem(rng, sigma)
-    np.testing.assert_allclose(1 / joint_weights(*problem), sigma, rtol=0.15)
-    weighted = weighted_least_squares(*problem, tuple("abcd"))
-    equal = ordinary_least_squares(*problem, tuple("abcd"))
+    problem, beta = white_problem(rng, sigma)
+    np.testing.assert_allclose(1 / joint_weights(problem), sigma, rtol=0.15)
+    weighted = weighted_least_squares(problem)
+    equal = ordinary_least_squares(problem)
     assert np.abs(weighted.beta - beta)[:3].max() < 0.3 * np.abs(equal.beta - beta)[:3].max()
 
 
@@ -113,9 +134,9 @@ def test_robust_deviations_are_the_sum_over_lags_with_bartletts_weights():
 
 
 def test_estimate_is_that_of_the_normal_equations():
-    *problem, _ = white_problem(np.random.default_rng(7), np.array([1.0, 1.0]))
-    W, Y = problem[0], problem[1]
-    estimate = ordinary_least_squares(*problem, tuple("abcd"))
+    problem, _ = white_problem(np.random.default_rng(7), np.array([1.0, 1.0]))
+    W, Y = problem.W, problem.Y
+    estimate = ordinary_least_squares(problem)
     beta = np.linalg.solve(W.T @ W, W.T @ Y)
     rho = Y - W @ beta
     np.testing.assert_allclose(estimate.beta, beta, rtol=1e-12)
@@ -127,13 +148,13 @@ def test_essential_parameters_leave_out_what_is_zero_and_keep_what_matters():
     rng = np.random.default_rng(9)
     W = rng.normal(size=(900, 6))
     Y = W @ np.array([5.0, 0.0, -3.0, 0.0, 0.02, 4.0]) + 0.1 * rng.normal(size=900)
-    problem = (W, Y, np.zeros(900, dtype=int), np.array([900]))
-    full = ordinary_least_squares(*problem, tuple("abcdef"))
-    reduced = essential_parameters(*problem, full, correlation=0.0)
+    problem = System.whole(W, Y, np.zeros(900, dtype=int), tuple("abcdef"))
+    full = ordinary_least_squares(problem)
+    reduced = essential_parameters(problem, full, correlation=0.0)
     # e is small but, at six deviations, more than noise: the F test keeps it though its %sigma is large.
     assert reduced.estimate.names == ("a", "c", "e", "f")
     assert reduced.p_value > 0.01
-    unconfirmed = essential_parameters(*problem, full, correlation=0.95)
+    unconfirmed = essential_parameters(problem, full, correlation=0.95)
     assert unconfirmed.estimate.names == ("a", "c", "f")
     assert unconfirmed.F_effective == pytest.approx(unconfirmed.F * 0.05 / 1.95)
 
@@ -149,18 +170,18 @@ def test_a_joint_that_does_not_move_is_named():
         name: np.c_[getattr(motion, name)[:, 0], zero[:, 1]] if name != "q" else still
         for name in ("q", "dq", "ddq", "tau")
     }
-    observed = regression_of_motion(Motion(t_s=motion.t_s, **parts), dynamics, base)
+    observed = system_of(Motion(t_s=motion.t_s, **parts), dynamics, base)
     with pytest.raises(IdentificationError, match="does not excite Fv2, Fc2"):
-        ordinary_least_squares(*rows(observed), base.names)
+        ordinary_least_squares(observed)
 
 
 def test_parameters_that_cannot_be_told_apart_are_named():
     rng = np.random.default_rng(2)
     W = rng.normal(size=(200, 4))
     W[:, 2] = 2 * W[:, 0]
-    problem = (W, rng.normal(size=200), np.zeros(200, dtype=int), np.array([200]))
+    problem = System.whole(W, rng.normal(size=200), np.zeros(200, dtype=int), ("ZZ1R", "Ia1", "Fv1", "Fc1"))
     with pytest.raises(IdentificationError, match=r"rank 3 for 4 parameters; these cannot be told apart: ZZ1R, Fv1$"):
-        ordinary_least_squares(*problem, ("ZZ1R", "Ia1", "Fv1", "Fc1"))
+        ordinary_least_squares(problem)
 
 
 def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
@@ -182,14 +203,13 @@ def synthetic_signals(name: str = "scara", seconds: float = 30.0) -> Signals:
 
 def test_blocks_give_what_one_pass_gives(monkeypatch):
     signals = synthetic_signals()
-    dynamics = InverseModel(signals.robot)
-    base, plan = base_parameters(dynamics), make_settings(signals, Overrides(decimation=5))
-    whole = regression_of_recording(signals, plan, dynamics, base)
+    problem = make_problem(signals, Overrides(decimation=5))
+    whole = regression_of_recording(problem)
     monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 1)
-    assert len(list(regression_module.motion_blocks(signals, plan, 11))) > 3
-    parts = regression_of_recording(signals, plan, dynamics, base)
-    np.testing.assert_allclose(parts.W, whole.W, atol=1e-9 * np.abs(whole.W).max())
-    np.testing.assert_allclose(parts.Y, whole.Y, atol=1e-9 * np.abs(whole.Y).max())
+    assert len(list(regression_module.motion_blocks(problem))) > 3
+    parts = regression_of_recording(problem)
+    for part, full in ((parts.system.W, whole.system.W), (parts.system.Y, whole.system.Y)):
+        np.testing.assert_allclose(part, full, atol=1e-9 * np.abs(full).max())
     np.testing.assert_allclose(parts.speed, whole.speed, atol=1e-9 * np.abs(whole.speed).max())
 
 

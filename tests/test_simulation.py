@@ -9,8 +9,9 @@ from conftest import robot_named
 
 from acquisition.robot.robot import robot_from_files
 from identification.errors import IdentificationError
-from identification.methods.idim import Iteration, identify_iv
-from identification.methods.replica import inertias, not_positive, regular_start
+from identification.methods.idim import identify_iv
+from identification.methods.iteration import Iteration, regular_start
+from identification.methods.plausibility import inertias, not_positive
 from identification.model.base import base_parameters
 from identification.model.inverse import DirectModel, InverseModel, direct_model
 from identification.regression.settings import Overrides

@@ -16,11 +16,15 @@ from identification.commands.program import main
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.estimation.estimators import joint_weights, weighted_least_squares
+from identification.estimation.system import System
 from identification.methods.fit import Fit
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.model.inverse import InverseModel
+from identification.regression.filtered import FilteredMotion
 from identification.regression.low_speed import fast_rows, measured_slip
-from identification.regression.settings import Overrides, make_settings
+from identification.regression.problem import make_problem
+from identification.regression.settings import Overrides
 from identification.regression.system import regression_of_recording
 from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 
@@ -80,14 +84,15 @@ def test_a_row_is_slow_where_a_direction_that_acts_on_its_joint_is():
 def test_least_squares_goes_by_the_lowest_filtered_speed_near_a_row():
     """Of a joint that follows a known speed, within half a period of the cut-off; without a low-pass there is noise."""
     signals = load_signals(SCARA)
-    raw, settings = make_settings(signals, Overrides(cutoff_hz=0)), make_settings(signals, Overrides())
-    assert (measured_slip(signals, raw, np.eye(2))[1] > 0).all()
-    assert not measured_slip(signals, settings, np.eye(2))[1].any()
+    raw, problem = make_problem(signals, Overrides(cutoff_hz=0)), make_problem(signals, Overrides())
+    settings = problem.settings
+    assert (measured_slip(raw, np.eye(2))[1] > 0).all()
+    assert not measured_slip(problem, np.eye(2))[1].any()
     fs, cutoff_hz = signals.sample_rate_hz, settings.cutoff_hz
     t = signals.t_s
     q = np.stack([np.sin(2 * np.pi * t), 0.5 * np.sin(np.pi * t)], axis=1)  # far below the cut-off
     known = dataclasses.replace(signals, q=q)
-    found, _ = measured_slip(known, settings, np.eye(2))
+    found, _ = measured_slip(dataclasses.replace(problem, signals=known, motion=FilteredMotion(known)), np.eye(2))
     rows = np.arange(settings.stop - 1, settings.start - 1, -settings.decimation)[::-1]
     half = round(0.5 * fs / cutoff_hz)
     assert half == 20
@@ -112,10 +117,7 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     fast = fast_rows(kept @ D.T, np.zeros(len(D)), D, None)
     used = fast.T.reshape(-1).astype(float)
     assert used.sum() == pytest.approx(iv.estimate.rows, rel=2e-3)  # these are the rows of an earlier pass
-    observed = regression_of_recording(signals, plan, InverseModel(signals.robot), ls.base)
-    on_its_rows = weighted_least_squares(
-        observed.W * used[:, None], observed.Y * used, observed.joint_of_row, fast.sum(axis=0), ls.base.names
-    )
+    on_its_rows = weighted_least_squares(regression_of_recording(ls.problem).system.with_rows(used))
     beside = dataclasses.replace(ls, estimate=on_its_rows)
     assert off_percent(ls, signals) < 1.5 * off_percent(beside, signals)
     # 3.0 % with all rows, 0.26 % without; instrumental variables 0.16 %.
@@ -132,7 +134,7 @@ def test_the_rank_counts_in_the_weights():
     W[:, 3] = 2 * W[:, 0]
     Y = rng.normal(size=12)
     rho = Y - W @ np.linalg.lstsq(W, Y)[0]
-    weights = joint_weights(W, Y, np.zeros(12, dtype=int), np.array([12]))
+    weights = joint_weights(System.whole(W, Y, np.zeros(12, dtype=int), tuple("abcd")))
     assert 1 / weights[0] ** 2 == pytest.approx(rho @ rho / 9, rel=1e-12)
 
 
@@ -240,11 +242,12 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
 
     solve, calls = idim.instrumental_variables, []
 
-    def spoilt(Z, W, Y, *rest):
+    def spoilt(system, Z, weights):
         calls.append(len(calls))
         # In the loop passes 2 and 3; afterwards the same passes are solved again, on the same rows.
         wrong = 0.0 if len(calls) in (1, 4) else 0.35
-        return solve(Z, W, (1 + wrong * (-1) ** len(calls)) * Y, *rest)
+        Y = (1 + wrong * (-1) ** len(calls)) * system.Y
+        return solve(dataclasses.replace(system, Y=Y), Z, weights)
 
     monkeypatch.setattr(idim, "instrumental_variables", spoilt)
     fit = identify_iv(load_signals(SCARA), Overrides(), Iteration(max_iterations=3))

@@ -7,9 +7,10 @@ from conftest import REPLAY
 
 from identification.data.signals import load_signals
 from identification.estimation.diagnostics import InstrumentTests
-from identification.methods.assess import _verdict
 from identification.methods.fit import DirectModelError, Pass
-from identification.methods.idim import Iteration, identify_iv
+from identification.methods.idim import identify_iv
+from identification.methods.iteration import Iteration
+from identification.methods.verdict import _verdict
 from identification.regression.settings import Overrides
 
 GOOD = InstrumentTests(

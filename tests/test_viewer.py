@@ -13,7 +13,9 @@ from rerun.chunk import RrdReader
 from acquisition.errors import AcquisitionError
 from acquisition.robot.robot import robot_from_files
 from identification.data.signals import Signals
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.fit import Rows
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.filtering import Motion, decimate, differentiate, lowpass, motion_between
@@ -200,7 +202,7 @@ IV_CASES = {
 def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written):
     signals = case()
     fit, ls = fitted_iv(signals), fitted(signals)
-    file = written(signals, fit, beside=ls, truth=ls.beta)
+    file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
         ["TimeSeries"] * 5 * n + ["BarChart"] * 2 * n + ["2D"] * 5 + ["3D", "StateTimeline", "TextDocument"]
@@ -454,14 +456,14 @@ def test_the_residual_is_shown_against_white_noise(written):
     assert values("distribution", "back").sum() * 31 / 300 == pytest.approx(moving, rel=0.05)
 
 
-def test_a_few_far_residuals_do_not_squeeze_the_distribution(written, monkeypatch):
+def test_a_few_far_residuals_do_not_squeeze_the_distribution(written):
     signals = made_up()
     rng = np.random.default_rng(3)
     rho, speed = 0.3 * rng.standard_normal((1000, 2)), np.ones((1000, 2))
     rho[:12, 0] = 1000.0
     rho[12:20, 0], speed[12:20, 0] = 1000.0, 0.0  # standing: not counted at all
-    monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (rho, np.zeros_like(rho), speed))
-    file = written(signals, replace(fitted(signals), settings=replace(fitted(signals).settings, decimation=1)))
+    rows = Rows(t_s=signals.t_s[:1000], tau=rho, tau_predicted=np.zeros_like(rho), speed=speed)
+    file = written(signals, replace(fitted(signals), rows=rows))
     numbers = numbers_of(file)["joint 1.x"]
     assert float(numbers["residual σ"]) == pytest.approx(0.3, rel=0.1)
     assert numbers["rows beyond 4 σ"] == "12"
@@ -470,12 +472,12 @@ def test_a_few_far_residuals_do_not_squeeze_the_distribution(written, monkeypatc
     assert (counts > 0).sum() > 15, "not one bar"
 
 
-def test_a_fit_that_leaves_nothing_has_no_residual_page(written, monkeypatch):
+def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
     signals = made_up()
     fit = fitted(signals)
     nothing = np.zeros((200, 2))
-    monkeypatch.setattr(curves, "torque_of_recording", lambda *_: (nothing, nothing, nothing))
-    views = written(signals, fit).views
+    rows = Rows(t_s=signals.t_s[:200], tau=nothing, tau_predicted=nothing, speed=nothing)
+    views = written(signals, replace(fit, rows=rows)).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
     assert len(views) == 8 + 4 + 3
 

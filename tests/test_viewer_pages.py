@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from fits_of_records import iv_of, ls_of, signals_of
+from fits_of_records import iv_of, signals_of
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot.robot import robot_from_files
@@ -396,9 +396,9 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, t
 
 
 def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
-    signals, ls, fit = signals_of(tx40), ls_of(tx40), iv_of(tx40)
+    signals, fit = signals_of(tx40), iv_of(tx40)
     start = time.perf_counter()
-    write_fit_rrd(tmp_path / "fit.rrd", signals, fit, beside=ls)
+    write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
     assert time.perf_counter() - start < 6, "2 s on a machine with nothing else to do"
     assert len(signals.q) == 45_000
     assert (tmp_path / "fit.rrd").stat().st_size < 30e6

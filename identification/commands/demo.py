@@ -51,6 +51,6 @@ def run(options: argparse.Namespace) -> None:
         for name, fit in fits.items():
             write_json(out / f"{name}.json", fit_file(signals, fit, reports[name]))
         progress.say("writing the Rerun file")
-        write_fit_rrd(out / "demo.rrd", signals, fits["iv"], beside=fits["ls"], truth=true)
+        write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
     print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))
     print_results(f"look at it: rerun --bind 127.0.0.1 {out / 'demo.rrd'}")

@@ -103,10 +103,6 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
 
 
 def _write_rrd(options: argparse.Namespace, signals: "Signals", fit: "Fit") -> None:
-    from ..methods import identify_ls
-    from ..regression import Overrides
     from ..view import write_fit_rrd
 
-    overrides = from_options(Overrides, options)
-    beside = identify_ls(signals, overrides, essential=options.essential) if fit.iv else None
-    write_fit_rrd(options.rrd, signals, fit, beside=beside)
+    write_fit_rrd(options.rrd, signals, fit)

@@ -1,6 +1,7 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .diagnostics import (
+    MOVING,
     InstrumentTests,
     TorqueError,
     are_moving,
@@ -20,11 +21,14 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
+from .system import System
 
 __all__ = [
+    "MOVING",
     "Estimate",
     "InstrumentTests",
     "Reduction",
+    "System",
     "TorqueError",
     "are_moving",
     "autocorrelation",

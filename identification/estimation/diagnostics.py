@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from ..arrays import Array
-from ..regression import MOVING
 from .f_test import f_tail, independent_share
+
+MOVING = 0.02  # of a joint's peak speed: below, it stands
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ from threadpoolctl import threadpool_limits
 from ..arrays import Array
 from ..errors import IdentificationError
 from .f_test import f_tail, independent_share
+from .system import System
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -92,56 +93,48 @@ class Reduction:
     p_effective: float
 
 
-def ordinary_least_squares(
-    W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
-) -> Estimate:
-    """Least squares with all rows alike. W (r, b), Y (r,), joint_of_row (r,); `rows` (n,) counts the samples per joint."""
-    return _solve(W, Y, joint_of_row, rows, names, np.ones(len(rows)))
+def ordinary_least_squares(system: System) -> Estimate:
+    """Least squares with all rows that count alike."""
+    return _least_squares(system, np.ones(len(system.rows)))
 
 
-def weighted_least_squares(
-    W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp], names: tuple[str, ...]
-) -> Estimate:
+def weighted_least_squares(system: System) -> Estimate:
     """Least squares with the rows of joint j divided by s_j, the deviation that joint's own least squares leaves."""
-    return _solve(W, Y, joint_of_row, rows, names, joint_weights(W, Y, joint_of_row, rows))
+    return _least_squares(system, joint_weights(system))
 
 
-def joint_weights(W: Array, Y: Array, joint_of_row: NDArray[np.intp], rows: NDArray[np.intp]) -> Array:
+def joint_weights(system: System) -> Array:
     """1/s_j (n,): s_j² = |Y_j - W_j b_j|² / (r_j - b_j), b_j the rank of that joint's columns."""
+    rows = system.rows
+    W, Y = system.weighted(np.ones(len(rows)))
     s = np.empty(len(rows))
     for j in range(len(rows)):
-        W_j, Y_j = W[joint_of_row == j], Y[joint_of_row == j]
+        W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.any(W_j != 0, axis=0)]
         b_j, _, rank, _ = linalg.lstsq(W_j / _norms(W_j), Y_j, cond=RANK_TOLERANCE)
         rho = Y_j - (W_j / _norms(W_j)) @ b_j
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves rounding only: its joints then weigh alike, not by the noise of the last digit.
         s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
-    # A joint that stands without torque must not outweigh the others until they look like zero beside it.
+    # Otherwise a joint that stands without torque would outweigh the others, whose rows would then count as zero.
     s = np.maximum(s, 1e-6 * s.max())
     return np.asarray(1.0 / np.where(s > 0, s, 1.0))
 
 
-def essential_parameters(
-    W: Array,
-    Y: Array,
-    joint_of_row: NDArray[np.intp],
-    rows: NDArray[np.intp],
-    full: Estimate,
-    *,
-    correlation: float,
-    ratio: float = 30.0,
-) -> Reduction:
+def essential_parameters(system: System, full: Estimate, *, correlation: float, ratio: float = 30.0) -> Reduction:
     """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma.
 
     A drop that the F test refuses at 1 % ends it sooner. `correlation` is the residual's at a lag of one row: r rows are
     worth r (1 - correlation)/(1 + correlation) independent ones, and F is smaller by that factor. Weights stay those of
     the full model.
     """
-    w = full.weights[joint_of_row]
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
-    R: Array = np.asarray(np.linalg.qr(np.c_[W, Y] * w[:, None], mode="r"))
+    W, Y = system.weighted(full.weights)
+    R: Array = np.asarray(np.linalg.qr(np.c_[W, Y], mode="r"))
     b, r, independent = W.shape[1], full.rows, independent_share(correlation)
+
+    def solved(kept: NDArray[np.intp]) -> _Solution:
+        return _solution(_factors(R[:, kept], R[:, kept]), R[:, kept], R[:, -1])
 
     def test(kept: NDArray[np.intp], rho_norm: float) -> tuple[float, float, float, float]:
         dropped = b - len(kept)
@@ -153,109 +146,103 @@ def essential_parameters(
 
     kept, tested = np.arange(b), (float("nan"),) * 4
     while len(kept) > 1:
-        beta, C, _ = _covariance(R[:, kept], R[:, -1], r)
+        solution = solved(kept)
         with np.errstate(divide="ignore", invalid="ignore"):
-            percent = np.sqrt(np.diag(C)) / np.abs(beta)
+            percent = np.sqrt(np.diag(solution.covariance(r))) / np.abs(solution.beta)
         if percent.max() < ratio * percent.min():
             break
         fewer = np.delete(kept, percent.argmax())
-        outcome = test(fewer, _covariance(R[:, fewer], R[:, -1], r)[2])
+        outcome = test(fewer, solved(fewer).residual_norm)
         if outcome[3] < F_TEST_LEVEL:
             break
         kept, tested = fewer, outcome
-    reduced = _solve(W[:, kept], Y, joint_of_row, rows, tuple(full.names[i] for i in kept), full.weights)
+    reduced = _least_squares(system.with_columns(kept), full.weights)
     F, p, F_effective, p_effective = tested
     return Reduction(estimate=reduced, kept=kept, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
-def _solve(
-    W: Array,
-    Y: Array,
-    joint_of_row: NDArray[np.intp],
-    rows: NDArray[np.intp],
-    names: tuple[str, ...],
-    weights: Array,
-) -> Estimate:
-    w = weights[joint_of_row]
-    Ww, Yw = W * w[:, None], Y * w
-    r = int(rows.sum())
-    if r <= W.shape[1]:
-        raise IdentificationError(f"{r} decimated rows for {W.shape[1]} parameters; expected more rows than parameters")
-    singular = _refuse_rank_deficiency(Ww, names)
-    Q, A, d = _factors(Ww, Ww)
-    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W), float(singular[0] / singular[-1]))
-
-
-def instrumental_variables(
-    Z: Array,
-    W: Array,
-    Y: Array,
-    joint_of_row: NDArray[np.intp],
-    names: tuple[str, ...],
-    weights: Array,
-    used: Array,
-) -> Estimate:
-    """beta = (ZᵀW)⁻¹ ZᵀY, with Z, W and Y weighted by 1/s_j; `used` (r,) is 1 for rows that count and 0 for others.
+def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
+    """beta = (ZᵀW)⁻¹ ZᵀY, with the instruments Z (r, b), W and Y weighted by 1/s_j, `weights` (n,).
 
     Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
     R drops out. Raises `IdentificationError` where the instruments have too little in common with W.
     """
-    w = weights[joint_of_row] * used
-    Zw, Ww, Yw = Z * w[:, None], W * w[:, None], Y * w
-    r = int(used.sum())
-    if r <= W.shape[1]:
-        raise IdentificationError(f"{r} rows for {W.shape[1]} parameters; expected more rows than parameters")
-    _refuse_rank_deficiency(Zw, names)
-    Q, A, d = _factors(Zw, Ww)
-    condition = float(np.linalg.cond(A))
+    _refuse_few_rows(system)
+    W, Y = system.weighted(weights)
+    Z = Z * (weights[system.joint_of_row] * system.used)[:, None]
+    _refuse_rank_deficiency(Z, system.names)
+    factors = _factors(Z, W)
+    condition = float(np.linalg.cond(factors.A))
     if not condition < 1 / RANK_TOLERANCE:
         raise IdentificationError(f"instruments and regressor have too little in common: cond(ZᵀW) = {condition:.2g}")
-    return _estimate(Q, A, d, Ww, Yw, r, names, weights, _condition(W * used[:, None]), condition)
+    return _estimate(system, weights, _solution(factors, W, Y), condition)
 
 
-def _factors(Z: Array, W: Array) -> tuple[Array, Array, Array]:
-    """Q of Z = Q R, A = QᵀW/d with columns scaled by d = |W_i|; for Z = W, A is upper triangular."""
+def _least_squares(system: System, weights: Array) -> Estimate:
+    _refuse_few_rows(system)
+    W, Y = system.weighted(weights)
+    singular = _refuse_rank_deficiency(W, system.names)
+    return _estimate(system, weights, _solution(_factors(W, W), W, Y), float(singular[0] / singular[-1]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Factors:
+    """Q of Z = Q R; A = QᵀW/d with columns scaled by d = |W_i|: for Z = W, A is upper triangular."""
+
+    Q: Array
+    A: Array
+    d: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Solution:
+    """beta (b,) of A (d beta) = QᵀY; beta - beta_true = bread Qᵀ rho."""
+
+    beta: Array
+    Q: Array
+    bread: Array
+    residual_norm: float
+
+    def covariance(self, rows: int) -> Array:
+        """C (b, b) = s² bread breadᵀ; so many samples stand behind the rows."""
+        return np.asarray(self.residual_norm**2 / (rows - 1) * (self.bread @ self.bread.T))
+
+
+def _factors(Z: Array, W: Array) -> _Factors:
     d = _norms(W)
     Q = np.asarray(linalg.qr(Z / _norms(Z), mode="economic")[0])
-    return Q, Q.T @ (W / d), d
+    return _Factors(Q, Q.T @ (W / d), d)
 
 
-def _estimate(
-    Q: Array,
-    A: Array,
-    d: Array,
-    W: Array,
-    Y: Array,
-    r: int,
-    names: tuple[str, ...],
-    weights: Array,
-    condition: float,
-    condition_scaled: float,
-) -> Estimate:
-    """Solve A (d beta) = QᵀY; C = s² bread breadᵀ with bread = (A d)⁻¹, from the QR factors of A."""
+def _solution(factors: _Factors, W: Array, Y: Array) -> _Solution:
+    """Solve for beta, with bread = (A d)⁻¹ from the QR factors of A."""
+    Q, A, d = factors.Q, factors.A, factors.d
     q, R = linalg.qr(A)
     bread = linalg.solve_triangular(R, q.T) / d[:, None]
     beta = linalg.solve_triangular(R, q.T @ (Q.T @ Y)) / d
-    rho_norm = float(np.linalg.norm(Y - W @ beta))
+    return _Solution(beta, Q, bread, float(np.linalg.norm(Y - W @ beta)))
+
+
+def _estimate(system: System, weights: Array, solution: _Solution, condition_scaled: float) -> Estimate:
+    r = int(system.rows.sum())
     return Estimate(
-        names=names,
-        beta=beta,
-        covariance=rho_norm**2 / (r - 1) * (bread @ bread.T),
+        names=system.names,
+        beta=solution.beta,
+        covariance=solution.covariance(r),
         weights=weights,
-        residual_norm=rho_norm,
-        condition_number=condition,
+        residual_norm=solution.residual_norm,
+        condition_number=_condition(system.weighted(np.ones(len(weights)))[0]),
         condition_number_scaled=condition_scaled,
         rows=r,
-        Q=Q,
-        bread=bread,
+        Q=solution.Q,
+        bread=solution.bread,
     )
 
 
-def _covariance(W: Array, Y: Array, r: int) -> tuple[Array, Array, float]:
-    """beta, C and |rho| of a reduced model, W being its R factor; r samples stand behind the rows."""
-    Q, A, d = _factors(W, W)
-    estimate = _estimate(Q, A, d, W, Y, r, (), np.ones(1), np.nan, np.nan)
-    return estimate.beta, estimate.covariance, estimate.residual_norm
+def _refuse_few_rows(system: System) -> None:
+    r, b = int(system.rows.sum()), len(system.names)
+    if r <= b:
+        raise IdentificationError(f"{r} decimated rows for {b} parameters; expected more rows than parameters")
 
 
 def _condition(W: Array) -> float:

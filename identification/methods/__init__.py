@@ -1,9 +1,20 @@
 """The method on one screen, the simulated replica of the experiment, and what a fit is worth."""
 
-from .fit import NO_FIXED_POINT, DirectModelError, Fit, InstrumentEvidence, InstrumentKind, Method, Pass, Status
-from .idim import Iteration, identify_iv, identify_ls, validate
-from .plausibility import Doubt
-from .replica import inertias, not_positive, regular_start
+from .fit import (
+    NO_FIXED_POINT,
+    DirectModelError,
+    Fit,
+    InstrumentEvidence,
+    InstrumentKind,
+    LeastSquares,
+    Method,
+    Pass,
+    Rows,
+    Status,
+)
+from .idim import identify_iv, identify_ls, validate
+from .iteration import Iteration, regular_start
+from .plausibility import Doubt, inertias, not_positive, poses_of
 
 __all__ = [
     "NO_FIXED_POINT",
@@ -13,13 +24,16 @@ __all__ = [
     "InstrumentEvidence",
     "InstrumentKind",
     "Iteration",
+    "LeastSquares",
     "Method",
     "Pass",
+    "Rows",
     "Status",
     "identify_iv",
     "identify_ls",
     "inertias",
     "not_positive",
+    "poses_of",
     "regular_start",
     "validate",
 ]

@@ -7,7 +7,7 @@ from typing import Literal
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Reduction, TorqueError
 from ..model import BaseParameters
-from ..regression import Motion, Settings
+from ..regression import Motion, Problem, Settings
 from .plausibility import Doubt
 
 Method = Literal["ols", "wls", "iv"]
@@ -97,26 +97,78 @@ class InstrumentEvidence:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class LeastSquares:
+    """Least squares of a recording, as every fit has it.
+
+    Attributes:
+        estimate: `full`, or that of the essential parameters where only these were asked for.
+        sigma_hac: (b,) its deviations that hold for correlated residuals; NaN where rows were reduced.
+        full: of all base parameters.
+        essential: the reduction to the essential parameters.
+        tau_predicted: (rows, n) decimated torque that `estimate` predicts.
+    """
+
+    estimate: Estimate
+    sigma_hac: Array
+    full: Estimate
+    essential: Reduction
+    tau_predicted: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rows:
+    """The decimated samples that a fit explains: t_s (rows,) of the recording, s; torques and joint speed (rows, n)."""
+
+    t_s: Array
+    tau: Array
+    tau_predicted: Array
+    speed: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
     """Base parameters of a robot from one recording, and the evidence for them.
 
-    `base` lists all base parameters; `estimate` has those estimated, which are fewer when only the essential ones were
-    kept. `errors` holds one entry per joint and, last, all joints together. `sigma_hac` is NaN where the recording is so
-    long that rows were reduced. `doubts` are what of the estimate no robot has. `iv` is there for the instrumental variable
-    method only.
+    Attributes:
+        problem: recording, settings and model.
+        method, status: by which method, and how it ended.
+        estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
+        sigma_hac: (b,) deviations that hold for correlated residuals; NaN where the recording is so long that rows were
+            reduced.
+        least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
+            beside instrumental variables.
+        rows: all decimated rows, measured and predicted.
+        errors: one entry per joint and, last, all joints together.
+        doubts: what of the estimate no robot has.
+        iv: there for the instrumental variable method only.
     """
 
+    problem: Problem
     method: Method
     status: Status
-    settings: Settings
-    base: BaseParameters
     estimate: Estimate
-    essential: Reduction
     sigma_hac: Array
+    least_squares: LeastSquares
+    rows: Rows
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
     doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
+
+    @property
+    def settings(self) -> Settings:
+        """What the fit did with the recording."""
+        return self.problem.settings
+
+    @property
+    def base(self) -> BaseParameters:
+        """All base parameters of the robot."""
+        return self.problem.base
+
+    @property
+    def essential(self) -> Reduction:
+        """The essential parameters, by least squares."""
+        return self.least_squares.essential
 
     @property
     def beta(self) -> Array:

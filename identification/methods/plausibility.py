@@ -12,10 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import Signals
 from ..estimation import Estimate
-from ..model import BaseParameters, InverseModel, JointTerm
-from ..regression import Settings
+from ..model import DirectModel, InverseModel, JointTerm
+from ..regression import Problem
 
 POSES = 300  # positions of the trajectory at which M must be positive
 BEYOND = 3.0  # deviations below zero that chance does not explain
@@ -34,10 +33,26 @@ def poses_of(q: Array) -> Array:
     return q[:: max(1, len(q) // POSES)]
 
 
-def physical_doubts(
-    signals: Signals, plan: Settings, idm: InverseModel, base: BaseParameters, estimate: Estimate, sigma_hac: Array
-) -> tuple[Doubt, ...]:
+def inertias(model: DirectModel, poses: Array) -> Array:
+    """J_j (n,): the largest diagonal entry of M for each joint over the poses (P, n)."""
+    M = model.inertia(poses)
+    return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
+
+
+def not_positive(model: DirectModel, poses: Array) -> str | None:
+    """None where M is positive definite at all poses (P, n), else a line that says so."""
+    M = model.inertia(poses)
+    if not np.isfinite(M).all():
+        return "the inertia matrix is not finite on the trajectory"
+    lowest = float(np.linalg.eigvalsh(M).min())
+    return (
+        None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
+    )
+
+
+def physical_doubts(problem: Problem, estimate: Estimate, sigma_hac: Array) -> tuple[Doubt, ...]:
     """What of an estimate no robot has; `sigma_hac` (b,) may be NaN. Each text names the joint to look at."""
+    signals, settings, idm, base = problem.signals, problem.settings, problem.model, problem.base
     spread = np.fmax(estimate.sigma, sigma_hac)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, spread / estimate.sigma, 1.0)
@@ -46,7 +61,7 @@ def physical_doubts(
     among = np.array([base.names.index(name) for name in estimate.names])
     names = tuple(joint.name for joint in signals.robot.joints)
     inertia = _inertia_doubt(
-        idm, base.columns[among], estimate.beta, covariance, poses_of(signals.q[plan.start : plan.stop])
+        idm, base.columns[among], estimate.beta, covariance, poses_of(signals.q[settings.start : settings.stop])
     )
     found = [] if inertia is None else [inertia]
     below: dict[int, list[str]] = {}

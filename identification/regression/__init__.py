@@ -1,10 +1,11 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
+from .filtered import FilteredMotion
 from .filtering import Decimation, Motion, differentiate, forward_backward_3db_hz, motion_between
 from .low_speed import fast_rows, measured_slip
+from .problem import Problem, make_problem
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
-    MOVING,
     Overrides,
     Settings,
     Span,
@@ -16,10 +17,11 @@ from .system import Regression, decimated_regressor, predicted_torque, regressio
 
 __all__ = [
     "CUTOFF_PER_BANDWIDTH",
-    "MOVING",
     "Decimation",
+    "FilteredMotion",
     "Motion",
     "Overrides",
+    "Problem",
     "Regression",
     "Settings",
     "Span",
@@ -28,6 +30,7 @@ __all__ = [
     "differentiate",
     "fast_rows",
     "forward_backward_3db_hz",
+    "make_problem",
     "make_settings",
     "measured_slip",
     "motion_between",

@@ -5,7 +5,7 @@ decimate does. Decimation smooths the ends; MATLAB's own edge rule, on which pub
 `scipy.signal` takes half a second to import: it is imported where a filter is designed or run.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -18,6 +18,7 @@ CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
 END_REACH = 150  # samples per unit of the factor in which the decimation filter's ringing dies away
 LARGEST_PASS = 13  # a decimation by more goes in several passes
+_DIFFERENCES = 2  # samples to each side that two central differences reach
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -178,15 +179,24 @@ def motion_between(
     `cutoff_hz` None leaves q as it is. Only as much of q beyond the range is filtered as can show in it, so long
     recordings pass through in blocks and give what one pass over the whole gives.
     """
-    margin = 2 + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
+    if not cutoff_hz:
+        return motion_of_filtered(q, tau, sample_rate_hz=sample_rate_hz, start=start, stop=stop)
+    margin = _DIFFERENCES + lowpass_reach(cutoff_hz, sample_rate_hz)
     low, high = max(0, start - margin), min(len(q), stop + margin)
-    part = lowpass(q[low:high], cutoff_hz, sample_rate_hz) if cutoff_hz else np.array(q[low:high])
-    dq = differentiate(part, sample_rate_hz)
+    part = lowpass(q[low:high], cutoff_hz, sample_rate_hz)
+    motion = motion_of_filtered(part, tau[low:high], sample_rate_hz=sample_rate_hz, start=start - low, stop=stop - low)
+    return replace(motion, t_s=np.arange(start, stop) / sample_rate_hz)
+
+
+def motion_of_filtered(q: Array, tau: Array, *, sample_rate_hz: float, start: int, stop: int) -> Motion:
+    """Motion of the samples `start` to `stop` of q, tau (N, n), with q as it is, such as filtered."""
+    low, high = max(0, start - _DIFFERENCES), min(len(q), stop + _DIFFERENCES)
+    dq = differentiate(q[low:high], sample_rate_hz)
     ddq = differentiate(dq, sample_rate_hz)
     inside = slice(start - low, stop - low)
     return Motion(
         t_s=np.arange(start, stop) / sample_rate_hz,
-        q=part[inside],
+        q=np.array(q[start:stop]),
         dq=dq[inside],
         ddq=ddq[inside],
         tau=np.array(tau[start:stop]),

@@ -6,14 +6,11 @@ measured speed behind the low-pass; instrumental variables go by the simulated o
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import minimum_filter1d
 
 from ..arrays import Array
-from ..data import Signals
 from ..errors import IdentificationError
-from ..model import InverseModel
-from .filtering import motion_between
-from .settings import Settings, rule_cutoff_hz
+from .problem import Problem
+from .settings import rule_cutoff_hz
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
@@ -35,49 +32,46 @@ def fast_rows(slip: Array, noise: Array, directions: Array, percent: float | Non
     return np.asarray(slow.astype(float) @ (directions != 0) == 0)
 
 
-def measured_slip(signals: Signals, settings: Settings, directions: Array) -> tuple[Array, Array]:
+def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     """Speeds (rows, c) of the directions (c, n) of Coulomb friction, and the noise (n,) of the joint speeds in the regressor.
 
     Filtered by the fit's own low-pass, or by the rule's where the fit goes without or with a higher one: the noise is what
     that leaves out, zero behind the rule's filter. The low-pass blurs a speed by half a period of its cut-off, so that a joint
     that sticks for a moment seems to creep: a row has the lowest speed within that time of its instant.
     """
-    fs, n_d = signals.sample_rate_hz, settings.decimation
+    from scipy.ndimage import minimum_filter1d
+
+    signals, settings = problem.signals, problem.settings
+    fs, n_d, start, stop = signals.sample_rate_hz, settings.decimation, settings.start, settings.stop
     cutoff_hz = settings.cutoff_hz if settings.filtered else rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
     blur = 0 if cutoff_hz is None else round(0.5 * fs / cutoff_hz)
-    kept = np.arange((settings.stop - 1 - settings.start) % n_d + settings.start, settings.stop, n_d)
+    kept = np.arange((stop - 1 - start) % n_d + start, stop, n_d)
     slip = np.empty((len(kept), len(directions)))
     total, squares = np.zeros((2, signals.robot.n))
-    for a in range(settings.start, settings.stop, _BLOCK):
-        b = min(settings.stop, a + _BLOCK)
-        low, high = max(settings.start, a - blur), min(settings.stop, b + blur)
-        wide = motion_between(
-            signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=low, stop=high
-        ).dq
+    for a in range(start, stop, _BLOCK):
+        b = min(stop, a + _BLOCK)
+        low, high = max(start, a - blur), min(stop, b + blur)
+        wide = problem.motion.between(low, high, cutoff_hz).dq
         lowest = minimum_filter1d(np.abs(wide @ directions.T), 2 * blur + 1, axis=0, mode="nearest")
         here = (kept >= a) & (kept < b)
         slip[here] = lowest[kept[here] - low]
         if not settings.filtered:
-            dq = wide[a - low : b - low]
-            used = motion_between(
-                signals.q, signals.effort, cutoff_hz=settings.cutoff_hz, sample_rate_hz=fs, start=a, stop=b
-            )
-            off = used.dq - dq
+            off = problem.motion.between(a, b, settings.cutoff_hz).dq - wide[a - low : b - low]
             total += off.sum(axis=0)
             squares += (off**2).sum(axis=0)
-    N = settings.stop - settings.start
+    N = stop - start
     return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
 
 
-def measured_fast_rows(signals: Signals, settings: Settings, dynamics: InverseModel) -> NDArray[np.bool_]:
+def measured_fast_rows(problem: Problem) -> NDArray[np.bool_]:
     """Which rows (rows, n) count for least squares: by the measured speed."""
-    directions = dynamics.coulomb_directions
-    slip, noise = measured_slip(signals, settings, directions)
-    fast = fast_rows(slip, noise @ np.abs(directions.T), directions, settings.low_speed.ls)
-    for j, joint in enumerate(signals.robot.joints):
+    directions = problem.model.coulomb_directions
+    slip, noise = measured_slip(problem, directions)
+    fast = fast_rows(slip, noise @ np.abs(directions.T), directions, problem.settings.low_speed.ls)
+    for j, joint in enumerate(problem.signals.robot.joints):
         if not fast[:, j].any():
             raise IdentificationError(
-                f"{signals.recording}: joint {joint.name} is never faster than the noise of its speed: expected a lower "
-                "--cutoff-hz, or --low-speed-percent"
+                f"{problem.signals.recording}: joint {joint.name} is never faster than the noise of its speed: expected a "
+                "lower --cutoff-hz, or --low-speed-percent"
             )
     return fast

@@ -11,14 +11,15 @@ from acquisition.robot import Edges, LowSpeed, check_recorded_positions, low_spe
 
 from ..data import Signals
 from ..errors import IdentificationError
-from .filtering import LARGEST_PASS, Decimation, decimation_passes, motion_between
+from ..estimation import MOVING
+from .filtered import FilteredMotion
+from .filtering import LARGEST_PASS, Decimation, decimation_passes
 
 Span = Literal["motion", "all"]
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-MOVING = 0.02  # of a joint's peak speed: below, it stands
 STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
 _BLOCK = 200_000  # samples looked through at a time for the span of motion
 
@@ -73,12 +74,12 @@ class Settings:
         return Decimation(factor=self.decimation, smooth_ends=self.edges == "smooth")
 
 
-def make_settings(signals: Signals, overrides: Overrides) -> Settings:
+def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion | None = None) -> Settings:
     """Settings for a recording: rules from the position loop's bandwidth, then robot.toml, then options.
 
     Cut-off 5 times the bandwidth; decimation n_d = 0.8 (f_m / 2) / f_p with f_p twice the bandwidth; the span between
     first and last motion, or the recording's tracking phase; 5 periods of the cut-off cut where that span reaches an end of
-    the recording.
+    the recording. `motion` is the recording's, where it is at hand.
     """
     fs, stored = signals.sample_rate_hz, signals.robot.identification
     try:
@@ -122,7 +123,7 @@ def make_settings(signals: Signals, overrides: Overrides) -> Settings:
             f"decimation by {decimation} keeps {kept_hz:g} Hz, less than twice the bandwidth of {bandwidth_hz:g} Hz"
         )
     span_rule = overrides.span or stored.span
-    start, stop, span, standing = _span(signals, cutoff_hz, span_rule)
+    start, stop, span, standing = _span(signals, motion or FilteredMotion(signals), cutoff_hz, span_rule)
     warnings += [f"joint {name} does not move" for name in standing]
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
@@ -161,7 +162,9 @@ def decimation_rule(sample_rate_hz: float, bandwidth_hz: float) -> int:
     return n_d
 
 
-def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int, int, str, tuple[str, ...]]:
+def _span(
+    signals: Signals, filtered: FilteredMotion, cutoff_hz: float | None, wanted: Span
+) -> tuple[int, int, str, tuple[str, ...]]:
     """First and last sample, what they are, and joints that stand, as far as that is looked into."""
     N, fs = len(signals.q), signals.sample_rate_hz
     if wanted == "all":
@@ -173,8 +176,7 @@ def _span(signals: Signals, cutoff_hz: float | None, wanted: Span) -> tuple[int,
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, _BLOCK):
         b = min(N, a + _BLOCK)
-        motion = motion_between(signals.q, signals.effort, cutoff_hz=cutoff_hz, sample_rate_hz=fs, start=a, stop=b)
-        speed[a:b] = np.abs(motion.dq)
+        speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
     peak = speed.max(axis=0)
     if not peak.any():
         raise IdentificationError(f"{signals.recording}: no joint moves; expected an exciting trajectory")

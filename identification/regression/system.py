@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import Signals
+from ..estimation import System
 from ..model import BaseParameters, InverseModel
-from .filtering import Decimation, Motion, decimation_reach, motion_between
+from .filtering import Decimation, Motion, decimation_reach
 from .low_speed import measured_fast_rows
-from .settings import Settings
+from .problem import Problem
 
 _SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
@@ -20,75 +20,38 @@ _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Regression:
-    """The over-determined system Y = W beta + rho, rows stacked joint by joint.
+    """The over-determined system of a recording, and what was measured at its rows.
 
     Attributes:
-        W: (r, b) regressor of the base parameters.
-        Y: (r,) torques.
-        joint_of_row: (r,) joint index of each row, ascending.
+        system: W and Y with the rows that count for least squares.
         fast: (rows, n) whether a decimated sample counts for least squares (`low_speed`).
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
 
-    A long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that count for least
-    squares, which have the same normal equations.
-        base: the base parameters.
+    The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
+    count for least squares, which have the same normal equations.
     """
 
-    W: Array
-    Y: Array
-    joint_of_row: NDArray[np.intp]
+    system: System
     fast: NDArray[np.bool_]
     tau: Array
     speed: Array
-    base: BaseParameters
-
-    def __post_init__(self) -> None:
-        r, b = self.W.shape
-        if self.Y.shape != (r,) or self.joint_of_row.shape != (r,) or b != self.base.b:
-            raise ValueError(f"shapes do not agree: W {self.W.shape}, Y {self.Y.shape}, {self.base.b} parameters")
 
     @property
     def reduced(self) -> bool:
         """Whether rows are QR factors rather than samples."""
-        return self.tau.size != len(self.Y)
-
-    @property
-    def counted(self) -> tuple[Array, Array, NDArray[np.intp], NDArray[np.intp]]:
-        """W, Y, joint_of_row for least squares, zero in rows that do not count, and how many samples (n,) do per joint."""
-        rows = self.fast.sum(axis=0)
-        if self.reduced or self.fast.all():
-            return self.W, self.Y, self.joint_of_row, rows
-        used = self.used
-        return self.W * used[:, None], self.Y * used, self.joint_of_row, rows
-
-    @property
-    def used(self) -> Array:
-        """1 for rows (r,) that count for least squares, 0 for others."""
-        return np.ones(len(self.Y)) if self.reduced else self.fast.T.reshape(-1).astype(float)
+        return self.tau.size != len(self.system.Y)
 
 
-def regression_of_motion(motion: Motion, dynamics: InverseModel, base: BaseParameters) -> Regression:
-    """W and Y of a motion held in memory, every sample of it, not decimated."""
-    every = np.ones(motion.q.shape, dtype=bool)
-    return _stacked([_block(motion, slice(None), dynamics, base, Decimation(), every)], base)
-
-
-def regression_of_recording(
-    signals: Signals,
-    plan: Settings,
-    dynamics: InverseModel,
-    base: BaseParameters,
-    say: Callable[[str], None] = lambda text: None,
-) -> Regression:
+def regression_of_recording(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Regression:
     """W and Y of a recording, block by block, so that the whole undecimated W is never held."""
     blocks: list[_Block] = []
     reduced: Regression | None = None
-    fast, done_rows = measured_fast_rows(signals, plan, dynamics), 0
-    for motion, inside, done in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
+    fast, done_rows, base = measured_fast_rows(problem), 0, problem.base
+    for motion, inside, done in motion_blocks(problem):
         here = slice(done_rows, done_rows + inside.stop - inside.start)
         done_rows = here.stop
-        blocks.append(_block(motion, inside, dynamics, base, plan.decimator, fast[here]))
+        blocks.append(_block(problem, motion, inside, fast[here]))
         say(f"regressor: {done:.0%}")
         if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
             reduced = _reduce(_stacked(blocks, base), reduced)
@@ -99,15 +62,14 @@ def regression_of_recording(
     return last if reduced is None else _reduce(last, reduced)
 
 
-def torque_of_recording(
-    signals: Signals, plan: Settings, dynamics: InverseModel, base: BaseParameters, beta: Array
-) -> tuple[Array, Array, Array]:
+def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
     """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
     parts: list[tuple[Array, ...]] = []
-    for motion, inside, _ in motion_blocks(signals, plan, len(dynamics.entries(base.columns))):
-        predicted = predicted_torque(motion, dynamics, base, beta)
-        measured, modelled = (plan.decimator.filtered(tau.T)[:, inside].T for tau in (motion.tau, predicted))
-        parts.append((measured, modelled, plan.decimator.kept(motion.dq)[inside]))
+    decimation = problem.settings.decimator
+    for motion, inside, _ in motion_blocks(problem):
+        predicted = predicted_torque(motion, problem.model, problem.base, beta)
+        measured, modelled = (decimation.filtered(tau.T)[:, inside].T for tau in (motion.tau, predicted))
+        parts.append((measured, modelled, decimation.kept(motion.dq)[inside]))
     tau, tau_predicted, speed = ([part[i] for part in parts] for i in range(3))
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
@@ -138,13 +100,14 @@ def decimated_regressor(motion: Motion, dynamics: InverseModel, base: BaseParame
     return W
 
 
-def motion_blocks(signals: Signals, plan: Settings, series: int) -> Iterator[tuple[Motion, slice, float]]:
-    """Cut the plan's span into blocks: each block's motion, which of its decimated rows count, and the share done.
+def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
+    """Cut the span used into blocks: each block's motion, which of its decimated rows count, and the share done.
 
     A block reaches beyond the rows that count as far as the decimation filter does, so blocks give what one pass
     would. Blocks are counted from the end, where decimation keeps its last sample.
     """
-    n_d, start, stop = plan.decimation, plan.start, plan.stop
+    settings, series = problem.settings, len(problem.model.entries(problem.base.columns))
+    n_d, start, stop = settings.decimation, settings.start, settings.stop
     margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
     rows = -(-(stop - start) // n_d)
     size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
@@ -153,14 +116,8 @@ def motion_blocks(signals: Signals, plan: Settings, series: int) -> Iterator[tup
         if rows - last < margin:
             last = rows  # no block shorter than the filter's reach
         low, high = max(0, first - margin), min(rows, last + margin)
-        motion = motion_between(
-            signals.q,
-            signals.effort,
-            cutoff_hz=plan.cutoff_hz,
-            sample_rate_hz=signals.sample_rate_hz,
-            start=start if low == 0 else stop - (rows - low) * n_d,
-            stop=stop - (rows - high) * n_d,
-        )
+        begin, end = start if low == 0 else stop - (rows - low) * n_d, stop - (rows - high) * n_d
+        motion = problem.motion.between(begin, end, settings.cutoff_hz)
         yield motion, slice(first - low, last - low), last / rows
         if last == rows:
             return
@@ -176,16 +133,10 @@ class _Block:
     fast: NDArray[np.bool_]
 
 
-def _block(
-    motion: Motion,
-    inside: slice,
-    dynamics: InverseModel,
-    base: BaseParameters,
-    decimation: Decimation,
-    fast: NDArray[np.bool_],
-) -> _Block:
+def _block(problem: Problem, motion: Motion, inside: slice, fast: NDArray[np.bool_]) -> _Block:
+    decimation = problem.settings.decimator
     return _Block(
-        W=decimated_regressor(motion, dynamics, base, decimation)[..., inside],
+        W=decimated_regressor(motion, problem.model, problem.base, decimation)[..., inside],
         Y=decimation.filtered(motion.tau.T)[:, inside],
         speed=decimation.kept(motion.dq)[inside],
         fast=fast,
@@ -196,31 +147,40 @@ def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
     """Blocks as one system, rows joint by joint."""
     W, Y = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y"))
     n, rows = Y.shape
+    fast = np.concatenate([block.fast for block in blocks])
     return Regression(
-        W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
-        Y=Y.reshape(-1),
-        joint_of_row=np.repeat(np.arange(n), rows),
-        fast=np.concatenate([block.fast for block in blocks]),
+        system=System(
+            W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
+            Y=Y.reshape(-1),
+            joint_of_row=np.repeat(np.arange(n), rows),
+            names=base.names,
+            used=fast.T.reshape(-1).astype(float),
+            rows=fast.sum(axis=0),
+        ),
+        fast=fast,
         tau=Y.T,
         speed=np.concatenate([block.speed for block in blocks]),
-        base=base,
     )
 
 
 def _reduce(new: Regression, before: Regression | None) -> Regression:
     """Per joint the QR factor of the rows so far that count: b + 1 rows with the same normal equations."""
-    n = new.tau.shape[1]
-    factors = []
+    parts = [new] if before is None else [before, new]
+    n, factors = new.tau.shape[1], []
     for j in range(n):
-        parts = [np.c_[r.W, r.Y][(r.joint_of_row == j) & (r.used > 0)] for r in (before, new) if r is not None]
-        factors.append(np.linalg.qr(np.concatenate(parts), mode="r"))
-    stack = np.concatenate(factors)
+        rows = [np.c_[s.W, s.Y][(s.joint_of_row == j) & (s.used > 0)] for s in (part.system for part in parts)]
+        factors.append(np.linalg.qr(np.concatenate(rows), mode="r"))
+    stack, fast = np.concatenate(factors), np.concatenate([part.fast for part in parts])
     return Regression(
-        W=np.ascontiguousarray(stack[:, :-1]),
-        Y=np.ascontiguousarray(stack[:, -1]),
-        joint_of_row=np.repeat(np.arange(n), [len(f) for f in factors]),
-        fast=new.fast if before is None else np.concatenate([before.fast, new.fast]),
-        tau=new.tau if before is None else np.concatenate([before.tau, new.tau]),
-        speed=new.speed if before is None else np.concatenate([before.speed, new.speed]),
-        base=new.base,
+        system=System(
+            W=np.ascontiguousarray(stack[:, :-1]),
+            Y=np.ascontiguousarray(stack[:, -1]),
+            joint_of_row=np.repeat(np.arange(n), [len(f) for f in factors]),
+            names=new.system.names,
+            used=np.ones(len(stack)),
+            rows=fast.sum(axis=0),
+        ),
+        fast=fast,
+        tau=np.concatenate([part.tau for part in parts]),
+        speed=np.concatenate([part.speed for part in parts]),
     )

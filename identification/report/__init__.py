@@ -8,6 +8,7 @@ from .comparison import (
     comparison_section,
     differences,
     fitted_parameters,
+    least_squares_parameters,
     true_parameters,
 )
 from .document import Cell, Document, Number, Section, Table, columns, write_json
@@ -40,6 +41,7 @@ __all__ = [
     "fit_schema",
     "fitted_parameters",
     "frame_lines",
+    "least_squares_parameters",
     "print_whole",
     "read_fit",
     "recording_document",

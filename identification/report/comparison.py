@@ -8,6 +8,7 @@ import msgspec
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..estimation import Estimate
 from ..methods import Fit
 from ..model import BaseParameters
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
@@ -59,10 +60,19 @@ class Difference:
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
     """The parameters a fit estimated."""
-    e, essential = fit.estimate, set(fit.essential.estimate.names)
+    return _estimated({"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.sigma_hac)
+
+
+def least_squares_parameters(fit: Fit) -> ParameterSet:
+    """The parameters that least squares of the same recording estimated."""
+    return _estimated("LS", fit, fit.least_squares.estimate, fit.least_squares.sigma_hac)
+
+
+def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array) -> ParameterSet:
+    essential = set(fit.essential.estimate.names)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return ParameterSet(
-        label={"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method],
+        label=label,
         parameters={
             name: Parameter(
                 name=name,
@@ -73,7 +83,7 @@ def fitted_parameters(fit: Fit) -> ParameterSet:
                 sigma_hac=float(hac) if math.isfinite(hac) else None,
                 essential=name in essential,
             )
-            for name, value, sigma, hac in zip(e.names, e.beta, e.sigma, fit.sigma_hac, strict=True)
+            for name, value, sigma, hac in zip(e.names, e.beta, e.sigma, sigma_hac, strict=True)
         },
     )
 

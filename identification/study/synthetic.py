@@ -21,7 +21,7 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..methods import inertias
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
-from ..regression import Motion, differentiate
+from ..regression import differentiate
 from ..simulation import has_controller, recorded_loop, simulate, surrogate_loop
 
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
@@ -67,14 +67,6 @@ def known_parameters(dynamics: InverseModel) -> Array:
 def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
     """Base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))
-
-
-def exact_motion(dynamics: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:
-    """Motion along a random exciting reference, with the torques of the inverse dynamic model; no controller, no noise."""
-    t_s = np.arange(round(duration_s * sample_rate_hz) + 1) / sample_rate_hz
-    q, dq, ddq = fourier_reference(dynamics.robot, period_s=duration_s, seed=seed).at(t_s)
-    tau = dynamics.regressor(q, dq, ddq) @ known_parameters(dynamics)
-    return Motion(t_s=t_s, q=q, dq=dq, ddq=ddq, tau=tau)
 
 
 def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Array:

@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from ..data import Signals
 from ..estimation import are_moving
 from ..methods import Fit
-from ..model import InverseModel
-from ..regression import Motion, Settings, motion_between, predicted_torque, torque_of_recording
+from ..regression import Motion, Settings, motion_between, predicted_torque
 from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 Vector = NDArray[np.float64]
@@ -72,15 +71,14 @@ def observed(signals: Signals, plan: Settings | None, fit: Fit | None) -> Observ
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - fit.iv.q)):
             kept = [extremes(x[:, j], step) for j in range(n)]
             simulated[quantity] = [(t_s[k], x[k, j]) for j, k in enumerate(kept)]
-    tau, predicted, speed = torque_of_recording(signals, plan, InverseModel(signals.robot), fit.base, fit.beta)
+    rows = fit.rows
     return Observed(
         measured=measured,
         filtered=filtered,
         simulated=simulated,
-        # Decimation keeps the last sample and every n_d-th before it.
-        rows_t_s=signals.t_s[plan.stop - 1 - plan.decimation * np.arange(len(tau))[::-1]],
-        residual=tau - predicted,
-        moving=are_moving(speed),
+        rows_t_s=rows.t_s,
+        residual=rows.tau - rows.tau_predicted,
+        moving=are_moving(rows.speed),
     )
 
 
@@ -96,7 +94,7 @@ def _thinned(
 ) -> dict[str, list[Line]]:
     """Lines of every `stride`-th sample between start and stop, thinned by `step`; a fit gives its prediction as tau."""
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
-    idm = InverseModel(signals.robot) if fit else None
+    idm = fit.problem.model if fit else None
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         b = min(stop, a + size)

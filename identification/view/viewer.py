@@ -28,6 +28,7 @@ from ..report import (
     comparison_section,
     fit_document,
     fitted_parameters,
+    least_squares_parameters,
     recording_document,
     to_markdown,
     true_parameters,
@@ -44,12 +45,10 @@ from .signal_panels import event_log, health_plot, residual_bars, span_lanes, sp
 Vector = NDArray[np.float64]
 
 
-def write_fit_rrd(
-    path: Path, signals: Signals, fit: Fit, *, beside: Fit | None = None, truth: Vector | None = None
-) -> None:
+def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Vector | None = None) -> None:
     """Write a fit as a Rerun file that opens with its own layout (`rerun fit.rrd`).
 
-    `beside` is another fit of the same recording, such as least squares beside instrumental variables; `truth` (b,) are
+    A fit by instruments is shown with its least squares; `truth` (b,) are
     known values of the base parameters. Times are seconds from the recording's first sample, on the timeline `time`.
     Measured curves span the recording, filtered and predicted ones what the fit used of it. Entities are
     `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
@@ -59,12 +58,12 @@ def write_fit_rrd(
     Raises `AcquisitionError`, one line, when the file cannot be written; nothing is left behind then.
     """
     # A viewer holds one layout per application, and a layout is of its data: each fit is an application of its own.
-    compared = (beside.estimate.beta.tobytes() if beside else b"") + (truth.tobytes() if truth is not None else b"")
+    compared = truth.tobytes() if truth is not None else b""
     told = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
 
     def pages(show: "_Show") -> list[Any]:
-        return _fit_pages(show, signals, fit, beside, truth)
+        return _fit_pages(show, signals, fit, truth)
 
     _write(path, signals.robot.name, told, name, pages)
 
@@ -146,11 +145,11 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
         partial.write_bytes(content)
 
 
-def _fit_pages(show: _Show, signals: Signals, fit: Fit, beside: Fit | None, truth: Vector | None) -> list[Any]:
+def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Vector | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
     n, seen = signals.robot.n, observed(signals, fit.settings, fit)
     own = fitted_parameters(fit)
-    others = [fitted_parameters(beside)] if beside else []
+    others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40

@@ -20,7 +20,8 @@ from acquisition.recording.rows import sample_dtype
 from acquisition.recording.writer import RecordingWriter
 from acquisition.trajectory.reference import fourier_reference
 from identification.data.signals import load_signals
-from identification.methods.idim import Iteration, identify_iv, identify_ls
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides

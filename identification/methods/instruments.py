@@ -1,0 +1,114 @@
+"""Instruments: the robot simulated with an estimate in the recorded experiment, and the regressor along its motion."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import relative_error_percent
+from ..model import direct_model
+from ..regression import Motion, decimated_regressor
+from ..simulation import simulate, surrogate_loop
+from .experiment import LOST, Experiment
+from .fit import InstrumentKind
+from .plausibility import inertias, not_positive
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SimulatedMotion:
+    """The robot simulated with an estimate: its motion at the instruments' instants, or None and the `reason`.
+
+    `tracking_percent` is |q_sim - q| in percent of |q - mean|, all joints together; `gains` the factors on the controller.
+    """
+
+    motion: Motion | None
+    reason: str | None
+    gains: Array
+    tracking_percent: float | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Instruments:
+    """Instruments Z (r, b), rows as those of W.
+
+    `beta` (b,) are the parameters simulated. `kind` says whether they are those asked for, or why not, for the `reason`
+    given. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
+    """
+
+    beta: Array
+    Z: Array
+    slip: Array
+    kind: InstrumentKind
+    reason: str | None
+    gains: Array
+    tracking_percent: float | None
+
+
+def simulate_instruments(e: Experiment, beta: Array, last: Array | None) -> Instruments:
+    """Instruments along the closed loop simulated with `beta` (b,).
+
+    Where the robot cannot be simulated with it, or leaves its reference, this pass steps back: half, a quarter, an eighth
+    of the way from `last`, the parameters simulated last, to `beta`. Where that does not help either, instruments are taken
+    along the reference itself. `reason` says why in both cases.
+    """
+    s, simulated = simulated_motion(e, beta), beta
+    reason = s.reason
+    for share in (0.5, 0.25, 0.125) if reason is not None else ():
+        if last is None:
+            break
+        simulated = last + share * (beta - last)
+        s = simulated_motion(e, simulated)
+        if s.motion is not None:
+            break
+    motion = s.motion
+    if motion is None:
+        q, dq, ddq = (_on_grid(e, x, 1) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
+        motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
+    Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation)  # (n, b, rows)
+    return Instruments(
+        beta=beta if s.motion is None else simulated,
+        Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
+        slip=e.decimation.kept(motion.dq) @ e.directions.T,
+        kind="reference" if s.motion is None else "simulated" if reason is None else "stepped back",
+        reason=reason,
+        gains=s.gains,
+        tracking_percent=s.tracking_percent,
+    )
+
+
+def simulated_motion(e: Experiment, beta: Array) -> SimulatedMotion:
+    """The closed loop simulated with `beta` (b,), if M(q, beta) is positive on the trajectory and the loop follows."""
+    model = direct_model(e.problem.model, e.problem.base.standard_parameters(beta))
+    J, reason = inertias(model, e.poses), not_positive(model, e.poses)
+    gains = J / e.J_prior if e.gain_update else np.ones(len(J))
+    if reason is not None:
+        return SimulatedMotion(motion=None, reason=reason, gains=gains, tracking_percent=None)
+    if e.loop is not None and e.loop.computed_torque and not e.J_known:
+        gains = np.ones(len(J))  # nothing tells what its saturation was set for
+    step_s = e.times_s[1] - e.times_s[0]
+    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / step_s)
+    travel = np.ptp(e.q_ref, axis=0)
+    bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
+    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound, substeps=e.substeps)
+    if done.reason is not None:
+        return SimulatedMotion(motion=None, reason=done.reason, gains=gains, tracking_percent=None)
+    q, dq, ddq, tau = (_on_grid(e, x, e.substeps) for x in (done.q, done.dq, done.ddq, done.tau))
+    error = 100 * np.linalg.norm(q - e.q) / np.linalg.norm(e.q - e.q.mean(axis=0))
+    motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=tau)
+    return SimulatedMotion(motion=motion, reason=None, gains=gains, tracking_percent=float(error))
+
+
+def joint_tracking_percent(e: Experiment, simulated: Motion) -> list[float | None]:
+    """How far each simulated joint is off the measured one, in percent of its variation; None for one that stands."""
+    return [relative_error_percent(q - q.mean(), off) for q, off in zip(e.q.T, (simulated.q - e.q).T, strict=True)]
+
+
+def _on_grid(e: Experiment, x: Array, substeps: int) -> Array:
+    """x (K substeps, n) from the controller's first instant on, at the instruments' instants: picked or linear in between."""
+    h = (e.times_s[1] - e.times_s[0]) / substeps
+    ratio = (e.grid_s[1] - e.grid_s[0]) / h
+    step = round(ratio)
+    if step >= 1 and abs(ratio - step) < 1e-9 and (len(x) - 1) // step + 1 >= len(e.grid_s):
+        return x[::step][: len(e.grid_s)]
+    own = e.times_s[0] + h * np.arange(len(x))
+    return np.stack([np.interp(e.grid_s, own, column) for column in x.T], axis=1)

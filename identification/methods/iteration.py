@@ -1,0 +1,189 @@
+"""How the instrumental variable method iterates: where it starts, what it simulates next, which rows count, where it ends."""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import Estimate, weighted_least_squares
+from ..model import BaseParameters, InverseModel
+from ..regression import (
+    Overrides,
+    Problem,
+    fast_rows,
+    make_settings,
+    regression_of_recording,
+    rule_cutoff_hz,
+)
+from .experiment import Experiment
+from .fit import LeastSquares, Pass
+from .instruments import Instruments, SimulatedMotion, joint_tracking_percent, simulated_motion
+
+ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
+RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
+
+
+@dataclass(frozen=True, kw_only=True)
+class Iteration:
+    """How the instrumental variable method iterates.
+
+    `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
+    under the name they were read from.
+    """
+
+    start: str = "regular"
+    values: Callable[[BaseParameters], Array] | None = None
+    tolerance_percent: float = 2.5
+    max_iterations: int = 10
+    gain_update: bool = True
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trial:
+    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it settled."""
+
+    z: Instruments
+    estimate: Estimate
+    used: Array
+    evidence: Pass
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """How the iteration ended.
+
+    Attributes:
+        estimate: that of the pass number `returned`, counted from 1.
+        used: (r,) rows it rests on.
+        final: the robot simulated with it.
+        passes: all of them.
+        start: what the iteration started from.
+        failure: why it could not go on, None where it could.
+    """
+
+    estimate: Estimate
+    used: Array
+    final: SimulatedMotion
+    passes: tuple[Pass, ...]
+    returned: int
+    start: str
+    failure: str | None
+
+
+def start_values(problem: Problem, iteration: Iteration, ls: LeastSquares) -> Array:
+    """Base parameters (b,) that are simulated first."""
+    if iteration.values is not None:
+        return iteration.values(problem.base)
+    return ls.full.beta if iteration.start == "ls" else regular_start(problem.model, problem.base)
+
+
+def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
+    """Base parameters (b,) to simulate next: the estimate, later its mean with those simulated last."""
+    beta = trials[-1].estimate.among(names)
+    return 0.5 * (beta + trials[-1].z.beta) if len(trials) >= RELAXED_AFTER else beta
+
+
+def simulated_last(trials: Sequence[Trial]) -> Array | None:
+    """Base parameters (b,) that the robot could last be simulated with."""
+    return next((t.z.beta for t in reversed(trials) if t.z.kind != "reference"), None)
+
+
+def rows_of_pass(e: Experiment, z: Instruments, trials: Sequence[Trial]) -> Array:
+    """Rows (r,) that count in a pass: 1 where the simulated robot is fast enough, and 0."""
+    if len(trials) >= ROWS_FREE:
+        return trials[-1].used
+    fast = fast_rows(z.slip, e.slip_noise, e.directions, e.problem.settings.low_speed.iv)
+    return fast.T.reshape(-1).astype(float)
+
+
+def conclude(
+    e: Experiment,
+    iteration: Iteration,
+    trials: Sequence[Trial],
+    failure: str | None,
+    solve: Callable[[Instruments, Array], Estimate],
+) -> Outcome:
+    """The last pass where it settled; otherwise the pass whose simulated robot tracks best.
+
+    Raises `IdentificationError` where there was no pass.
+    """
+    if not trials:
+        raise IdentificationError(f"{e.problem.signals.recording}: no instruments: {failure}")
+    last, names = trials[-1], e.problem.base.names
+    found = None
+    if not last.evidence.settled or failure is not None:
+        found = _best_pass(e, solve, [trial.z for trial in trials], last.used)
+    if found is None:
+        found = len(trials), last.estimate, simulated_motion(e, last.estimate.among(names))
+    returned, estimate, final = found
+    return Outcome(
+        estimate=estimate,
+        used=last.used,
+        final=final,
+        passes=tuple(trial.evidence for trial in trials),
+        returned=returned,
+        start=iteration.start,
+        failure=failure,
+    )
+
+
+def _best_pass(
+    e: Experiment, solve: Callable[[Instruments, Array], Estimate], tried: Sequence[Instruments], used: Array
+) -> tuple[int, Estimate, SimulatedMotion] | None:
+    """Where there is no fixed point, the pass whose simulated robot tracks best at its worst joint.
+
+    All passes are solved on the same rows `used` (r,). None where these rows determine no estimate that can be simulated.
+    """
+    found = []
+    for number, z in enumerate(tried, 1):
+        with suppress(IdentificationError):
+            estimate = solve(z, used)
+            simulated = simulated_motion(e, estimate.among(e.problem.base.names))
+            if simulated.motion is not None:
+                worst = max((x for x in joint_tracking_percent(e, simulated.motion) if x is not None), default=0.0)
+                found.append((worst, number, estimate, simulated))
+    return min(found, key=lambda one: one[0])[1:] if found else None
+
+
+def inertia_prior(problem: Problem, overrides: Overrides, ls: LeastSquares) -> Array:
+    """Parameters (b,) whose inertias the controller's gains are taken to be set for: least squares at the rule's cut-off.
+
+    Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
+    """
+    if problem.settings.filtered:
+        return ls.full.beta
+    signals = problem.signals
+    cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
+    overrides = replace(overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
+    try:
+        settings = make_settings(signals, overrides, problem.motion)
+        observed = regression_of_recording(replace(problem, settings=settings))
+        return weighted_least_squares(observed.system).beta
+    except IdentificationError:
+        return ls.full.beta
+
+
+def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
+    """Base parameters (b,) of a robot of which nothing is known but that each motor turns J (n,) at its joint, 1 by default.
+
+    J is in kg m² (or kg). With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40.
+    A joint without Ia has a link with that inertia about every axis, or that mass.
+    """
+    chi, robot = np.zeros(model.p), model.robot
+    J = np.ones(robot.n) if J is None else J
+    place = {name: c for c, name in enumerate(model.names)}
+    R = np.abs(robot.R) > 0
+    for j, joint in enumerate(robot.joints):
+        if joint.rotor_inertia:
+            turning = [m for m in range(robot.n) if m != j and R[m, m] and R[m, j] and R[j].sum() == 1]
+            shares = [J[m] * (robot.R[m, j] / robot.R[m, m]) ** 2 for m in turning]
+            chi[place[f"Ia{j + 1}"]] = J[j] + sum(shares)
+        elif joint.type == "revolute":
+            for axis in ("XX", "YY", "ZZ"):
+                chi[place[f"{axis}{j + 1}"]] = J[j]
+        else:
+            chi[place[f"M{j + 1}"]] = J[j]
+    return np.asarray(base.K @ chi)

@@ -1,0 +1,170 @@
+"""Assesses the instrumental variable method: each pass, the instruments, the direct model, and whether it converged."""
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one, relative_error_percent
+from ..regression import Problem, Regression
+from .assess import Verdict, assess_estimate
+from .experiment import Experiment
+from .fit import DirectModelError, Fit, InstrumentEvidence, LeastSquares, Pass, Status
+from .instruments import Instruments, SimulatedMotion, joint_tracking_percent
+from .iteration import Outcome
+
+TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
+SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
+WEAK_INSTRUMENTS_F = 10.0
+
+
+def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Experiment, outcome: Outcome) -> Fit:
+    """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
+    estimate, final, passes = outcome.estimate, outcome.final, outcome.passes
+    tests = _tests(observed, estimate, outcome.used)
+    direct = _direct_errors(problem, observed, e, final)
+    status, reason = _verdict(passes, final.reason, final.tracking_percent, outcome.failure, direct, tests)
+    if reason is not None and outcome.returned != len(passes):
+        reason += f"; pass {outcome.returned} is returned, which tracks best"
+    evidence = InstrumentEvidence(
+        start=outcome.start,
+        reference=e.reference,
+        controller="surrogate" if e.loop is None else "described",
+        passes=passes,
+        returned=outcome.returned,
+        reason=reason,
+        tests=tests,
+        rows_used_percent=float(100 * outcome.used.mean()),
+        saturated_percent=e.saturated_percent,
+        direct=direct,
+        simulated=final.motion,
+        q=e.q,
+    )
+    verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(e, tests))
+    return assess_estimate(problem, observed, ls, estimate, outcome.used, verdict)
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a start may be anything
+def assess_pass(estimate: Estimate, z: Instruments, before: Array, system: System, tolerance_percent: float) -> Pass:
+    """A pass that led from the parameters simulated to `estimate`, and whether it settled.
+
+    `system` has all parameters and the rows that this pass used.
+
+    Where the robot was simulated with other parameters than those asked for, the estimate is compared with the one `before`
+    (b,). Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
+    half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves.
+    """
+    tolerance = 0.01 * tolerance_percent
+    start = before if z.kind == "stepped back" else z.beta
+    old = np.array([start[system.names.index(name)] for name in estimate.names])
+    change = np.abs(estimate.beta - old)
+    w = estimate.weights[system.joint_of_row] * system.used
+    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ start)))
+    norm_change = abs(estimate.residual_norm - norm_before)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+        in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
+    return Pass(
+        instruments=z.kind,
+        reason=z.reason,
+        residual_norm=estimate.residual_norm,
+        change_sigma=float(in_sigma.max()),
+        change_percent=float(in_percent.max()),
+        changed=estimate.names[int(in_sigma.argmax())],
+        gains=z.gains,
+        tracking_percent=z.tracking_percent,
+        condition=estimate.condition_number_scaled,
+        residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
+        residual_settled=norm_change <= tolerance * norm_before,
+        parameters_settled=bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()),
+    )
+
+
+def _tests(observed: Regression, estimate: Estimate, used: Array) -> InstrumentTests:
+    system = observed.system
+    among = np.array([system.names.index(name) for name in estimate.names])
+    W, Y = system.with_rows(used).with_columns(among).weighted(estimate.weights)
+    rho = (Y - W @ estimate.beta).reshape(observed.tau.shape[1], -1).T
+    return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
+
+
+def _direct_errors(
+    problem: Problem, observed: Regression, e: Experiment, final: SimulatedMotion
+) -> tuple[DirectModelError, ...]:
+    """Errors of the simulated robot by joint; none where it could not be simulated."""
+    if final.motion is None:
+        return ()
+    tau, tracking = e.decimation.filtered(final.motion.tau.T).T, joint_tracking_percent(e, final.motion)
+    return tuple(
+        DirectModelError(
+            name=joint.name,
+            position_error_percent=tracking[j],
+            torque_error_percent=relative_error_percent(observed.tau[:, j], observed.tau[:, j] - tau[:, j]),
+        )
+        for j, joint in enumerate(problem.signals.robot.joints)
+    )
+
+
+def _verdict(
+    passes: tuple[Pass, ...],
+    final_reason: str | None,
+    tracking_percent: float | None,
+    failure: str | None,
+    direct: tuple[DirectModelError, ...],
+    tests: InstrumentTests,
+) -> tuple[Status, str | None]:
+    """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
+
+    One that settled otherwise is `not_confirmed`. Every joint has to track, not the robot on average: a joint of small travel
+    would hide behind the others.
+    """
+    if failure is not None:
+        return "diverged", failure
+    if not tests.first_stage_F >= 1.0:
+        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
+    last, unconfirmed = passes[-1], _unconfirmed(final_reason, tracking_percent, direct)
+    if last.settled:
+        if unconfirmed is None and last.instruments != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.reason}"
+        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
+    if unconfirmed is not None:
+        return "diverged", unconfirmed
+    moving = []
+    if not last.parameters_settled:
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+    if not last.residual_settled:
+        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+    return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
+
+
+def _unconfirmed(
+    final_reason: str | None, tracking_percent: float | None, direct: tuple[DirectModelError, ...]
+) -> str | None:
+    """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
+    if final_reason is not None:
+        return f"the final estimate cannot be simulated: {final_reason}"
+    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
+        return "the simulated position does not follow the measured one"
+    for d in direct:
+        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
+            return f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
+    return None
+
+
+def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
+    warnings = []
+    if e.reference == "surrogate":
+        warnings.append(
+            "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
+            "strictly exogenous"
+        )
+    if e.loop is None:
+        warnings.append(f"surrogate controller: none is described, a PD of {e.bandwidth_hz:g} Hz stands in")
+    if not e.J_known and e.loop is not None:
+        warnings.append(
+            "least squares gives no positive inertias: those that the described gains suit at "
+            f"{e.bandwidth_hz:g} Hz stand in for the gain update"
+        )
+    if e.saturated_percent is not None and e.saturated_percent > SATURATED_PERCENT:
+        warnings.append(f"a drive is saturated in {e.saturated_percent:.1f} % of the samples")
+    if tests.first_stage_F < WEAK_INSTRUMENTS_F:
+        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
+    return tuple(warnings)

@@ -1,0 +1,38 @@
+"""What a fit is about: a recording, the settings, the robot's model and its base parameters."""
+
+from dataclasses import dataclass
+
+from ..data import Signals
+from ..model import BaseParameters, InverseModel, base_parameters
+from .filtered import FilteredMotion
+from .settings import Overrides, Settings, make_settings
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """The data of an identification, made once per fit.
+
+    Attributes:
+        signals: the recording.
+        settings: cut-off, decimation and span, resolved.
+        model: inverse dynamic model of the robot, linear in its standard parameters.
+        base: its base parameters.
+        motion: the recording's motion behind the low-pass.
+    """
+
+    signals: Signals
+    settings: Settings
+    model: InverseModel
+    base: BaseParameters
+    motion: FilteredMotion
+
+
+def make_problem(signals: Signals, overrides: Overrides) -> Problem:
+    """Set up the identification of a robot from a recording.
+
+    Raises `IdentificationError` where the settings do not suit the recording, or the robot cannot be modelled.
+    """
+    motion = FilteredMotion(signals)
+    settings = make_settings(signals, overrides, motion)
+    model = InverseModel(signals.robot)
+    return Problem(signals=signals, settings=settings, model=model, base=base_parameters(model), motion=motion)
