@@ -71,7 +71,7 @@ def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, caps
         printed[command] = capsys.readouterr().out
     assert {command.split()[1] for command in printed} == runs
     # The beginning of the report that the first README shows; " ..." stands for the rest of a line.
-    shown = TEXT[FIRST].split("the recording of the demo gives:\n\n")[1].split("\n\n")[0].splitlines()
+    shown = TEXT[FIRST].split("the recording of the demo prints:\n\n")[1].split("\n\n")[0].splitlines()
     for line, now in zip(shown, printed[FIRST_FIT].splitlines(), strict=False):
         (words, numbers), (words_now, numbers_now) = masked(line.strip().removesuffix(" ...")), masked(now)
         assert words == words_now if not line.endswith(" ...") else words_now.startswith(words)
@@ -141,6 +141,16 @@ def test_every_option_is_named_beside_its_command(program, readme):
     for name, strings in found:
         told = " ".join(text for commands, text in rows if re.search(rf"\b{name}\b", commands))
         assert any(re.search(rf"`{string}[ `]", told) for string in strings), f"{name} {strings}: not in {readme}"
+
+
+@pytest.mark.parametrize("program", [ACQUIRE, IDENTIFY], ids=lambda program: program.name)
+def test_every_command_stands_in_the_first_readme(program):
+    rows = [line.split("|")[1:] for line in TEXT[FIRST].splitlines() if line.startswith("|")]
+    head = next(row for row in rows if f" command of `{program.name}` " in row)
+    column = head.index(f" command of `{program.name}` ")
+    listed = {name for row in rows[rows.index(head) + 2 :] for name in re.findall(r"`([a-z]+)`", row[column])}
+    commands = next(action for action in program.parser()._actions if action.choices)
+    assert listed == set(commands.choices)
 
 
 def anchors(text):
