@@ -1,11 +1,14 @@
 """What the terminal shows: every digit at any width, names as they are, and what the words under a table say."""
 
 import json
+import re
 
 import pytest
-from conftest import REPLAY
+from conftest import REPLAY, ROOT
+from fits_of_records import ls_of, signals_of
 
 from identification.commands.program import main
+from identification.report import fit_document
 from identification.report.document import Document, Section, Table, columns
 from identification.report.renderers import print_whole
 from identification.report.study_report import study_notes
@@ -33,6 +36,18 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
         assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
         assert sigma == pytest.approx(p["sigma"], rel=0.01)
     assert max(len(line) for line in told.splitlines()) < 90
+
+
+def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
+    """Its tables are without their frames there."""
+    print_whole(fit_document(signals_of(emps), ls_of(emps)))
+    printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
+    section = (ROOT / "identification" / "README.md").read_text().split("\n## What a fit says\n")[1]
+    shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]
+    assert shown[0][0] == "EMPS:"
+    assert len(shown) >= 10
+    for line in shown:
+        assert line in printed
 
 
 def document(table: Table) -> Document:

@@ -2,13 +2,16 @@
 
 import sys
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 from acquisition.errors import one_line
 
+if TYPE_CHECKING:
+    from ..report import Document
 
-def print_results(*items: Any) -> None:
-    """Tables and lines on standard output, whole whatever its width."""
+
+def print_results(*items: "Document | str") -> None:
+    """Reports and lines on standard output, whole whatever its width."""
     from ..report import print_whole
 
     print_whole(*items)

@@ -20,14 +20,14 @@ def run(options: argparse.Namespace) -> None:
 
 
 def schema(file: str) -> dict[str, Any]:
-    """The JSON Schema (draft 2020-12) of `robot` or `fit`, from the types that these files are read into."""
+    """The JSON Schema (draft 2020-12) of `robot` or `fit`, from the types by which these files are read and written."""
     import msgspec
 
     from acquisition.robot import RobotFile
 
-    from ..report import StoredFit
+    from ..report import fit_schema
 
-    made = msgspec.json.schema(RobotFile if file == "robot" else StoredFit)
+    made = msgspec.json.schema(RobotFile) if file == "robot" else fit_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(made)}
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from acquisition.files import atomic_write
 
@@ -120,10 +121,13 @@ class DocumentFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """What every JSON file has: the version of its format, and the report that the terminal shows."""
+    """What every JSON file has: the version of its format, and the report that the terminal shows.
+
+    Files of earlier versions have no report.
+    """
 
     format: int = FORMAT
-    report: DocumentFile
+    report: DocumentFile | UnsetType = UNSET
 
 
 def document_json(document: Document) -> DocumentFile:

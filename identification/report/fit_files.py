@@ -3,7 +3,7 @@
 import math
 import platform
 from importlib.metadata import version
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 from msgspec import UNSET, UnsetType
@@ -48,11 +48,11 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     moving_relative_error_percent: float | None
     standing_relative_error_percent: float | None
     joints: list[JointErrors]
-    sample_rate_hz: float
+    sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)]
     off_grid_periods: float
-    cutoff_hz: float | None
+    cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] | None
     cutoff_forward_backward_3db_hz: float | None
-    decimation: int
+    decimation: Annotated[int, msgspec.Meta(ge=1)]
     edges: Edges
     low_speed_percent: LowSpeed
     span: str
