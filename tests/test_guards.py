@@ -109,7 +109,7 @@ def test_following_errors_of_both_signs(tmp_path):
 
 @pytest.mark.parametrize("bit", [0x0200, 0x1000])
 def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
-    words = {0x0200: "does not obey the bus (statusword bit 9, remote, is 0)", 0x1000: "(statusword bit 12 is 0)"}
+    words = {0x0200: "does not take commands from the bus (statusword bit 9, remote, is 0)", 0x1000: "(statusword bit 12 is 0)"}
 
     def with_clear(sync: int, count: int) -> str:
         fault = SimulatedFault(kind="clear", node=2, sync=sync, count=count, bits=bit)
@@ -323,7 +323,7 @@ def test_ctrl_c_again_is_a_quick_stop(tmp_path):
 
     outcome = dry_session(tmp_path / "a.mcap", Plan(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
     assert outcome.ending.fault
-    assert outcome.ending.reason == "stopped by SIGINT, then told again: quick stop"
+    assert outcome.ending.reason == "stopped by SIGINT, then again: quick stop"
     assert outcome.ending.all_disabled
     assert outcome.drives.all_disabled
 

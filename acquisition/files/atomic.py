@@ -1,4 +1,4 @@
-"""Output files that are whole or not there: written beside their place, renamed when complete."""
+"""Atomic writing: an output file is written under a temporary name and renamed when it is complete."""
 
 import os
 from collections.abc import Iterator, Sequence
@@ -10,7 +10,7 @@ from ..errors import AcquisitionError
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """Yield a path beside `path` to write to; rename it to `path` when the block ends without an exception.
+    """Yield a temporary path in the folder of `path` to write to; rename it to `path` when the block ends without an exception.
 
     On an exception the partial file is removed and whatever stood at `path` before stays as it was.
     Raises `AcquisitionError` when `path` is a folder or a device, its folder is missing or not writable, or the disk is
@@ -30,7 +30,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise AcquisitionError(f"{path}: cannot be written: {error.strerror or error}") from error
     finally:
-        with suppress(OSError):  # the folder may not be there, or be a file: the error above has said so
+        with suppress(OSError):  # the folder may be missing or be a file: reported by the error above
             partial.unlink()
 
 
@@ -55,5 +55,5 @@ def _same(a: Path, b: Path) -> bool:
         return True
     try:
         return a.samefile(b)
-    except OSError:  # a file that is not there is told by whoever reads it
+    except OSError:  # a missing file is reported when it is read
         return False

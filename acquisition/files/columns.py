@@ -1,4 +1,4 @@
-"""Columns of numbers out of CSV and MAT files: what stands in them, without a meaning yet."""
+"""Columns of numbers from CSV and MAT files, without units or meaning."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,11 +13,11 @@ Array = Array
 
 
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
-    """The asked columns of a table, side by side: (N, number of columns), as they stand in the file.
+    """The asked columns of a table, side by side: (N, number of columns), in the units of the file.
 
-    A string names a column of a CSV file's header line, or what `mat_files` reads of a MAT file: there one name may give
+    A string names a column of a CSV file's header line, or a variable of a MAT file (see `mat`): there one name may give
     several of the `count` columns that are expected. A number is a place in a CSV file, from 1. CSV cells are parted by
-    comma, semicolon, tab or blanks, whichever the first line shows; lines beginning with # are passed over, except a header.
+    comma, semicolon, tab or blanks, as found in the first line; lines beginning with # are skipped, except a header.
 
     Raises `AcquisitionError` when the file cannot be read, a column is not there, or a cell is not a finite number.
     """

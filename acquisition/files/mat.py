@@ -82,7 +82,7 @@ def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
 
 
 def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
-    """What stands at a dotted name; None where it is not there."""
+    """The value of a dotted name; None where it does not exist."""
     top, *fields = path.split(".")
     value, at = variables.get(top), top
     for field in fields:

@@ -1,4 +1,4 @@
-"""Recordings made from recordings and from logs of other tools: decoded again, exported, imported."""
+"""Conversions of recordings and logs: decode again, export to CSV, import CAN logs."""
 
 from collections import Counter
 from collections.abc import Mapping

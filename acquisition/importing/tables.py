@@ -1,7 +1,7 @@
-"""Tables recorded elsewhere (CSV, MAT) into a recording: `map.toml` says which column is what.
+"""Imports tables recorded elsewhere (CSV, MAT) into a recording; `map.toml` assigns the columns.
 
-The rule from a table to joint samples is `Robot.joint_position` and `Robot.joint_effort`; the recording says which
-columns went through it.
+The rule from a table to joint samples is `Robot.joint_position` and `Robot.joint_effort`; the recording notes which
+columns it was applied to.
 """
 
 from collections.abc import Sequence
@@ -66,7 +66,7 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: where position, effort, and perhaps the reference stand, and the rate or the times of the samples."""
+    """`map.toml`: where position, effort and an optional reference are found, and the rate or the times of the samples."""
 
     position: Quantity
     effort: Quantity

@@ -1,4 +1,4 @@
-"""Before anything moves: is every drive homed, where does the robot say it stands, and does somebody agree with that?
+"""Checks before motion: every drive is homed, and the user has confirmed the joint positions.
 
 The zero of an incremental encoder is where it was switched on, and no limit of position means anything before homing.
 """
@@ -12,7 +12,7 @@ from ..errors import AcquisitionError
 from ..robot import Drive, DriveFile, Robot, parse_homed
 from .master import Master
 
-Confirm = Callable[[list[str]], bool]  # shown the joint angles; whether somebody agrees
+Confirm = Callable[[list[str]], bool]  # is shown the joint positions; True where the user confirms them
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
@@ -35,7 +35,7 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the drive says that it is homed; None where the description names no object that tells."""
+    """Whether the drive says that it is homed; None where the description names no object for it."""
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
@@ -44,7 +44,7 @@ def homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
 
 
 def refuse_unhomed(master: Master) -> None:
-    """Raise `AcquisitionError` where a drive that can tell says that it is not homed."""
+    """Raise `AcquisitionError` where a drive reports that it is not homed."""
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if homed(master, drive, file) is False:
             raise AcquisitionError(
@@ -53,7 +53,10 @@ def refuse_unhomed(master: Master) -> None:
 
 
 def confirm_positions(robot: Robot, master: Master, confirm: Confirm) -> list[str]:
-    """Joint positions in words, once confirmed. Raises `AcquisitionError` where nobody agrees, or a drive is not homed."""
+    """Joint positions as text, once confirmed.
+
+    Raises `AcquisitionError` where the user does not confirm, or a drive is not homed.
+    """
     refuse_unhomed(master)
     words = position_words(robot, joint_positions(robot, master))
     if not confirm(words):

@@ -1,4 +1,4 @@
-"""Who is on a bus, before anything is sent to it: half a second of listening, and what a frame says of its sender.
+"""Detects another master before anything is sent: half a second of listening, and the sender of a frame.
 
 Services by identifier: CiA 301, predefined connection set.
 """
@@ -53,7 +53,7 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
 
     Only a master sends NMT, SDO requests, PDOs to drives, remote requests and, unless the description says that another
     one does, SYNC. A heartbeat of a node that is none of the drives is that of a master, or of a device it looks after; a
-    boot-up says only that a node was switched on.
+    boot-up means only that a node was switched on.
     """
     said = service_of(frame, bus.file.sync_can_id)
     if frame.flags & EXTENDED:
@@ -88,7 +88,7 @@ def refuse_other_master(master: Master) -> None:
     found = other_master(master)
     if found is not None:
         raise AcquisitionError(
-            f"bus: {found}: another master is here: expected none; `robot-acquire record --passive` records beside it. "
+            f"bus: {found}: another master is active: expected none; `robot-acquire record --passive` records without sending. "
             "Nothing was sent"
         )
 

@@ -1,4 +1,4 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, and what every node last said. It decides nothing."""
+"""A CANopen master over a link: NMT, SDO, PDO configuration, the last values of every node. No decisions."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -51,9 +51,9 @@ class Wire(Protocol):
 
 @dataclass(kw_only=True)
 class NodeWatch:
-    """What a drive last said; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
+    """The last values received from a drive; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
 
-    `started`: its heartbeat has told operational since START; `unstarted` counts the heartbeats before that.
+    `started`: its heartbeat has reported operational since START; `unstarted` counts the heartbeats before that.
     """
 
     drive: Drive
@@ -70,7 +70,7 @@ class NodeWatch:
 
     @property
     def state(self) -> State | None:
-        """State by the last statusword, None before the first or for bits that tell none."""
+        """State by the last statusword, None before the first or for bits of no CiA 402 state."""
         try:
             return None if self.statusword is None else state_of(self.statusword)
         except AcquisitionError:
@@ -89,7 +89,7 @@ class Master:
         self._answers: dict[int, bytes] = {}
         self.sync_times: list[int] = []
         self.synced_ns: int | None = None  # when we sent the last SYNC
-        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, whoever produces it
+        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
         """Receive until then; with `for_answers` only until every drive has answered SYNC."""
@@ -110,7 +110,7 @@ class Master:
         return True
 
     def dispatch(self, frame: Frame) -> None:
-        """Note what a frame says."""
+        """Update the values of the node that sent a frame."""
         if frame.flags & ERROR:
             self.bus_error = f"error frame: {error_words(frame.can_id, frame.data)}"
             return
@@ -135,7 +135,7 @@ class Master:
             watch.booted |= frame.data[0] == 0
         elif node in self._by_node and function == 0x80 and len(frame.data) >= 2:
             code = int.from_bytes(frame.data[:2], "little")
-            if code:  # 0 says that an error is gone
+            if code:  # 0: the error is cleared
                 self._by_node[node].emergency = code
 
     def _process_data(self, frame: Frame) -> None:
@@ -164,7 +164,7 @@ class Master:
         self.at_sync()
 
     def nmt(self, command: int, node: int) -> None:
-        """Network management to one node; never to all (0), among which may be others than our drives."""
+        """Network management to one node; never to all (0): there may be other nodes than our drives."""
         self.link.send(0, bytes([command, node]))
 
     def nmt_drives(self, command: int) -> None:
@@ -173,7 +173,7 @@ class Master:
             self.nmt(command, drive.node)
 
     def start(self) -> None:
-        """START to all drives; what they said before counts no more, positions least of all."""
+        """START to all drives; values received before, positions above all, are discarded."""
         for watch in self.nodes:
             watch.statusword, watch.counts = None, None
             watch.answers, watch.silent_syncs = 0, 0
@@ -261,7 +261,7 @@ class Master:
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:
-        """What drives say of themselves that disagrees with the description: identity, rated values. One line each."""
+        """Differences between drives and description (identity, rated values), one line each."""
         found = []
         for drive in self.bus.drives:
             dictionary = drive.dictionary

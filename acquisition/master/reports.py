@@ -1,11 +1,11 @@
-"""What a drive says of itself, in words: bits of its statusword, error codes, and the objects that hold its last error."""
+"""A drive's own diagnosis as text: bits of its statusword, error codes, and the objects that hold its last error."""
 
 from ..errors import AcquisitionError
 from ..protocol import state_of
 from ..robot import Drive, axis_of
 from .master import Master
 
-# Bits of the statusword (6041h) beside the state; 12 and 13 as the cyclic synchronous position mode has them (CiA 402-2).
+# Bits of the statusword (6041h) other than those of the state; 12 and 13 as in cyclic synchronous position mode (CiA 402-2).
 REMOTE, FOLLOWS = 1 << 9, 1 << 12
 _SET = {1 << 7: "warning", 1 << 11: "internal limit active", 1 << 13: "following error"}
 _CLEAR = {1 << 4: "no voltage on the power stage", REMOTE: "not remote: the controlword is ignored"}
@@ -60,7 +60,7 @@ _CODES = {
 
 
 def status_words(statusword: int) -> str:
-    """The state of a statusword, and what its other bits tell against normal operation."""
+    """The state of a statusword, and those of its other bits that differ from normal operation."""
     try:
         words = [state_of(statusword).words]
     except AcquisitionError:
@@ -81,7 +81,7 @@ def error_words(code: int) -> str:
 
 
 def error_report(master: Master, drive: Drive) -> str:
-    """Error register 1001h, last error 1003h:1 and error code 603Fh as the drive tells them, empty where it tells none."""
+    """Error register 1001h, last error 1003h:1 and error code 603Fh as read from the drive, empty where there are none."""
     said = []
     for index, sub, name in (
         (ERROR_REGISTER, 0, "error register 1001"),

@@ -62,7 +62,7 @@ class _Stopping:
         return abs(self.seen[-1][1] - self.seen[0][1]) / self.span_s
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether the drive stands, does not slow down, or has had all the time that it needs."""
+        """Whether the drive is at standstill, does not slow down, or its time is over."""
         elapsed_s = (now_ns - self.since_ns) * 1e-9
         fastest, speed = self.watch.drive.speed_limit, self.speed
         if speed is not None and self.speed_then is not None:
@@ -125,7 +125,7 @@ def not_disabled(nodes: Iterable[int]) -> str:
 
 
 def leave_operational(master: Master) -> None:
-    """Every node of the description to PRE-OPERATIONAL, one by one: no PDO commands it any more, whoever sends one."""
+    """Every node of the description to PRE-OPERATIONAL, one by one: after that no PDO commands them."""
     for watch in master.nodes:
         with suppress(AcquisitionError):
             master.nmt(PRE_OPERATIONAL, watch.drive.node)

@@ -1,4 +1,4 @@
-"""What the drives do on their own when something is wrong, read from them and told in words. Nothing is written."""
+"""The drives' own reactions to faults, read from them and reported as text. Nothing is written."""
 
 from ..errors import AcquisitionError
 from ..protocol import (

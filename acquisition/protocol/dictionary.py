@@ -1,4 +1,4 @@
-"""EDS and DCF files (CiA 306) as plain values; what canopen's importer stumbles over becomes one line."""
+"""EDS and DCF files (CiA 306) as plain values; errors of canopen's importer are reported in one line."""
 
 import configparser
 import io

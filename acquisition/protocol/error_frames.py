@@ -1,4 +1,4 @@
-"""What an error frame of SocketCAN says, in words (Linux, `include/uapi/linux/can/error.h`)."""
+"""An error frame of SocketCAN as text (Linux, `include/uapi/linux/can/error.h`)."""
 
 # Bit of the identifier: class of the error.
 _CLASSES = {

@@ -149,7 +149,7 @@ RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Between the raw integers of `entry` and SI at the motor; `provenance` tells where the value comes from."""
+    """Between the raw integers of `entry` and SI at the motor; `provenance` is a text about where the value comes from."""
 
     entry: ObjectEntry
     rule: Rule

@@ -1,4 +1,4 @@
-"""Process data objects (CiA 301, 7.2.2): what stands in which frame, how that is configured, what it costs on the wire."""
+"""Process data objects (CiA 301, 7.2.2): mapping, configuration and bus load."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Expedited SDO transfers (CiA 301, 7.2.4) as bytes, without I/O: requests, answers, and what both say.
+"""Expedited SDO transfers (CiA 301, 7.2.4) as bytes, without I/O: requests, answers, abort codes.
 
 The same few functions serve our requests, the simulated drives' answers, and the reading of another master's traffic.
 Longer transfers are not needed: every object that is read or written here has four bytes at most.

@@ -9,7 +9,7 @@ from ..errors import AcquisitionError
 
 
 class State(Enum):
-    """A state of the drive and the bits of the statusword that tell it: (mask, value)."""
+    """A state of the drive and its bits in the statusword: (mask, value)."""
 
     NOT_READY_TO_SWITCH_ON = (0x4F, 0x00)
     SWITCH_ON_DISABLED = (0x4F, 0x40)
@@ -22,7 +22,7 @@ class State(Enum):
 
     @property
     def words(self) -> str:
-        """The name as people write it."""
+        """The name in lower case words."""
         return self.name.lower().replace("_", " ")
 
 
@@ -80,7 +80,7 @@ DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FA
 
 
 def state_of(statusword: int) -> State:
-    """State that a statusword (6041h) tells. Raises `AcquisitionError` for bits that tell none."""
+    """State in a statusword (6041h). Raises `AcquisitionError` for bits of no state."""
     for state in State:
         mask, value = state.value
         if statusword & mask == value:
@@ -98,7 +98,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def after(state: State, command: Command) -> State:
-    """State that `command` leads to. Raises `AcquisitionError` for a transition CiA 402 does not have."""
+    """State that `command` leads to. Raises `AcquisitionError` for a transition that CiA 402 does not define."""
     try:
         return TRANSITIONS[state, command]
     except KeyError:

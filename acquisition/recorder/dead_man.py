@@ -105,7 +105,7 @@ class DeadMan:
         except AcquisitionError as error:
             self._event("fault", f"the recorder's process could not stop the drives: {error}")
         if unconfirmed:
-            with suppress(OSError, ValueError):  # a terminal that is gone
+            with suppress(OSError, ValueError):  # a closed terminal
                 sys.stderr.write(not_disabled(unconfirmed) + "\n")
                 sys.stderr.flush()
         text = not_disabled(unconfirmed) if unconfirmed else "every drive confirmed to the recorder's process"

@@ -1,7 +1,7 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
 A drive samples at SYNC, whenever its PDO arrives, so a sample's time is that of its SYNC: `sync_times` has it, and
-`association` tells which PDO answers which SYNC.
+`association` assigns each PDO to the SYNC it answers.
 """
 
 from collections.abc import Mapping
@@ -22,7 +22,7 @@ Ints = NDArray[np.int64]
 
 _DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
 LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
-FEWEST_SYNCS = 10  # with fewer nothing is said of their period
+FEWEST_SYNCS = 10  # with fewer their period is not checked
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
 

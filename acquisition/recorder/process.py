@@ -1,4 +1,4 @@
-"""The recorder as a process of its own: it receives, appends and writes, whatever the session's process is busy with.
+"""The recorder as a process of its own: it receives, appends and writes, independent of the load of the session's process.
 
 Where an interface can be opened once only, the session hands its frames over; else the recorder opens the bus itself.
 """
@@ -29,9 +29,9 @@ from .recorder import Recorded, Recorder, Status
 BLOCK_S = 0.1
 START_S = 20.0  # for the process to come up
 FINISH_S = 600.0  # to decode a long session
-HUNG_FINISH_S = 10.0  # for one that has told nothing for long
-SILENT_S = 5.0  # a recorder that tells nothing for so long does not write: its disk hangs
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # the session's business
+HUNG_FINISH_S = 10.0  # for one without a status for long
+SILENT_S = 5.0  # without a status for so long the disk is taken to hang
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
 
 
 class InlineLog:
@@ -119,7 +119,7 @@ class ProcessLog:
     def poll(self, stamp_ns: int) -> Status | None:
         """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs.
 
-        With a dead man this is the sign that the session lives: to be called at every SYNC, by the SYNC loop alone.
+        With a dead man this shows that the session is running: to be called at every SYNC, by the SYNC loop alone.
         """
         if self._signs is not None:
             self._signs.alive()
@@ -155,7 +155,7 @@ class ProcessLog:
         return found
 
     def close(self) -> None:
-        """Let go of the process; it ends its file by itself when nobody is there any more."""
+        """Disconnect from the process, which then ends its file by itself."""
         if self._signs is not None:
             self._signs.close()
         self._connection.close()
@@ -195,7 +195,7 @@ def _main(
     passive: bool,
     watched: Connection | None,
 ) -> None:
-    """The recorder's process. Ctrl-C and its like are the session's business: it ends when told, or left alone."""
+    """The recorder's process. Signals such as Ctrl-C are ignored here; the session ends it, or its death does."""
     for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its dead man must go on
         signal.signal(number, signal.SIG_IGN)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, STOPPING)
@@ -227,7 +227,7 @@ def _main(
 
 
 def _master_ids(robot: Robot, place: str) -> NDArray[np.int64]:
-    """Identifiers that only the master sends: in an active session they are ours, whoever saw them on the bus."""
+    """Identifiers that only the master sends: in an active session these frames are ours."""
     bus = resolve(robot, place)
     ids = [0, HEARTBEAT_ID + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
     for drive in bus.drives:
@@ -242,7 +242,7 @@ def _record(
     ours: NDArray[np.int64],
     dead_man: DeadMan | None,
 ) -> Recorded | None:
-    """Until told to stop, or until the session is gone and its drives are stopped."""
+    """Record until the session asks to stop, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None
     if thread is not None:
         thread.start()
@@ -296,5 +296,5 @@ def _record(
             try:
                 connection.send(("status", status))
             except OSError:
-                continue  # the next `poll` finds that nobody is there
+                continue  # the next `poll` finds the session dead
     return recorder.finish(stop_ns)

@@ -1,6 +1,6 @@
 """Frames of a session into a recording: flushed every half second, watched over, decoded at the end.
 
-Where time is simulated a `Recorder` works in the session's own process; else `recorder_process` runs it beside.
+Where time is simulated a `Recorder` works in the session's own process; else `process` runs it in its own.
 """
 
 import shutil
@@ -54,7 +54,7 @@ class Recorded:
 
 @dataclass(kw_only=True)
 class _Watch:
-    """What the live line shows, kept from block to block."""
+    """Values of the live line, updated with each block."""
 
     recent: list[Block] = field(default_factory=list)
     status: Status = field(default_factory=Status)
@@ -109,7 +109,7 @@ class Recorder:
             self._writer.flush()
 
     def tick(self, stamp_ns: int, drops: int, *, now: bool = False) -> Status | None:
-        """Flush and sum up when half a second has gone by; None when it has not."""
+        """Flush and return a status every half second; None in between."""
         if self._flushed_ns is None:
             self._flushed_ns = stamp_ns
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
@@ -154,7 +154,7 @@ class Recorder:
             return None
 
     def finish(self, stamp_ns: int) -> Recorded:
-        """Decode what was recorded, write the samples beside the frames, and end the file."""
+        """Decode what was recorded, write the samples after the frames, and end the file."""
         self._writer.flush()
         recording = read_recording(self._path)
         frames = recording.frames.get(self.channel, np.zeros(0, FRAME))

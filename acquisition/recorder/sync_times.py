@@ -1,4 +1,4 @@
-"""When each SYNC was: its own time where we sent it, the time freed of delays of reception where another one did.
+"""Time of each SYNC: the send time where we produce it, else the receive time corrected for delays of reception.
 
 Drives sample at SYNC. A SYNC that we send is as uneven as it leaves, and its time is that of sending. That of another
 producer comes from a controller's timer; what is uneven in its receive times is delay of reception, which is never

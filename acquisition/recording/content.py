@@ -1,4 +1,4 @@
-"""What stands in an MCAP file, whole or cut, with every checksum checked: the container, not the meaning.
+"""The content of an MCAP file, whole or cut, with every checksum checked: the container, not the meaning.
 
 The records are walked here, not by mcap's own readers: those stop with the same errors at a cut and at damage, check no
 attachment's CRC, and let a chunk unpack to any size. Format: https://mcap.dev/spec.
@@ -57,7 +57,7 @@ class Messages:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """`metadata` is `None` where the record asked for is missing; `cut` says that the file has no proper end."""
+    """`metadata` is `None` where the record asked for is missing; `cut`: the file has no proper end."""
 
     metadata: Mapping[str, str] | None
     attachments: Mapping[str, bytes]
@@ -72,7 +72,7 @@ def read_content(
     """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
 
     `accept(metadata, place)` raises to refuse the file before its data is looked at. A file without its end gives what
-    stands before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
+    was written before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
     """
     place = str(path)
     try:
@@ -160,7 +160,7 @@ class _Records:
             yield head[0], at - length, self._take(length)
 
     def only_zeros_follow(self) -> bool:
-        """Whether nothing but zero bytes stands behind the record at hand."""
+        """Whether nothing but zero bytes follows the current record."""
         return all(not part.strip(b"\0") for part in self._rest())
 
     def sha256(self) -> str:
@@ -198,7 +198,7 @@ def _stream(content: bytes) -> Any:
 
 def _check_crc(found: int, crc: bytes) -> None:
     expected = int.from_bytes(crc, "little")
-    if expected not in (0, found):  # 0 says that no CRC was written
+    if expected not in (0, found):  # 0: no CRC was written
         raise ValueError(f"CRC is {found:08x}: expected {expected:08x}")
 
 

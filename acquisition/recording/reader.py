@@ -52,7 +52,7 @@ class Recording:
         attachments: by name; names are labels, never paths.
         robot: built from the attachments.
         sample_rate_hz: nominal rate of the samples.
-        cut: the file has no proper end: this is what stands before the cut.
+        cut: the file has no proper end: this is what was written before the cut.
         sha256: of the file, hexadecimal.
     """
 

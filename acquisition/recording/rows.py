@@ -32,7 +32,7 @@ class Gap:
 def sample_dtype(n: int, *, reference: bool, extra: int = 0) -> np.dtype[np.void]:
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
-    `extra` further values of drives stand in the field `extra` (extra,), named by `extra_objects.extra_columns`.
+    `extra` further values of drives are in the field `extra` (extra,), named by `extra_objects.extra_columns`.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []

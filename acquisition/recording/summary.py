@@ -51,7 +51,7 @@ class FrameCount:
 
 @dataclass(frozen=True, kw_only=True)
 class Overview:
-    """What `robot-acquire info` tells; plain data. Stamps are the recording's; tables tell them from `first_ns` on.
+    """The content of `robot-acquire info` as plain data. Stamps are the recording's; tables count them from `first_ns`.
 
     `step_jitter_s` is the standard deviation and the worst deviation of the steps between samples, gaps left out.
     `first_ns` is the stamp of the first sample, of the first frame where there are no samples, None without either.

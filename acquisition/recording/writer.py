@@ -42,7 +42,7 @@ class RecordingWriter:
         notes: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
     ) -> None:
-        """`notes` are further metadata (bus, bitrate); `attachments` go beside the robot's own files, by name."""
+        """`notes` are further metadata (bus, bitrate); `attachments` are added to the robot's own files, by name."""
         from rosbags.typesys import (
             Stores,
             get_typestore,

@@ -1,7 +1,7 @@
-"""Recorded positions held against the description's limits: what no robot did was read wrongly.
+"""Recorded positions checked against the limits of the description: impossible positions mean a wrong reading.
 
-Degrees read as radians, a wrong ratio, a counter that wraps, a sample that is not the robot's: all of them fit without a word.
-A small overshoot of a stated limit is the robot's or the description's affair, and is only told.
+Degrees read as radians, a wrong ratio, a counter that wraps, a foreign sample: a fit shows none of them.
+A small overshoot of a stated limit gives a warning only.
 """
 
 import math
@@ -13,16 +13,16 @@ from ..errors import AcquisitionError
 from .description import Joint
 from .robot import Robot
 
-FAR_OUT = 0.5  # of a joint's range: further beyond its limits nothing was, it was read wrongly
+FAR_OUT = 0.5  # of a joint's range: positions further beyond the limits are refused
 FAR_FASTER = 3.0  # times the speed limit
 UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
-OVERSHOOT = 0.01  # of the range, and of the speed limit: below it, nothing is said
+OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
 
 
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:
-    """What is to be said of joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots.
+    """Warnings about joint positions q (N, n) in rad or m at the times stamp_s (N,): small overshoots of limits.
 
     Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
     limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.

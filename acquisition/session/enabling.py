@@ -1,7 +1,7 @@
 """Drives up to operation enabled and down again, all together, one transition of CiA 402 after the other.
 
 While a drive is not enabled its target follows the measured position. It is held at the last position that came before the
-drive said "operation enabled": a target that followed further would let the arm sink when the brake opens, and the drive's
+drive reported operation enabled: a target that followed further would let the arm sink when the brake opens, and the drive's
 own supervision of the following error would see nothing.
 """
 
@@ -22,7 +22,7 @@ _DOWN = {
 
 
 def all_enabled(master: Master) -> bool:
-    """Whether every drive says operation enabled."""
+    """Whether every drive is in operation enabled."""
     return all(watch.state is State.OPERATION_ENABLED for watch in master.nodes)
 
 

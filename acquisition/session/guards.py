@@ -1,4 +1,4 @@
-"""What must hold while drives are enabled. Each function returns the reason to stop, or None."""
+"""Conditions that must hold while drives are enabled. Each function returns the reason to stop, or None."""
 
 from dataclasses import dataclass, field
 
@@ -16,7 +16,7 @@ SPEED_SYNCS = 5  # over which speed is measured
 CLEAR_SYNCS = 3  # in a row in which a bit that the drive sets in operation may be clear
 # Bits of the statusword that are set in operation, by the drives that know them.
 _OPERATING = {
-    REMOTE: "does not obey the bus (statusword bit 9, remote, is 0)",
+    REMOTE: "does not take commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
 }
 
@@ -29,7 +29,7 @@ class MotionState:
         enabling: until all drives are enabled.
         start: joint positions (n,) when enabling began.
         measured: joint positions of the last SYNCs, latest last.
-        target: where the drives should stand at the latest, None where they have none.
+        target: target position (n,) of the drives, None where they have none.
         enabled: nodes that were enabled once.
         seen: bits of the statusword that each node had set when it was enabled.
         clear: how many SYNCs in a row each (node, bit) has been clear.
@@ -75,7 +75,7 @@ def motion_fault(master: Master, robot: Robot, motion: MotionState) -> str | Non
 
 
 def state_fault(master: Master, motion: MotionState) -> str | None:
-    """A drive that leaves operation enabled, or that says in its statusword that it does not obey."""
+    """A drive that leaves operation enabled, or whose statusword shows that it does not follow commands."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"

@@ -50,7 +50,7 @@ class Plan:
 class Outcome:
     """How a session ended: in order or by a fault, and which drives that were addressed did not confirm to be disabled.
 
-    `reports` are what drives in trouble say of their errors, one line each.
+    `reports` are the error reports of drives in fault, one line each.
     """
 
     reason: str
@@ -65,5 +65,5 @@ class Outcome:
 
     @property
     def alarm(self) -> str:
-        """What must be said before anything else, empty where every drive confirmed."""
+        """The message to be shown first, empty where every drive confirmed."""
         return not_disabled(self.unconfirmed) if self.unconfirmed else ""

@@ -1,4 +1,4 @@
-"""A recording session as the command runs it: which link, which recorder, and what is told while it goes on."""
+"""A recording session as the command runs it: link, recorder, and status reports while it runs."""
 
 import signal
 import time
@@ -25,7 +25,7 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
-    """What `robot-acquire record` was asked for; `confirm` shows joint positions to somebody before anything moves."""
+    """What `robot-acquire record` was asked for; `confirm` asks the user to confirm the joint positions before motion."""
 
     passive: bool = False
     dry_run: bool = False
@@ -44,10 +44,10 @@ def record(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> tuple[Outcome, Recorded]:
-    """Record until the plan ends or `stop` has a reason; `announce` is told how a session ended, as soon as it is known.
+    """Record until the plan ends or `stop` has a reason; `announce` is called with the outcome as soon as it is known.
 
-    Raises `AcquisitionError` where the description, the bus or the file refuses; what fails once the session runs stands
-    in the outcome.
+    Raises `AcquisitionError` for errors of the description, the bus or the file; errors of a running session are in
+    the outcome.
     """
     assert robot.bus is not None
     if options.passive and (options.track is not None or options.dry_run):
@@ -187,7 +187,7 @@ def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a terminal that is gone end the session in order in place of ending the program on the spot.
+    """Ctrl-C, SIGTERM and a closed terminal end the session in order instead of terminating the program.
 
     Ctrl-C after any of them is a quick stop.
     """

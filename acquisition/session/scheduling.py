@@ -1,6 +1,6 @@
 """SYNC in step on a busy machine: SCHED_FIFO, memory locked, no garbage collection in motion; and how evenly it comes.
 
-All of it only where this process may; what was granted is told.
+Each only where the system permits it; what was granted is reported.
 """
 
 import ctypes

@@ -45,8 +45,8 @@ def run_active(
 ) -> Outcome:
     """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
 
-    `announce` is told the outcome as soon as it is known, whatever is raised. Raises what was raised inside, after the drives
-    were disabled.
+    `announce` is called with the outcome as soon as it is known, also when an exception follows. Exceptions from
+    inside are raised again after the drives were disabled.
     """
     link = master.link
     session = _Session(robot, master, log, plan, stop)
@@ -111,7 +111,7 @@ class _Session:
         if self._plan.reference is not None:
             for text in self._plan.before_motion(self._master):
                 self._log.event(self._link.now_ns(), "mark", text)
-            self._master.wait(self._link.now_ns())  # what came while somebody was asked
+            self._master.wait(self._link.now_ns())  # frames received while the user was asked
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()
@@ -168,11 +168,11 @@ class _Session:
                 q = self._positions()
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
-                # The target of the SYNC before the last is where a drive stands now: it takes a period to get there.
+                # The target of the SYNC before the last is where a drive is now: it takes a period to reach it.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
                 reason = motion_fault(self._master, self._robot, motion)
             if reason is None and self._stop.at_once:
-                reason = f"{self._stop.reason}, then told again: quick stop"
+                reason = f"{self._stop.reason}, then again: quick stop"
             self._note(motion)
         if reason is not None:
             raise AcquisitionError(reason)
@@ -218,7 +218,7 @@ class _Session:
             yield None
 
     def _enable(self) -> Iterator[Orders | None]:
-        """All drives to operation enabled, each held where it stands; guards are on from here."""
+        """All drives to operation enabled, each held at its position; guards are active from here."""
         self._motion = MotionState()
         targets: list[int] = []
         for order in enable(self._master, targets):
@@ -261,7 +261,7 @@ class _Session:
             return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
-        """What drives in trouble say of their errors; those that do not answer are not asked."""
+        """Error reports of drives in fault; drives that do not answer are not read."""
         troubled = [
             watch.drive
             for watch in self._master.nodes

@@ -1,4 +1,4 @@
-"""CiA 402 drives on a bus in front of a plant: loops, quantisation, faults on demand. They live by SYNC.
+"""CiA 402 drives on a bus in front of a plant: loops, quantisation, faults on demand. Driven by SYNC.
 
 At SYNC a drive samples, answers, and takes over the targets it got since the last SYNC; then the plant goes on for one
 period. Time is that of the frames handed in, so a run in lock-step repeats bit for bit.
@@ -208,14 +208,14 @@ class SimulatedDrives:
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
         stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
-        if self.plant.prescribed_effort() is not None:  # no loop has a say
+        if self.plant.prescribed_effort() is not None:  # no loop is used
             self.plant.step(memory.actual, ~enabled | stopping, self._period_s)
             return
         q, _ = self.plant.state()
         # Quick stop: the target slows down at the joint's acceleration limit, in the same loop.
         slower = np.sign(memory.slope) * np.maximum(np.abs(memory.slope) - self._quick_stop * self._period_s, 0.0)
         target = np.where(stopping, memory.target + slower * self._period_s, self._targets(q, enabled & ~stopping))
-        # A drive that was just enabled begins where it stands.
+        # A drive that was just enabled starts from its position.
         memory.before = np.where(memory.held, q, memory.target)
         memory.target = target
         memory.held = ~enabled

@@ -12,7 +12,7 @@ FaultKind = Literal[
 class SimulatedFault:
     """Something goes wrong with `node` at the `sync`-th SYNC it answers (from 1), for `count` SYNCs.
 
-    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` says nothing more at all; `stuck` moves no more;
+    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` sends nothing more at all; `stuck` moves no more;
     `slow` does not get from switched on to operation enabled; `deaf` neither answers SYNC nor takes over what came before
     it; `clear` has the `bits` of its statusword at 0.
     """

@@ -1,4 +1,4 @@
-"""Simulated drives on a bus: in lock-step with a session in this process, or in real time for anyone's master."""
+"""Simulated drives on a bus: in lock-step with a session in this process, or in real time for any master."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -75,7 +75,7 @@ def serve(
     *,
     supervised: bool = True,
 ) -> SimulatedDrives:
-    """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is told when they are there."""
+    """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is called at the start."""
     drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
     link = open_link(bus.file, passive=False)
     try:

@@ -1,4 +1,4 @@
-"""Which mechanism simulated drives move, and with which loops: the described robot, or a stand-in of independent joints.
+"""Which mechanism simulated drives move, and with which loops: the described robot, or independent joints in its place.
 
 The dynamics of a description's `[parameters]` are not known here. Who knows them offers them as an entry point of the group
 `robot_idim.plants`: a function of the robot that gives the plant and the loops of drives that suit its inertias. It raises
@@ -23,7 +23,7 @@ PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
-    """What simulated drives move, and their loops; `warning` says where it is not the described robot."""
+    """What simulated drives move, and their loops; `warning` is set where it is not the described robot."""
 
     plant: Plant
     loops: LoopGains
@@ -31,7 +31,7 @@ class Mechanism:
 
 
 def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
-    """The robot of `[parameters]` where the description has them and somebody can simulate them, else a stand-in.
+    """The robot of `[parameters]` where they are given and an installed package can simulate them, else independent joints.
 
     Raises `AcquisitionError` where `[parameters]` describe no robot that can be simulated.
     """

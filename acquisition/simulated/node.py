@@ -79,16 +79,16 @@ class SimulatedNode:
         return self.nmt == 5
 
     def heartbeat(self) -> Sent:
-        """The message that it lives."""
+        """The heartbeat message."""
         return [(0x700 + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int, register: int = 1) -> Sent:
-        """Go into fault and tell so (CiA 301, 7.2.7)."""
+        """Go into fault and send an emergency message (CiA 301, 7.2.7)."""
         self.state = State.FAULT_REACTION_ACTIVE
         return self.error(code, register)
 
     def error(self, code: int, register: int = 1) -> Sent:
-        """An emergency message without a change of state; the objects of the last error tell it too."""
+        """An emergency message without a change of state; the objects of the last error are set too."""
         for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
             if key in self.values:
                 self.values[key] = value
@@ -124,7 +124,7 @@ class SimulatedNode:
                     self._set(key, value)
 
     def answers(self) -> Sent:
-        """TPDOs of the values as they stand."""
+        """TPDOs with the current values."""
         return [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
 
     def tick(self) -> None:
@@ -139,7 +139,7 @@ class SimulatedNode:
         return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
 
     def home(self, name: str) -> None:
-        """Be homed, as the description says that the drive tells it."""
+        """Set the object or bit that reports the drive as homed."""
         index, sub, bit = parse_homed(name)
         mask = 1 if bit is None else 1 << bit
         if (index, sub) == (self.drive.status.index, self.drive.status.sub):
@@ -219,7 +219,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 if not entry.writable:
                     read_only.add(key)
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
-        for (index, sub), value in list(values.items()):  # PDOs start switched off: a master says what it wants
+        for (index, sub), value in list(values.items()):  # PDOs start disabled: a master enables those it uses
             if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:

@@ -1,4 +1,4 @@
-"""What a simulated drive notices of a master that is gone: lost heartbeats (1016h) and lost SYNC, and its reaction (6007h)."""
+"""How a simulated drive reacts (6007h) to a lost master: lost heartbeats (1016h) and lost SYNC."""
 
 from ..protocol import ABORT_CONNECTION, CONSUMER_HEARTBEAT, DISABLED, State
 from .node import Sent, SimulatedNode
@@ -6,7 +6,7 @@ from .node import Sent, SimulatedNode
 SYNC_LOST_NS = 100_000_000  # without SYNC for so long an enabled drive goes into fault, as a real one is set up to do
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
-# 6007h, abort connection option code: state that an enabled drive goes to. 1, the fault signal, is told apart below.
+# 6007h, abort connection option code: state that an enabled drive goes to. 1, the fault signal, is handled below.
 _REACTIONS = {2: State.SWITCH_ON_DISABLED, 3: State.QUICK_STOP_ACTIVE}
 
 

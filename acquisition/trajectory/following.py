@@ -1,4 +1,4 @@
-"""Along a path, one row each SYNC; when a stop is asked for, ever slower until at rest."""
+"""Follows a path, one row each SYNC; after a stop request it slows down along the path to rest."""
 
 from collections.abc import Callable, Iterator
 

@@ -29,7 +29,7 @@ def is_group(bus: Any) -> bool:
 
 
 def is_no_frame(bus: Any, error: Exception) -> bool:
-    """Whether an error of reading is about a datagram that is no frame, which anyone may send to a group."""
+    """Whether an error of reading is about a datagram that is no frame, which any program may send to a group."""
     import can
 
     failed = isinstance(error.__cause__, OSError)  # of the socket itself

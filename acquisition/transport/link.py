@@ -18,7 +18,7 @@ ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return ever
 class Link:
     """A bus in real time. Where `passive`, sending raises: nothing ever goes out.
 
-    `tap` is handed every frame sent and received.
+    `tap` is called with every frame sent and received.
     """
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
@@ -48,7 +48,7 @@ class Link:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
     def receive(self, until_ns: int) -> Frame | None:
-        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus is gone."""
+        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
         return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
 
     def take(self, timeout_s: float) -> Frame | None:
@@ -79,7 +79,7 @@ class Link:
         return frame
 
     def close(self) -> None:
-        """Leave the bus, also one that is gone."""
+        """Leave the bus, also one that has failed."""
         import can
 
         with suppress(can.CanError, OSError):
@@ -87,9 +87,9 @@ class Link:
 
 
 class LockStepLink(Link):
-    """A link in simulated time on an in-process bus: time stands still until everyone has said what they have to say.
+    """A link in simulated time on an in-process bus: time advances only when all participants have sent their frames.
 
-    `others(now_ns)` lets the other participants act and tells whether they did; `due_ns()` is when they act by themselves.
+    `others(now_ns)` lets the other participants act and returns whether they did; `due_ns()` is when they act by themselves.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class LockStepLink(Link):
         return self._time_ns
 
     def receive(self, until_ns: int) -> Frame | None:
-        """As `Link.receive`; simulated time goes on only when nobody has anything to say."""
+        """As `Link.receive`; simulated time advances only when no participant has a frame to send."""
         while True:
             frame = self.take(0)
             if frame is not None:

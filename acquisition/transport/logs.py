@@ -1,4 +1,4 @@
-"""CAN logs of other tools as frames: candump, Array ASC and BLF, PCAN TRC."""
+"""CAN logs of other tools as frames: candump, Vector ASC and BLF, PCAN TRC."""
 
 import logging
 import re
@@ -28,7 +28,7 @@ class _Doubts(logging.Handler):
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Interface and frame, one after the other, of a candump (.log), Array ASC or BLF, or PCAN .trc log.
+    """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF, or PCAN .trc log.
 
     The interface of a candump's error frame is None: python-can's reader does not tell it. In the place of a frame, None
     stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame

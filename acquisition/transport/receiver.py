@@ -37,13 +37,13 @@ class Receiver:
             self._raw = self.sock
 
     def run(self) -> None:
-        """Until `stopped` and what had arrived is taken; an error of the bus ends it and stands in `error`."""
+        """Until `stopped` and what had arrived is taken; an error of the bus ends it and is stored in `error`."""
         try:
             if self._raw is None:
                 self._run_messages()
             else:
                 self._run_raw(self._raw)
-        except Exception as error:  # whatever it is, who reads must be told
+        except Exception as error:  # of any kind: the reader of `error` must see it
             self.error = str(error) or type(error).__name__
 
     def _run_raw(self, sock: socket.socket) -> None:

@@ -1,4 +1,4 @@
-"""Whether the machine's clock was set: frames are stamped by it, and a step in it is no pause of SYNC."""
+"""Whether the machine's clock was set: frames are stamped by it, and a step must not be taken for a pause of SYNC."""
 
 import time
 from collections.abc import Callable
