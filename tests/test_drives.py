@@ -191,7 +191,7 @@ def test_each_vendors_own_reference(name, keys, expected):
 def test_an_object_the_dictionary_does_not_hold():
     data = (needs_data("eds") / "maxon_EPOS4.eds").read_bytes()
     text = bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n')
-    refused(text, "reference = '6074': a.eds holds it not", {dictionary_label("a.eds"): data})
+    refused(text, "reference = '6074': a.eds does not contain it", {dictionary_label("a.eds"): data})
     text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
     refused(text, "reference_rule is not there: 2031:0 (U32) is not known", {dictionary_label("a.eds"): nanotec})

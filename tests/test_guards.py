@@ -109,7 +109,10 @@ def test_following_errors_of_both_signs(tmp_path):
 
 @pytest.mark.parametrize("bit", [0x0200, 0x1000])
 def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
-    words = {0x0200: "does not take commands from the bus (statusword bit 9, remote, is 0)", 0x1000: "(statusword bit 12 is 0)"}
+    words = {
+        0x0200: "does not take commands from the bus (statusword bit 9, remote, is 0)",
+        0x1000: "(statusword bit 12 is 0)",
+    }
 
     def with_clear(sync: int, count: int) -> str:
         fault = SimulatedFault(kind="clear", node=2, sync=sync, count=count, bits=bit)

@@ -81,7 +81,7 @@ def _drive(
         index, sub = parse_object(name)
         known = written if dictionary is None else written | set(dictionary.entries)
         if (index, sub) not in types or (dictionary is not None and (index, sub) not in known):
-            where = f"{file.dictionary} holds it not" if dictionary else "its type is not known"
+            where = f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
             raise AcquisitionError(
                 f"{place}.{key} = {name!r}: {where}: expected an object of the drive, or one in objects"
             )
