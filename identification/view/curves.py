@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..data import Signals
 from ..estimation import are_moving
 from ..methods import Fit
-from ..regression import Motion, Settings, motion_between, predicted_torque
+from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 Vector = NDArray[np.float64]
@@ -95,17 +95,11 @@ def _thinned(
     """Lines of every `stride`-th sample between start and stop, thinned by `step`; a fit gives its prediction as tau."""
     pieces: dict[str, list[list[Line]]] = defaultdict(lambda: [[] for _ in range(signals.robot.n)])
     idm = fit.problem.model if fit else None
+    motion = fit.problem.motion if fit else FilteredMotion(signals)
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         b = min(stop, a + size)
-        m = motion_between(
-            signals.q,
-            signals.effort,
-            cutoff_hz=plan.cutoff_hz if plan else None,
-            sample_rate_hz=signals.sample_rate_hz,
-            start=a,
-            stop=b,
-        )
+        m = motion.between(a, b, plan.cutoff_hz if plan else None)
         if stride > 1:
             m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}

@@ -28,7 +28,8 @@ _SMALL = 1e-6
 
 def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     """The measured robot and, where the fit has one, the simulated one as its ghost."""
-    dynamics, fs, N = InverseModel(signals.robot), signals.sample_rate_hz, len(signals.q)
+    dynamics = fit.problem.model if fit else InverseModel(signals.robot)
+    fs, N = signals.sample_rate_hz, len(signals.q)
     k = np.arange(0, N, pose_stride(N, fs))
     robots = [_moving(dynamics, "measured", signals.t_s[k], signals.q[k])]
     if fit is not None and fit.iv is not None and fit.iv.simulated is not None:

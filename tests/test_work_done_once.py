@@ -1,0 +1,41 @@
+"""A fit builds the model, solves least squares and filters the recording once, with all its files."""
+
+import pytest
+from conftest import REPLAY
+
+import identification.methods.idim as idim
+import identification.methods.iteration as iteration
+import identification.regression.filtered as filtered
+import identification.regression.filtering as filtering
+from identification.commands import main
+from identification.model.inverse import InverseModel
+
+
+@pytest.mark.parametrize(
+    ("options", "filters", "solutions"),
+    [
+        ([], 1, 1),
+        # The span of motion, the slow rows and the controller's inertias go by the rule's low-pass, least squares with it.
+        (["--cutoff-hz", "none"], 1, 2),
+        (["--cutoff-hz", "40"], 2, 2),
+    ],
+)
+def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solutions):
+    calls = {"model": 0, "filter": 0, "least squares": 0}
+
+    def counted(name, function):
+        def count(*arguments, **named):
+            calls[name] += 1
+            return function(*arguments, **named)
+
+        return count
+
+    monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
+    for module in (filtered, filtering):
+        monkeypatch.setattr(module, "lowpass", counted("filter", module.lowpass))
+    for module in (idim, iteration):
+        monkeypatch.setattr(module, "weighted_least_squares", counted("least squares", module.weighted_least_squares))
+    files = ["--json", str(tmp_path / "fit.json"), "--rrd", str(tmp_path / "fit.rrd")]
+    recording = REPLAY / "scara" / "session.mcap"
+    assert main(["fit", str(recording), "--method", "iv", *files, *options]) == 0
+    assert calls == {"model": 1, "filter": filters, "least squares": solutions}
