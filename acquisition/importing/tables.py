@@ -89,9 +89,17 @@ class Imported:
 
 
 def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
-    """Write the recording `out` from `tables` as `map_path` describes them.
+    """Write the recording `out` from tables.
 
-    Raises `AcquisitionError` naming the file, the place, the value and what was expected.
+    Parameters
+    ----------
+    tables : CSV or MAT files.
+    map_path : `map.toml`, which assigns columns, units and sides (motor or joint).
+
+    Raises
+    ------
+    AcquisitionError
+        With `place` (file), `key`, `value` and `expected`; nothing is written then.
     """
     place = str(map_path)
     try:

@@ -74,10 +74,22 @@ class Recording:
 
 
 def read_recording(path: str | PathLike[str]) -> Recording:
-    """Read a recording; CRCs are checked. A file without its end reads as far as it goes, with `cut` set.
+    """Read a recording; CRCs are checked.
 
-    Raises `AcquisitionError` when the file cannot be read, is no recording, is damaged, is of a newer schema version,
-    or holds blocks that do not fit their layout.
+    Parameters
+    ----------
+    path : of the MCAP file; one of an older schema version is read too.
+
+    Returns
+    -------
+    What the file holds: samples in SI at the joints, raw frames, events, health, and the robot built from the attached
+    description. A file without its end reads as far as it goes, with `cut` set.
+
+    Raises
+    ------
+    AcquisitionError
+        The file cannot be read, is no recording, is damaged, is of a newer schema version, or holds blocks that do not fit
+        their layout.
     """
     path = Path(path)
     place = str(path)

@@ -31,9 +31,18 @@ Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of 
 
 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
-    """The drives of `robot`; `traffic` holds what another master wrote, by node, for drives that are mapped by it.
+    """The drives of `robot` with their PDOs and codecs.
 
-    Raises `AcquisitionError` naming `place`, the key, the value and what was expected.
+    Parameters
+    ----------
+    robot : with a `[bus]`.
+    place : the name of the description in errors.
+    traffic : values that another master wrote, by node and (index, sub); for drives with `mapping = "traffic"`.
+
+    Raises
+    ------
+    AcquisitionError
+        Names `place`, the key, the value and what was expected.
     """
     if robot.bus is None:
         raise AcquisitionError(f"{place}: bus is not there: expected a [bus] section with one drive per motor")

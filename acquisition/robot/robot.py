@@ -85,7 +85,18 @@ class Robot:
 def load_robot(path: str | PathLike[str]) -> Robot:
     """Read a robot description, and the URDF and object dictionaries it names.
 
-    Raises `AcquisitionError` naming the file, the key, the value and what was expected.
+    Parameters
+    ----------
+    path : of robot.toml; the files it names are looked for in the same folder.
+
+    Returns
+    -------
+    The robot, SI and radians, checked.
+
+    Raises
+    ------
+    AcquisitionError
+        With `place` (the file), `key`, `value` and `expected`.
     """
     path = Path(path)
     try:
@@ -127,7 +138,18 @@ def _companion(path: Path, key: str, name: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from the files a recording carries (`robot.toml`, `robot.urdf`); `place` is named in errors."""
+    """Build a robot from the files that a recording carries.
+
+    Parameters
+    ----------
+    files : content by name: `robot.toml`, and where it names them `robot.urdf` and `dictionary:<name>`.
+    place : the name of the description in errors.
+
+    Raises
+    ------
+    AcquisitionError
+        With `place`, `key`, `value` and `expected`.
+    """
     if "robot.toml" not in files:
         raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")
     f = _parse(files["robot.toml"], place)

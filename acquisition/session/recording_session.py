@@ -44,10 +44,23 @@ def record(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> tuple[Outcome, Recorded]:
-    """Record until the plan ends or `stop` has a reason; `announce` is called with the outcome as soon as it is known.
+    """Record until the plan ends or `stop` has a reason.
 
-    Raises `AcquisitionError` for errors of the description, the bus or the file; errors of a running session are in
-    the outcome.
+    Parameters
+    ----------
+    place : the name of the description in errors.
+    out : the recording to write; an existing file is never replaced.
+    show : called twice a second with the status and the seconds left.
+    announce : called with the outcome as soon as it is known.
+
+    Returns
+    -------
+    The outcome, in which errors of a running session are found, and what was recorded.
+
+    Raises
+    ------
+    AcquisitionError
+        Errors of the options, the description, the bus or the file, before the session runs.
     """
     assert robot.bus is not None
     if options.passive and (options.track is not None or options.dry_run):

@@ -45,8 +45,21 @@ def run_active(
 ) -> Outcome:
     """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
 
-    `announce` is called with the outcome as soon as it is known, also when an exception follows. Exceptions from
-    inside are raised again after the drives were disabled.
+    Parameters
+    ----------
+    master : over an open link that may send.
+    log : takes events; its frames come from the link.
+    plan : without a reference nothing moves.
+    stop : set from outside (Ctrl-C) to end the session.
+    announce : called with the outcome as soon as it is known, also when an exception follows.
+
+    Returns
+    -------
+    The outcome; `unconfirmed` lists the nodes that did not confirm to be disabled.
+
+    Raises
+    ------
+    Exceptions other than `AcquisitionError` from inside, after the drives were disabled.
     """
     link = master.link
     session = _Session(robot, master, log, plan, stop)

@@ -78,11 +78,23 @@ LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
-    """Joint positions (N, n) every `period_s` through a CSV table: `time_s`, then each joint by name, in rad or m.
+    """Joint positions along a table, with cubic splines between its rows.
 
-    Cubic splines between rows. `speed`, in (0, 1], runs along the same path slower: speeds are multiplied by it,
-    accelerations by its square. Raises `AcquisitionError` when the table cannot be read, its time does not grow, it is
-    longer than a day or than memory may hold, or its numbers are beyond what a spline can be laid through.
+    Parameters
+    ----------
+    path : CSV file with `time_s`, then each joint by name, in rad or m.
+    period_s : from row to row of the result, the SYNC period.
+    speed : in (0, 1]: the same path slower; speeds are multiplied by it, accelerations by its square.
+
+    Returns
+    -------
+    (N, n) joint positions, rad or m, time first.
+
+    Raises
+    ------
+    AcquisitionError
+        The table cannot be read, its time does not grow, it is longer than a day or than memory may hold, or no spline can
+        be laid through its numbers.
     """
     from scipy.interpolate import CubicSpline
 
@@ -113,9 +125,18 @@ def _no_spline(path: Path, time_s: Array, table: Array) -> str:
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Position, speed and acceleration of every joint along (N, n), from rest to rest, against the stated limits.
+    """Refuse a path that leaves the stated position, speed or acceleration limits of a joint.
 
-    Raises `AcquisitionError` naming the time, joint, value and limit; also where a joint states no limit.
+    Parameters
+    ----------
+    q : (N, n) joint positions, rad or m, from rest to rest.
+    period_s : from row to row.
+    place : the name of the path in errors.
+
+    Raises
+    ------
+    AcquisitionError
+        Names the time, joint, value and limit; also where a joint states no limit.
     """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
@@ -147,7 +168,17 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """Joint positions (N, n) of a slow straight move from rest to rest, all joints together (minimum jerk)."""
+    """A slow straight move in joint space from rest to rest, all joints together (minimum jerk). Obstacles are not checked.
+
+    Parameters
+    ----------
+    start, end : (n,) joint positions, rad or m.
+    period_s : from row to row of the result.
+
+    Returns
+    -------
+    (N, n) joint positions, rad or m.
+    """
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
     acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
