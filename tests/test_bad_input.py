@@ -42,6 +42,7 @@ def test_no_output_takes_the_place_of_an_input(capsys, tmp_path, robot_file):
         ["simulate", robot_file, "-o", robot_file],
         ["study", robot_file, "--runs", "1", "--json", robot_file],
         ["fit", SESSION, "--robot", robot_file, "--json", robot_file],
+        ["fit", SESSION, "--robot", robot_file, "--rrd", robot_file],
         ["fit", SESSION, "--method", "iv", "--start", fit, "--json", fit],
         ["validate", fit, SESSION, "--json", fit],
         ["compare", fit, SESSION, "--rrd", fit],
