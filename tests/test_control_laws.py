@@ -11,7 +11,8 @@ from acquisition.robot.robot import load_robot, robot_from_files
 from identification.methods.plausibility import inertias
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
-from identification.simulation.loop import Loop, _Control, recorded_loop, simulate
+from identification.simulation.closed_loop import simulate
+from identification.simulation.control_law import Control, ControlLaw, recorded_loop
 from identification.study.synthetic import truth
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
@@ -137,7 +138,7 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     row = dynamics.regressor(0 * one[None], way * 0.2 * one[None], 0 * one[None])[0, 0] @ chi
     assert row == pytest.approx(way * (Fv * 0.2 + Fc))
     zero = np.zeros((TICKS, 1))
-    loop = Loop(
+    loop = ControlLaw(
         period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
         saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
     )  # fmt: skip
@@ -153,7 +154,7 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
         dynamics := InverseModel(load_robot(REPLAY / "scara" / "robot.toml")),
         np.array([{"ZZ1": 3.0, "ZZ2": 0.1}.get(name, 0.0) for name in dynamics.names]),
     )
-    loop = Loop(
+    loop = ControlLaw(
         period_s=T, R=R, G=np.array([10.0, 5.0]), Kp=np.array([7.0, 11.0]), Kd=np.zeros(2), Ki=np.zeros(2),
         position_share=np.ones(2), feedforward=0.0, saturation=np.full(2, np.inf), velocity_estimate="exact",
         computed_torque=False,
@@ -190,7 +191,7 @@ def test_an_integral_starts_within_the_limit():
         model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
         pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
         loop = recorded_loop(robot)
-        control = _Control(pushed, loop, zero, zero, zero, zero[0], zero[0])
+        control = Control(pushed, loop, zero, zero, zero, zero[0], zero[0])
         assert loop.Ki * control._integral == pytest.approx(effort)
         assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
@@ -202,7 +203,7 @@ def test_friction_by_direction_holds_by_direction(force, moves):
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
     one, zero = np.ones(1), np.zeros((TICKS, 1))
-    loop = Loop(
+    loop = ControlLaw(
         period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
         saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
     )  # fmt: skip

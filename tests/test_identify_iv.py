@@ -22,7 +22,7 @@ from identification.methods.plausibility import not_positive
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
-from identification.simulation.loop import recorded_loop
+from identification.simulation.control_law import recorded_loop
 from identification.study.study import Run, summaries
 from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 

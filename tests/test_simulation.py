@@ -15,13 +15,14 @@ from identification.methods.plausibility import inertias, not_positive
 from identification.model.base import base_parameters
 from identification.model.inverse import DirectModel, InverseModel, direct_model
 from identification.regression.settings import Overrides
-from identification.simulation.loop import Loop, _Control, recorded_loop, simulate, surrogate_loop
+from identification.simulation.closed_loop import simulate
+from identification.simulation.control_law import Control, ControlLaw, recorded_loop, surrogate_loop
 from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
 
 RATE = 1000.0
 
 
-def free(n: int, period_s: float = 1 / RATE) -> Loop:
+def free(n: int, period_s: float = 1 / RATE) -> ControlLaw:
     """No control at all."""
     loop = surrogate_loop(1.0, np.ones(n), 1 / period_s)
     return dataclasses.replace(loop, Kp=np.zeros(n), Kd=np.zeros(n), gravity=False)
@@ -199,7 +200,7 @@ def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
     assert (np.abs(done.tau) > 999.9).sum() > 10
 
 
-def scara_pid(saturation: float) -> tuple[DirectModel, Loop]:
+def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
     """The SCARA under a PID, motor 1 limited to `saturation`."""
     _, _, model = model_of("scara")
     J = inertias(model, still(2, 0.01))
@@ -212,7 +213,7 @@ def test_a_saturated_motor_holds_its_own_integral_only():
     """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
     model, loop = scara_pid(saturation=0.5)
     zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
-    control = _Control(model, loop, reference, zero, zero, zero[0], zero[0])
+    control = Control(model, loop, reference, zero, zero, zero[0], zero[0])
     tau = np.array([control.torque(k, zero[0], zero[0]) for k in range(10)])
     np.testing.assert_allclose(tau[:, 0], 0.5)
     np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
@@ -271,13 +272,13 @@ def test_noise_at_the_first_instant_does_not_go_into_the_integral():
     """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what is held is gravity only."""
     model, loop = scara_pid(saturation=np.inf)
     q_ref, off = still(2, 0.1) + 0.3, np.array([0.299, 0.301])
-    control = _Control(model, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
+    control = Control(model, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
     np.testing.assert_array_equal(control._integral, 0.0)  # the SCARA lies flat
     held = dataclasses.replace(model, offset=np.array([2.0, -0.3]))
-    control = _Control(held, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
+    control = Control(held, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
     np.testing.assert_allclose(loop.Ki * control._integral, [2.0, -0.3])
     # Where the loop adds gravity along the reference itself, the integral holds none of it.
-    control = _Control(held, dataclasses.replace(loop, gravity=True), q_ref, q_ref, q_ref, off, off)
+    control = Control(held, dataclasses.replace(loop, gravity=True), q_ref, q_ref, q_ref, off, off)
     np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
 
 

@@ -17,7 +17,7 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import Decimation, Motion, Problem, differentiate, measured_slip, rule_cutoff_hz
-from ..simulation import Loop, has_controller, recorded_loop
+from ..simulation import ControlLaw, has_controller, recorded_loop
 from .plausibility import inertias, poses_of
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
@@ -54,7 +54,7 @@ class Experiment:
     start: tuple[Array, Array]
     q: Array
     poses: Array
-    loop: Loop | None
+    loop: ControlLaw | None
     J_prior: Array
     J_known: bool
     bandwidth_hz: float
@@ -114,7 +114,7 @@ def make_experiment(problem: Problem, beta_ls: Array, *, gain_update: bool = Tru
     )
 
 
-def _instants(problem: Problem, loop: Loop | None, grid: NDArray[np.intp]) -> tuple[Array, int]:
+def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp]) -> tuple[Array, int]:
     """Instants of the controller (K,) in s that span the samples `grid`, and simulated steps to each."""
     signals, settings = problem.signals, problem.settings
     robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.controller.bandwidth_hz

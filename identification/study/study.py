@@ -18,7 +18,7 @@ from acquisition.robot import Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, regular_start
+from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, poses_of, regular_start
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .synthetic import Noise, closed_loop, random_reference, truth
@@ -171,7 +171,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         sigma_ls=ls.estimate.sigma,
         hac_ls=ls.sigma_hac,
     )
-    poses = q_ref[:: max(1, len(q_ref) // 300)]
+    poses = poses_of(q_ref)
     J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
     wrong = regular_start(idm, base, start * J)
     try:

@@ -19,7 +19,7 @@ from acquisition.trajectory import fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..methods import inertias
+from ..methods import inertias, poses_of
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
 from ..simulation import has_controller, recorded_loop, simulate, surrogate_loop
@@ -92,7 +92,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     if has_controller(robot.controller):
         loop = recorded_loop(robot)
     else:
-        J = inertias(model, q_ref[:: max(1, len(q_ref) // 300)])
+        J = inertias(model, poses_of(q_ref))
         loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
         raise IdentificationError(

@@ -1,4 +1,4 @@
-"""The simulated robot: the direct dynamic model of any base estimate in closed loop with the robot's own controller.
+"""The control law of the simulated robot: the described controller, or a surrogate.
 
 Control acts on motor positions q_m = R q, once per controller period, and is held in between (sample and hold):
 
@@ -22,7 +22,6 @@ Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import lapack
 
 from acquisition.robot import Controller, Robot
 
@@ -30,13 +29,11 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel
 
-STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
-MODE_PASSES = 8  # of the search for which directions stick; nearly always one or two are needed
-_LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
+SURROGATE_DAMPING = 0.8
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Loop:
+class ControlLaw:
     """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or m)."""
 
     period_s: float
@@ -52,7 +49,7 @@ class Loop:
     computed_torque: bool
     gravity: bool = False  # whether the model's gravity along the reference is added
 
-    def scaled(self, factor: Array) -> "Loop":
+    def scaled(self, factor: Array) -> "ControlLaw":
         """The same loop for other inertias: gains and saturation times `factor` (n,), the gain update.
 
         Gains of computed torque stay: they are of accelerations, and the model in the loop has the other inertias.
@@ -72,21 +69,7 @@ class Loop:
         return np.asarray(((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2)
 
 
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
-
-    There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
-    """
-
-    q: Array
-    dq: Array
-    ddq: Array
-    tau: Array
-    reason: str | None
-
-
-def recorded_loop(robot: Robot) -> Loop:
+def recorded_loop(robot: Robot) -> ControlLaw:
     """The loop of the description's `[controller]`; errors name the keys that are missing."""
     c, n = robot.controller, robot.n
     needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
@@ -104,7 +87,7 @@ def recorded_loop(robot: Robot) -> Loop:
     kp, kd = np.array(c.position_gain), np.array(c.velocity_gain)
     ki = np.array(c.integral_gain) if c.integral_gain and c.structure in ("cascade_p_pi", "pid") else np.zeros(n)
     cascade = c.structure.startswith("cascade")
-    return Loop(
+    return ControlLaw(
         period_s=1.0 / c.sample_rate_hz,
         R=robot.R,
         G=robot.gain,
@@ -125,13 +108,10 @@ def has_controller(controller: Controller) -> bool:
     return any(getattr(controller, key) is not None for key in keys)
 
 
-SURROGATE_DAMPING = 0.8
-
-
-def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> Loop:
+def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
     """A PD at the joints with velocity feed-forward and gravity: w_n = 2 pi bandwidth, zeta 0.8, inertias J (n,)."""
     w, n = 2 * np.pi * bandwidth_hz, len(J)
-    return Loop(
+    return ControlLaw(
         period_s=1.0 / rate_hz,
         R=np.eye(n),
         G=np.ones(n),
@@ -147,66 +127,11 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> Loop:
     )
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
-def simulate(
-    model: DirectModel,
-    loop: Loop,
-    q_ref: Array,
-    dq_ref: Array,
-    ddq_ref: Array,
-    *,
-    start: tuple[Array, Array],
-    bound: Array,
-    substeps: int = 1,
-) -> Simulated:
-    """Follow a reference (N, n) given once per controller period, from the `start` position and speed, (n,) each.
-
-    The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
-    stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
-    Newton iteration). Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the
-    inertia matrix is not positive. The state is never clipped.
-    """
-    N, n = q_ref.shape
-    h = loop.period_s / substeps
-    q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
-    q, v = (x.copy() for x in start)
-    friction = Friction(model, dq_ref, v, h)
-    control = _Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
-    look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
-    rows = 0
-    for k in range(N):
-        tau = control.torque(k, q, v)
-        for row in range(rows, rows + substeps):
-            M, bias = model.inertia_and_bias(q, v)
-            after = friction.step(M, h * (tau - bias), v)
-            if after is None:
-                reason = "the inertia matrix is not positive definite"
-                break
-            q_out[row], dq_out[row], tau_out[row] = q, v, tau
-            q, v = q + half * (v + after), after
-            rows = row + 1
-        if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
-            reason = _lost(q, q_ref[k], bound, k * loop.period_s)
-        if reason is not None:
-            break
-    far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
-    if reason is None and far.size:
-        k = int(far[0])
-        reason, rows = _lost(q_out[k * substeps], q_ref[k], bound, k * loop.period_s), k * substeps
-    dq = dq_out[:rows]
-    return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
-
-
-def _lost(q: Array, q_ref: Array, bound: Array, t_s: float) -> str:
-    j = int(np.argmin(np.abs(q - q_ref) < bound))
-    return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
-
-
-class _Control:
+class Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
     def __init__(
-        self, model: DirectModel, loop: Loop, q_ref: Array, dq_ref: Array, ddq_ref: Array, q: Array, v: Array
+        self, model: DirectModel, loop: ControlLaw, q_ref: Array, dq_ref: Array, ddq_ref: Array, q: Array, v: Array
     ) -> None:
         self._model, self._loop, self._T = model, loop, loop.period_s
         self._q_ref, self._dq_ref, self._ddq_ref = q_ref, dq_ref, ddq_ref
@@ -266,54 +191,3 @@ class _Control:
     def _motor_effort(self, tau: Array) -> Array:
         """Motor efforts (n, ...) that give the joint torques (n, ...)."""
         return np.asarray(np.linalg.solve(self._to_joints, tau))
-
-
-class Friction:
-    """Implicit friction: solves (M + h V) dv = force - h (V v + Sᵀ f + offset), where f in each direction slips or sticks.
-
-    A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The
-    modes of the step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
-    """
-
-    def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float) -> None:
-        self._model, self._h, self._S, self._ST = model, h, model.directions, model.directions.T.copy()
-        self._v_s = STICTION * np.maximum(np.abs(dq_ref @ self._ST).max(axis=0, initial=0.0), 1e-9)
-        self._resists = (model.up + model.down) > 0
-        self._slope = np.where(self._resists, (model.up + model.down) / (2 * self._v_s), 0.0)
-        self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
-        self._V, self._hV = model.viscous, h * model.viscous
-        self._turn(np.sign(self._S @ v))
-
-    def _turn(self, mode: Array) -> None:
-        """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
-        model, h = self._model, self._h
-        self._mode, self._stuck = mode, bool((mode == 0).any())
-        stuck = mode == 0
-        level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
-        self._slipping = h * (level @ self._S + model.offset)
-        self._creep = h * (self._ST * (self._slope * stuck)) @ self._S
-
-    def step(self, M: Array, force: Array, v: Array) -> Array | None:
-        """Speed (n,) after a step under the impulse `force`; None where no positive definite matrix is to be solved with."""
-        if self._one_sided:
-            self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
-            self._hV = self._h * self._V
-        M, force = M + self._hV, force - self._hV.dot(v)
-        for _ in range(MODE_PASSES):
-            if self._stuck:
-                _, dv, info = lapack.dposv(M + self._creep, force - self._slipping - self._creep.dot(v))
-            else:
-                _, dv, info = lapack.dposv(M, force - self._slipping)
-            if info:
-                return None
-            w = v + dv
-            after, mode = self._S.dot(w), self._mode
-            if not self._stuck and min((mode * after).tolist(), default=1.0) > 0:
-                break
-            stuck = mode == 0
-            found = np.where(stuck & (np.abs(after) > self._v_s), np.sign(after), mode)
-            found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
-            if (found == mode).all():
-                break
-            self._turn(found)
-        return np.asarray(w)

@@ -1,0 +1,81 @@
+"""The simulated robot: the direct dynamic model of any base estimate in closed loop with the robot's own controller."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from ..model import DirectModel
+from .control_law import Control, ControlLaw
+from .friction import Friction
+
+_LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
+
+
+@dataclass(frozen=True, eq=False)
+class Simulated:
+    """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
+
+    There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
+    """
+
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+    reason: str | None
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
+def simulate(
+    model: DirectModel,
+    loop: ControlLaw,
+    q_ref: Array,
+    dq_ref: Array,
+    ddq_ref: Array,
+    *,
+    start: tuple[Array, Array],
+    bound: Array,
+    substeps: int = 1,
+) -> Simulated:
+    """Follow a reference (N, n) given once per controller period, from the `start` position and speed, (n,) each.
+
+    The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
+    stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
+    Newton iteration). Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the
+    inertia matrix is not positive. The state is never clipped.
+    """
+    N, n = q_ref.shape
+    h = loop.period_s / substeps
+    q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
+    q, v = (x.copy() for x in start)
+    friction = Friction(model, dq_ref, v, h)
+    control = Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
+    look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
+    rows = 0
+    for k in range(N):
+        tau = control.torque(k, q, v)
+        for row in range(rows, rows + substeps):
+            M, bias = model.inertia_and_bias(q, v)
+            after = friction.step(M, h * (tau - bias), v)
+            if after is None:
+                reason = "the inertia matrix is not positive definite"
+                break
+            q_out[row], dq_out[row], tau_out[row] = q, v, tau
+            q, v = q + half * (v + after), after
+            rows = row + 1
+        if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
+            reason = _lost(q, q_ref[k], bound, k * loop.period_s)
+        if reason is not None:
+            break
+    far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
+    if reason is None and far.size:
+        k = int(far[0])
+        reason, rows = _lost(q_out[k * substeps], q_ref[k], bound, k * loop.period_s), k * substeps
+    dq = dq_out[:rows]
+    return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
+
+
+def _lost(q: Array, q_ref: Array, bound: Array, t_s: float) -> str:
+    j = int(np.argmin(np.abs(q - q_ref) < bound))
+    return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
