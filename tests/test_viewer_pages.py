@@ -4,6 +4,7 @@ import json
 import time
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -31,6 +32,7 @@ from identification.view.panels import (
     RESIDUAL,
     SIMULATED,
 )
+from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
 from identification.view.signal_panels import event_log, health_plot, span_lanes
 from identification.view.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
@@ -356,6 +358,26 @@ def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
     assert [c for _, c in bars] == [PURPLE, ORANGE, PURPLE, ORANGE]
     assert bars[0][0][0][1] == bars[0][0][1][1] == crosses[1][1], "as high as the median run"
     assert bars[1][0][0][0] < dots[2][0] < bars[1][0][1][0], "over the runs it is of"
+
+
+def test_text_has_only_characters_of_the_viewers_font(tmp_path):
+    """The viewer's font is Inter alone; the viewer ends at a character without a glyph."""
+    assert shown_text("cond ZᵀW, σ ± 2 µrad²/√Hz − é") == "cond Z'W, σ ± 2 µrad²/√Hz − é"
+    assert shown_text("Ｊ１ 関節") == "J1 ??"
+    signals = scara()
+    robot = replace(
+        signals.robot,
+        joints=tuple(msgspec.structs.replace(j, name=f"関節 {k}") for k, j in enumerate(signals.robot.joints)),
+    )
+    signals = replace(signals, robot=robot)
+    write_fit_rrd(tmp_path / "fit.rrd", signals, fitted_iv(signals))
+    file = Written(tmp_path / "fit.rrd")
+    texts = [title for _, title in file.views.values()]
+    texts += file.static["/report"]["TextDocument:text"]
+    for columns in file.static.values():
+        texts += columns.get("Points2D:labels") or []
+    assert any("Z'W" in text for text in texts)
+    assert all(shown_text(text) == text for text in texts)
 
 
 def test_colors_are_those_of_okabe_and_ito():

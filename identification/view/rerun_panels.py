@@ -1,6 +1,7 @@
 """Panels as Rerun shows them: `show` writes one's data as entities and returns the view of them."""
 
 import tempfile
+import unicodedata
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,8 +19,26 @@ Vector = NDArray[np.float64]
 
 _SOLID_COLORS = {"base": (95, 100, 110), "link": (215, 218, 224), "joint": (70, 78, 92), "tool": (235, 160, 60)}
 _GHOST, _HALO = (*SKY, 70), 1.07  # a ghost's color, and its size, so that it shows around the robot it covers
+_SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
 _CROSS = 3.2  # half a cross's width, in pixels of its sheet
 _DIAGONALS = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
+
+
+def shown_text(text: str) -> str:
+    """Text of characters that the viewer's font has: the viewer ends with an error at the first that it lacks.
+
+    Others are replaced by what they are like (ᵀ by an apostrophe, a wide letter by the plain one), else by a question mark.
+    """
+    return "".join(c if _has_glyph(c) else _like(c) for c in text)
+
+
+def _has_glyph(c: str) -> bool:
+    return c in "\n\t" or " " <= c <= "~" or "¡" <= c <= "ÿ" or ("Α" <= c <= "ω" and c.isalpha()) or c in _SIGNS
+
+
+def _like(c: str) -> str:
+    plain = "'" if c == "ᵀ" else "".join(x for x in unicodedata.normalize("NFKD", c) if _has_glyph(x))
+    return plain or "?"
 
 
 def show(recording: Any, panel: Panel) -> Any:
@@ -32,7 +51,12 @@ def show(recording: Any, panel: Panel) -> Any:
     match panel:
         case Plot():
             for c in panel.curves:
-                style = {"names": c.name or c.key, "colors": c.color, "widths": c.width, "visible_series": c.visible}
+                style = {
+                    "names": shown_text(c.name or c.key),
+                    "colors": c.color,
+                    "widths": c.width,
+                    "visible_series": c.visible,
+                }
                 key = rr.new_entity_path([c.key]).lstrip("/")
                 # Rerun's own rule averages what falls on one pixel, and so loses peaks.
                 log(key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
@@ -40,18 +64,25 @@ def show(recording: Any, panel: Panel) -> Any:
                 recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0])], columns=columns)
             legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves), visible=panel.legend)
             axis = rrb.TimeAxis(link="LinkToGlobal")
-            return rrb.TimeSeriesView(origin=origin, name=panel.title, axis_x=axis, plot_legend=legend)
+            return rrb.TimeSeriesView(origin=origin, name=shown_text(panel.title), axis_x=axis, plot_legend=legend)
         case Bars():
             for key, (left, width, heights), color in (
                 ("back", panel.back, (*GREY, 120)),
                 ("front", panel.front, RESIDUAL),
             ):
                 log(key, rr.BarChart(heights, abscissa=left, widths=np.full(len(left), width), color=color))
-            return rrb.BarChartView(origin=origin, name=panel.title, plot_legend=rrb.PlotLegend(visible=False))
+            return rrb.BarChartView(
+                origin=origin, name=shown_text(panel.title), plot_legend=rrb.PlotLegend(visible=False)
+            )
         case Drawing():
             xy, texts, colors = zip(*(((x, y), text, color) for x, y, text, color in panel.labels), strict=True)
             none = rr.Radius.ui_points(0.1)
-            log("labels", rr.Points2D(xy, labels=texts, colors=colors, radii=none, show_labels=True))
+            log(
+                "labels",
+                rr.Points2D(
+                    xy, labels=[shown_text(text) for text in texts], colors=colors, radii=none, show_labels=True
+                ),
+            )
             strips, colors, radii = zip(*panel.strokes, strict=True)
             log("strokes", rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(radii)))
             if panel.dots:
@@ -63,9 +94,10 @@ def show(recording: Any, panel: Panel) -> Any:
                 twice = [color for color in colors for _ in _DIAGONALS]
                 log("crosses", rr.LineStrips2D(both, colors=twice, radii=rr.Radius.ui_points(0.8), draw_order=40.0))
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
-            return rrb.Spatial2DView(origin=origin, name=panel.title, visual_bounds=bounds)
+            return rrb.Spatial2DView(origin=origin, name=shown_text(panel.title), visual_bounds=bounds)
         case Lanes():
-            for name, states in panel.lanes.items():
+            for name, told in panel.lanes.items():
+                states = [(t_s, shown_text(text), color) for t_s, text, color in told]
                 key = rr.new_entity_path([name]).lstrip("/")
                 changes = [text for _, text, _ in states]
                 known = {text: color for _, text, color in states}
@@ -75,17 +107,17 @@ def show(recording: Any, panel: Panel) -> Any:
                 recording.send_columns(
                     f"{origin}/{key}", indexes=[times], columns=rr.StateChange.columns(state=changes)
                 )
-            return rrb.StateTimelineView(origin=origin, name=panel.title)
+            return rrb.StateTimelineView(origin=origin, name=shown_text(panel.title))
         case Log():
             times = _time(np.array([t_s for t_s, _, _ in panel.lines]))
             levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
-            columns = rr.TextLog.columns(text=[text for _, _, text in panel.lines], level=levels)
+            columns = rr.TextLog.columns(text=[shown_text(text) for _, _, text in panel.lines], level=levels)
             recording.send_columns(origin, indexes=[times], columns=columns)
             columns_shown = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
-            return rrb.TextLogView(origin=origin, name=panel.title, columns=columns_shown)
+            return rrb.TextLogView(origin=origin, name=shown_text(panel.title), columns=columns_shown)
         case Note():
-            log("", rr.TextDocument(panel.text, media_type="text/markdown"))
-            return rrb.TextDocumentView(origin=origin, name=panel.title)
+            log("", rr.TextDocument(shown_text(panel.text), media_type="text/markdown"))
+            return rrb.TextDocumentView(origin=origin, name=shown_text(panel.title))
         case Scene():
             return _show_robot(recording, origin, panel)
 
@@ -136,7 +168,7 @@ def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
                 recording.log(f"{path}/{link}/{kind}", shapes, static=True)
     grid = rrb.LineGrid3D(plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60))
     eye = rrb.EyeControls3D(position=scene.eye, look_target=scene.target, eye_up=scene.up)
-    return rrb.Spatial3DView(origin=origin, name=scene.title, line_grid=grid, eye_controls=eye)
+    return rrb.Spatial3DView(origin=origin, name=shown_text(scene.title), line_grid=grid, eye_controls=eye)
 
 
 def _shapes(kind: str, solids: Sequence[Solid], *, ghost: bool) -> Any:

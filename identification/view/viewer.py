@@ -38,7 +38,7 @@ from .charts import parameter_drawing, passes_drawing, study_drawing, trust_draw
 from .curves import motion_plots, observed, position_plots, torque_plots
 from .legend import fit_legend, numbers_of_plots, recording_legend
 from .panels import Note, Panel, Plot
-from .rerun_panels import show
+from .rerun_panels import show, shown_text
 from .robot_drawing import robot_scene
 from .signal_panels import event_log, health_plot, residual_bars, span_lanes, spectrum_drawings
 
@@ -128,7 +128,7 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
     recording = rr.RecordingStream(f"{named} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
     try:
-        recording.send_recording_name(name)
+        recording.send_recording_name(shown_text(name))
         tabs = pages(lambda panel: show(recording, panel))
         blueprint = rrb.Blueprint(
             rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
@@ -218,5 +218,7 @@ def _signal_pages(show: _Show, signals: Signals, plan: Settings | None, *, fitte
 
 
 def _motion_page(signals: Signals, rows: list[list[Any]]) -> Any:
-    joints = [rrb.Vertical(*views, name=j.name) for j, views in zip(signals.robot.joints, rows, strict=True)]
+    joints = [
+        rrb.Vertical(*views, name=shown_text(j.name)) for j, views in zip(signals.robot.joints, rows, strict=True)
+    ]
     return rrb.Tabs(*joints, name="motion") if len(joints) > 1 else rrb.Vertical(*rows[0], name="motion")
