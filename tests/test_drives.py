@@ -145,7 +145,7 @@ def test_sync_on_the_identifier_of_another_service(can_id):
 
 def test_a_robot_without_a_bus_is_told():
     text = bus_text()
-    with pytest.raises(AcquisitionError, match=r"r.toml: bus is not there: expected a \[bus\] section"):
+    with pytest.raises(AcquisitionError, match=r"r.toml: bus is missing: expected a \[bus\] section"):
         resolve(robot_of(text[: text.index("[bus]")]), "r.toml")
 
 

@@ -97,7 +97,7 @@ def test_a_dictionary_of_four_mebibytes_and_no_more():
 def test_a_dictionary_that_is_missing_beside_the_description():
     robot = robot_of(bus_text(1).replace("node = 1\n", 'node = 1\ndictionary = "a.eds"\n'))
     with pytest.raises(
-        AcquisitionError, match=r"bus.drive\[0\].dictionary = 'a.eds': is missing beside the description"
+        AcquisitionError, match=r"bus.drive\[0\].dictionary = 'a.eds': is missing next to the description"
     ):
         resolve(robot, "robot.toml")
 

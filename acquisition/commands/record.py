@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
         raise AcquisitionError(f"--duration {options.duration_s:g}: expected more than 0, and an end")
     robot = load_robot(options.robot)
     if robot.bus is None:
-        raise AcquisitionError(f"{options.robot}: bus is not there: expected a [bus] section with one drive per motor")
+        raise AcquisitionError(f"{options.robot}: bus is missing: expected a [bus] section with one drive per motor")
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
         raise AcquisitionError("--track: nobody is here to confirm the joint positions: expected a terminal, or --yes")

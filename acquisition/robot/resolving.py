@@ -45,7 +45,7 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
         Names `place`, the key, the value and what was expected.
     """
     if robot.bus is None:
-        raise AcquisitionError(f"{place}: bus is not there: expected a [bus] section with one drive per motor")
+        raise AcquisitionError(place=place, key="bus", value=None, expected="a [bus] section with one drive per motor")
     drives = tuple(
         _drive(file, motor, robot.files, f"{place}: bus.drive[{i}]", traffic)
         for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True))
@@ -80,7 +80,7 @@ def _drive(
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
         if label not in files:
-            raise AcquisitionError(f"{place}.dictionary = {file.dictionary!r}: is missing beside the description")
+            raise AcquisitionError(f"{place}.dictionary = {file.dictionary!r}: is missing next to the description")
         dictionary = load_dictionary(files[label], file.dictionary, file.node)
         types |= {key: entry.type for key, entry in dictionary.entries.items() if entry.type}
     types |= {parse_object(name): kind for name, kind in file.objects.items()}
