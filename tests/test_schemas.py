@@ -121,6 +121,15 @@ def test_stored_fits_conform(name, capsys):
         assert not conforms(changed(fit, key, value), schema, schema["$defs"]), key
 
 
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_a_new_fit_conforms(method, tmp_path, capsys):
+    out = tmp_path / "fit.json"
+    assert main(["fit", str(REPLAY / "scara" / "session.mcap"), "--method", method, "--json", str(out)]) == 0
+    capsys.readouterr()
+    schema = schema_of("fit", capsys)
+    assert conforms(json.loads(out.read_text()), schema, schema["$defs"])
+
+
 def test_another_file_is_wrong_usage(capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["schema", "recording"])
