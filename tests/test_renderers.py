@@ -75,7 +75,7 @@ def test_markdown_takes_no_text_for_markup():
 
 
 def test_a_wide_table_is_printed_whole_in_a_narrow_terminal(capsys, monkeypatch):
-    for name, value in (("COLUMNS", "40"), ("FORCE_COLOR", "1"), ("TERM", "dumb")):
+    for name, value in (("COLUMNS", "40"), ("FORCE_COLOR", "1"), ("LINES", "50")):
         monkeypatch.setenv(name, value)
     numbers = [Number(1000.0 + k / 7, ".6f") for k in range(30)]
     headings = columns(numbers=tuple(f"heading of {k}" for k in range(30)))

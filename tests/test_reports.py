@@ -1,0 +1,75 @@
+"""What the reports of a fit and of a validation say: the verdict first, by the rows that move, then what is essential."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from fits_of_records import iv_of, ls_of, signals_of
+
+from identification.report import fit_document, recording_document, to_markdown, validation_document
+
+SCARA = REPLAY / "scara" / "session.mcap"
+
+
+def with_essential(fit, names):
+    reduction = replace(fit.essential, estimate=replace(fit.essential.estimate, names=names))
+    least_squares = replace(fit.least_squares, essential=reduction)
+    return replace(fit, least_squares=least_squares, warnings=("a wrong gain",))
+
+
+def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
+    signals, fit = signals_of(SCARA), with_essential(iv_of(SCARA), ("ZZ1R", "ZZ2"))
+    document = fit_document(signals, fit)
+    moving = fit.errors[-1].moving_relative_error_percent
+    every = fit.errors[-1].relative_error_percent
+    assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
+    assert document.title == f"SCARA: IV, converged, {moving:.3g} % torque error of moving rows"
+    verdict = document.sections[0]
+    assert verdict.lines[0] == "status: converged"
+    assert verdict.lines[1].startswith(f"relative torque error: {moving:.3g} % of moving rows")
+    assert verdict.lines[1].endswith(f"{every:.3g} % of all rows")
+    assert verdict.lines[2].startswith("essential (by least squares): 2 of 8 parameters")
+    assert verdict.warnings == ("a wrong gain",)
+
+
+@pytest.mark.parametrize("everything", [False, True])
+def test_the_table_has_the_essential_parameters_or_all(everything):
+    essential = ("ZZ1R", "Fc2")
+    signals, fit = signals_of(SCARA), with_essential(ls_of(SCARA), essential)
+    section = fit_document(signals, fit, everything=everything).sections[1]
+    rows = {row[0]: row for row in section.table.rows}
+    assert tuple(rows) == (fit.estimate.names if everything else essential)
+    for name, row in rows.items():
+        k = fit.estimate.names.index(name)
+        assert [cell.value for cell in row[1:5]] == [
+            fit.estimate.beta[k],
+            fit.estimate.sigma[k],
+            fit.estimate.sigma_percent[k],
+            fit.sigma_hac[k],
+        ]
+        if everything:
+            assert row[6] == ("yes" if name in essential else "")
+    assert any("6 more" in line and "--all" in line for line in section.lines) == (not everything)
+    last = fit_document(signals, fit, everything=everything).sections[-1]
+    assert ("ZZ1R = ZZ1 + 0.25 M2" in last.lines) == everything
+
+
+def test_a_number_that_does_not_exist_is_a_dash():
+    fit = ls_of(SCARA)
+    unknown = replace(fit, sigma_hac=np.full(len(fit.sigma_hac), np.nan))
+    row = fit_document(signals_of(SCARA), unknown).sections[1].table.rows[0]
+    assert row[4].text == "-"
+    assert "nan" not in to_markdown(fit_document(signals_of(SCARA), unknown)).lower()
+
+
+def test_a_validation_and_a_recording_say_what_they_are():
+    signals, fit = signals_of(SCARA), ls_of(SCARA)
+    document = validation_document(signals, fit.settings, "fit.json", fit.errors, ("another robot",))
+    assert document.title.startswith("fit.json on session.mcap: ")
+    assert document.sections[0].warnings == ("another robot",)
+    assert [row[0] for row in document.sections[1].table.rows] == ["shoulder", "elbow", "all"]
+    recorded = recording_document(signals, None, "no joint moves")
+    assert recorded.sections[0].lines[0] == "cannot be fitted: no joint moves"
+    low, high = (recorded.sections[1].table.rows[1][k].value for k in (2, 3))
+    assert (low, high) == (signals.q[:, 1].min(), signals.q[:, 1].max())
