@@ -11,7 +11,7 @@ import msgspec
 
 from ..errors import AcquisitionError
 from ..protocol import BITS, RATED_UNITS, RULES
-from .toml import Positive, Table
+from .toml import Positive, TomlTable
 
 Node = Annotated[int, msgspec.Meta(ge=1, le=127)]
 CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
@@ -23,7 +23,7 @@ Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Z
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
-class PdoFile(Table, frozen=True):
+class PdoFile(TomlTable, frozen=True):
     """A PDO: the objects in it, in order; `can_id` and `number` (from 1) where they are not the usual ones."""
 
     objects: Annotated[tuple[ObjectName, ...], msgspec.Meta(min_length=1, max_length=8)]
@@ -31,7 +31,7 @@ class PdoFile(Table, frozen=True):
     number: PdoNumber | None = None
 
 
-class ExtraFile(Table, frozen=True):
+class ExtraFile(TomlTable, frozen=True):
     """A further object in the samples; `scale` (per raw unit) and `unit` where the standard's are not meant."""
 
     object: ObjectName
@@ -40,7 +40,7 @@ class ExtraFile(Table, frozen=True):
     unit: Annotated[str, msgspec.Meta(max_length=16)] | None = None
 
 
-class DriveFile(Table, frozen=True):
+class DriveFile(TomlTable, frozen=True):
     """One `[[bus.drive]]`, in the order of the motors.
 
     Attributes:
@@ -87,7 +87,7 @@ class DriveFile(Table, frozen=True):
     extra: tuple[ObjectName | ExtraFile, ...] = ()
 
 
-class BusFile(Table, frozen=True):
+class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives.
 
     Attributes:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import AcquisitionError
 from .bus import BusFile, check_bus
-from .toml import Name, Positive, Table
+from .toml import Name, Positive, TomlTable
 
 Rows = Annotated[int, msgspec.Meta(ge=0)]
 
@@ -27,7 +27,7 @@ GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 
-class DH(Table, frozen=True):
+class DH(TomlTable, frozen=True):
     """Modified Denavit-Hartenberg row (Khalil, Kleinfinger): Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r)."""
 
     alpha_deg: float
@@ -36,7 +36,7 @@ class DH(Table, frozen=True):
     r_m: float
 
 
-class Joint(Table, frozen=True):
+class Joint(TomlTable, frozen=True):
     """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
 
     name: Name
@@ -74,7 +74,7 @@ class Joint(Table, frozen=True):
         return None if value is None else math.radians(value)
 
 
-class Motor(Table, frozen=True):
+class Motor(TomlTable, frozen=True):
     """One `[[motor]]`: the reduction to its joint, the drive gain, and the unit of the recorded effort."""
 
     name: Name
@@ -95,7 +95,7 @@ class Motor(Table, frozen=True):
         return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
 
 
-class Controller(Table, frozen=True):
+class Controller(TomlTable, frozen=True):
     """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares."""
 
     bandwidth_hz: Positive
@@ -107,14 +107,14 @@ class Controller(Table, frozen=True):
     velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] | None = None
 
 
-class LowSpeed(Table, frozen=True):
+class LowSpeed(TomlTable, frozen=True):
     """Rows slower than this share of the peak speed, in percent, are left out: of least squares, of iv. None: the default."""
 
     ls: Share | None = None
     iv: Share | None = None
 
 
-class Identification(Table, frozen=True):
+class Identification(TomlTable, frozen=True):
     """`[identification]`: overrides of the defaults of a fit; options of the command override both."""
 
     cutoff_hz: Positive | None = None
@@ -136,7 +136,7 @@ def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
     return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
-class RobotFile(Table, frozen=True):
+class RobotFile(TomlTable, frozen=True):
     """`robot.toml` as it stands in the file."""
 
     name: Name
