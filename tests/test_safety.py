@@ -160,7 +160,6 @@ def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
         entries={(0x1018, 1): entry, (0x1018, 2): dataclasses.replace(entry, value=7)},
         vendor=0xFB,
         product=9,
-        product_name="",
     )
     assert dictionary.identity == [(1, "vendor", 0xFB), (2, "product", 7)]
     maxon = load_dictionary(needs_data("eds", "maxon_EPOS4.eds").read_bytes(), "maxon", 1)
