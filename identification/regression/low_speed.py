@@ -33,7 +33,7 @@ def fast_rows(slip: Array, noise: Array, directions: Array, percent: float | Non
 
 
 def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
-    """Speeds (rows, c) of the directions (c, n) of Coulomb friction, and the noise (n,) of the joint speeds in the regressor.
+    """Lowest speeds (rows, c) of the directions (c, n) of Coulomb friction, and the noise (n,) of the regressor's joint speeds.
 
     Filtered by the fit's own low-pass, or by the rule's where the fit goes without or with a higher one: the noise is what
     that leaves out, zero behind the rule's filter. The low-pass blurs a speed by half a period of its cut-off, so that a joint
