@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -113,7 +114,7 @@ def test_results_say_in_a_line_what_they_are(signals, by_iv):
     error = by_iv.errors[-1].moving_relative_error_percent
     assert (
         repr(by_iv)
-        == f"Fit(iv, converged: 8 parameters, {len(by_iv.essential.kept)} essential, moving error {error:.3g} %)"
+        == f"Fit(SCARA, arrays, iv, converged: 8 parameters, {len(by_iv.essential.kept)} essential, moving error {error:.3g} %)"
     )
     assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
     assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"
@@ -125,12 +126,13 @@ def test_results_say_in_a_line_what_they_are(signals, by_iv):
     assert repr(loaded).startswith("Signals(session.mcap: SCARA, ")
 
 
-class Cells(html.parser.HTMLParser):
-    """The texts of a table's rows; every tag must be closed."""
+class Page(html.parser.HTMLParser):
+    """The texts of a page by their tags, those of table cells row by row; every tag must be closed."""
 
-    def __init__(self):
+    def __init__(self, text):
         super().__init__()
-        self.rows, self.open = [], []
+        self.rows, self.texts, self.open = [], [], []
+        self.feed(text)
 
     def handle_starttag(self, tag, attrs):
         self.open.append(tag)
@@ -141,24 +143,29 @@ class Cells(html.parser.HTMLParser):
         assert self.open.pop() == tag
 
     def handle_data(self, data):
-        if self.open[-1] in ("td", "th"):
+        if self.open and self.open[-1] in ("td", "th"):
             self.rows[-1].append(data)
+        elif self.open:
+            self.texts.append(data)
 
 
-def test_a_notebook_shows_the_essential_parameters(signals):
-    noise = np.random.default_rng(1).standard_normal(signals.effort.shape) * signals.effort.std(axis=0)
-    fit = identification.fit(signals.q, signals.effort + noise, 1000.0, SCARA, signals.q_ref)
-    few = {*fit.essential.estimate.names}
-    assert 2 < len(few) < len(fit.base.names)
-    shown = Cells()
-    shown.feed(fit._repr_html_())
-    assert shown.open == []
-    assert [row[0] for row in shown.rows[1:]] == [name for name in fit.base.names if name in few]
-    for name, value, sigma, unit in shown.rows[1:]:
-        k = fit.estimate.names.index(name)
-        assert float(value) == pytest.approx(fit.estimate.beta[k], rel=1e-4)
-        assert float(sigma) == pytest.approx(fit.estimate.sigma[k], rel=0.06)
-        assert unit == fit.base.units[fit.base.names.index(name)]
+def test_a_notebook_shows_the_report_of_a_fit(signals):
+    from identification.report import fit_document
+
+    robot = replace(signals.robot, name="<b>SCARA & Co")
+    fit = identification.identify_ls(replace(signals, robot=robot), identification.Overrides())
+    page, report = Page(fit._repr_html_()), fit_document(fit.problem.signals, fit)
+    assert page.open == []
+    assert page.texts[0] == report.title
+    assert "<b>SCARA & Co" in report.title
+    tables = [section.table for section in report.sections if section.table]
+    shown = [row for table in tables for row in ([c.heading for c in table.columns], *table.rows)]
+    assert page.rows == [
+        [" ".join((x if isinstance(x, str) else x.text).split()) for x in row if x != ""] for row in shown
+    ]
+    for section in report.sections:
+        lines = (*section.lines, *(f"warning: {text}" for text in section.warnings))
+        assert {" ".join(text.split()) for text in lines} <= {*page.texts}
 
 
 def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
@@ -171,7 +178,7 @@ def test_the_lines_of_the_readme_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block, "README", "exec"), {})
     told = capsys.readouterr().out
-    assert told.startswith("Fit(iv, converged: 8 parameters, ")
+    assert told.startswith("Fit(SCARA, arrays, iv, converged: 8 parameters, ")
     assert "'ZZ1R': " in told
 
 

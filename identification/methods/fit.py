@@ -1,8 +1,8 @@
 """What an identification gives: an estimate, the settings it was made with, and the evidence for and against it."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from html import escape
-from typing import Literal
+from typing import ClassVar, Literal
 
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Reduction, TorqueError
@@ -154,6 +154,7 @@ class Fit:
     warnings: tuple[str, ...]
     doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
+    _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     @property
     def settings(self) -> Settings:
@@ -186,16 +187,5 @@ class Fit:
     def __repr__(self) -> str:
         essential, error = len(self.essential.kept), self.errors[-1].moving_relative_error_percent
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
-        return f"Fit({self.method}, {self.status}: {len(self.beta)} parameters, {essential} essential, {moving})"
-
-    def _repr_html_(self) -> str:
-        """What a notebook shows: the one line, and the table of essential parameters."""
-        e, essential = self.estimate, set(self.essential.estimate.names)
-        units = dict(zip(self.base.names, self.base.units, strict=True))
-        rows = "".join(
-            f"<tr><th>{escape(name)}</th><td>{value:.5g}</td><td>{sigma:.2g}</td><td>{escape(units[name])}</td></tr>"
-            for name, value, sigma in zip(e.names, e.beta, e.sigma, strict=True)
-            if name in essential
-        )
-        heading = "<tr><th>parameter</th><th>value</th><th>sigma</th><th>unit</th></tr>"
-        return f"<p>{escape(repr(self))}</p><table><thead>{heading}</thead><tbody>{rows}</tbody></table>"
+        made = f"{self.problem.signals.robot.name}, {self.problem.signals.recording}, {self.method}, {self.status}"
+        return f"Fit({made}: {len(self.beta)} parameters, {essential} essential, {moving})"

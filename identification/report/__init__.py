@@ -15,7 +15,7 @@ from .document import Cell, Document, Number, Section, Table, columns, write_jso
 from .fit_files import fit_file, fit_schema, validation_file
 from .fit_report import fit_document
 from .recording_report import recording_document, validation_document
-from .renderers import print_whole, to_markdown
+from .renderers import print_whole, to_html, to_markdown
 from .stored_fit import StoredFit, doubts, frame_lines, read_fit
 from .study_report import base_document, base_file, study_document, study_file, truth_document
 
@@ -47,6 +47,7 @@ __all__ = [
     "recording_document",
     "study_document",
     "study_file",
+    "to_html",
     "to_markdown",
     "true_parameters",
     "truth_document",

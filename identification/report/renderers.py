@@ -1,7 +1,8 @@
-"""Renders a report: whole in a terminal of any width, and as Markdown for the text panel of a viewer."""
+"""Renders a report: whole in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook."""
 
 import re
 import textwrap
+from html import escape
 
 from rich import box
 from rich.cells import cell_len
@@ -125,3 +126,29 @@ def _cell(text: str) -> str:
 def _plain(text: str) -> str:
     """Text without markup: on one line, with a backslash before what Markdown would read as more than itself."""
     return re.sub(r"([\\*`<])", r"\\\1", " ".join(text.splitlines()))
+
+
+def to_html(document: Document) -> str:
+    """The report as HTML; text of the report, such as a robot's name, is never taken for markup."""
+    return "\n".join(
+        [_element("h3", document.title), *(part for section in document.sections for part in _html_section(section))]
+    )
+
+
+def _html_section(section: Section) -> list[str]:
+    return [
+        *([_element("h4", section.title)] if section.title else []),
+        *([_html_table(section.table)] if section.table else []),
+        *(_element("p", text) for text in section.lines),
+        *(_element("p", f"warning: {text}") for text in section.warnings),
+    ]
+
+
+def _html_table(table: Table) -> str:
+    heading = "".join(_element("th", column.heading) for column in table.columns)
+    rows = ("".join(_element("td", cell_text(cell)) for cell in row) for row in table.rows)
+    return f"<table><tr>{heading}</tr>\n{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
+
+
+def _element(tag: str, text: str) -> str:
+    return f"<{tag}>{escape(one_line(text))}</{tag}>"

@@ -1,0 +1,65 @@
+"""What `import identification` gives: a fit of arrays, the main names of the rooms, and a fit shown as its report."""
+
+import os
+from typing import Literal
+
+from numpy.typing import ArrayLike
+
+from acquisition.robot import Robot, load_robot
+
+from .data import Signals, load_signals, signals_from_arrays
+from .errors import IdentificationError
+from .methods import Fit, Iteration, identify_iv, identify_ls, validate
+from .regression import Overrides
+
+__all__ = ["Fit", "Iteration", "Overrides", "Signals", "fit", "identify_iv", "identify_ls", "load_signals", "validate"]
+
+
+def fit(
+    q: ArrayLike,
+    tau: ArrayLike,
+    sample_rate_hz: float,
+    robot: str | os.PathLike[str] | Robot,
+    q_ref: ArrayLike | None = None,
+    method: Literal["iv", "wls", "ols"] = "iv",
+) -> Fit:
+    """Base parameters of a robot from arrays, with the settings of its description.
+
+    `identify_ls` and `identify_iv` do the same for a recording, and take other settings.
+
+    Parameters
+    ----------
+    q : (N, n) measured joint positions, rad or m, time first.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain.
+    sample_rate_hz : rate of the samples.
+    robot : the description, or the path of a robot.toml.
+    q_ref : (N, n) reference positions; without them the measured positions take their place, which leaves the instruments of
+        `iv` not strictly exogenous (a warning of the fit).
+    method : `iv`, instrumental variables; `wls` or `ols`, least squares weighted joint by joint or not.
+
+    Returns
+    -------
+    Fit : `beta` (b,) in the order of `base.names`, `estimate` with deviations, `errors`, `status`, `warnings`.
+
+    Raises
+    ------
+    IdentificationError : where arrays do not belong together, or hold too little motion.
+    AcquisitionError : where the description cannot be read.
+    """
+    if method not in ("iv", "wls", "ols"):
+        raise IdentificationError(f"method = {method!r}: expected 'iv', 'wls' or 'ols'")
+    described = robot if isinstance(robot, Robot) else load_robot(robot)
+    signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref)
+    if method == "iv":
+        return identify_iv(signals, Overrides(), Iteration())
+    return identify_ls(signals, Overrides(), method=method)
+
+
+def _fit_html(fit: Fit) -> str:
+    """The report of a fit as HTML; the report is imported when a notebook first shows a fit."""
+    from .report import fit_document, to_html
+
+    return to_html(fit_document(fit.problem.signals, fit))
+
+
+Fit._repr_html_ = _fit_html
