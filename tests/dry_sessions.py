@@ -13,8 +13,8 @@ from acquisition.recorder.recorder import Recorded, Recorder
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.robot.drives import Bus
 from acquisition.robot.robot import Robot
-from acquisition.session.plan import Outcome, Plan, Stop
 from acquisition.session.session import run_active
+from acquisition.session.task import Outcome, Stop, Task
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
@@ -64,7 +64,7 @@ class SyncOfAnother(Through):
 
 @dataclass(frozen=True, kw_only=True)
 class DrySession:
-    ending: Outcome | None
+    outcome: Outcome | None
     raised: BaseException | None
     drives: SimulatedDrives
     recorded: Recorded
@@ -77,7 +77,7 @@ class DrySession:
 
 def dry_session(
     path: Path,
-    plan: Plan,
+    task: Task,
     *,
     robot: Robot | None = None,
     bus: Bus | None = None,
@@ -96,12 +96,12 @@ def dry_session(
     log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
     rated = rated_motor_effort(bus)
     mechanism = None if plant is None else Mechanism(plant=plant, loops=typical_loops(robot, rated))
-    run = dry_run(robot, drives or bus, mechanism, faults=faults, tap=log.tap)
-    ending, raised = None, None
+    run = dry_run(SimulatedDrives(robot, drives or bus, mechanism, faults), tap=log.tap)
+    outcome, raised = None, None
     announced: list[Outcome] = []
     try:
         master = Master(through(link=run.link), bus)
-        ending = run_active(robot, master, log, plan, stop or Stop(), announced.append)
+        outcome = run_active(robot, master, log, task, stop or Stop(), announced.append)
     except BaseException as error:
         raised = error
     until_ns = run.link.now_ns() + 200_000_000
@@ -110,7 +110,7 @@ def dry_session(
     recorded = log.finish(run.link.now_ns())
     run.close()
     return DrySession(
-        ending=ending,
+        outcome=outcome,
         raised=raised,
         drives=run.drives,
         recorded=recorded,

@@ -18,9 +18,10 @@ from acquisition.master.master import Master
 from acquisition.recording.rows import SENT
 from acquisition.session import scheduling
 from acquisition.session.pacing import largest_delay_s
-from acquisition.session.plan import Plan, Stop
-from acquisition.session.recording_session import RecordOptions, record
+from acquisition.session.recording_session import Operator, RecordOptions, record
 from acquisition.session.scheduling import refuse_jitter, steady
+from acquisition.session.task import Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import dry_run
 from acquisition.trajectory.reference import table_reference
 
@@ -28,7 +29,7 @@ from acquisition.trajectory.reference import table_reference
 def drives_of(text: str, **values: int) -> tuple[object, Master]:
     """A dry run of a description, with positions of the drives in counts."""
     robot = robot_of(text)
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     for node in run.drives.nodes:
         node.values[0x6064, 0] = values.get(f"node_{node.drive.node}", 0)
     return run, Master(run.link, bus_of(robot))
@@ -76,14 +77,14 @@ def test_nothing_is_written_before_somebody_agrees(tmp_path):
     def refuse(master):
         raise AcquisitionError("joint angles not confirmed")
 
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=swing(2), before_motion=refuse))
-    assert (outcome.ending.fault, outcome.ending.reason) == (True, "joint angles not confirmed")
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", Task(reference=swing(2), before_motion=refuse))
+    assert (session.outcome.fault, session.outcome.reason) == (True, "joint angles not confirmed")
+    frames = next(iter(session.recording.frames.values()))
     sent = frames[(frames["flags"] & SENT) != 0]
     assert set(sent["can_id"].tolist()) == {0x601, 0x602}
     assert set(sent["data"][:, 0].tolist()) == {0x40}  # reads
-    agreed = dry_session(tmp_path / "b.mcap", Plan(reference=swing(2), before_motion=lambda _: ["confirmed: all"]))
-    assert agreed.ending.reason == "finished"
+    agreed = dry_session(tmp_path / "b.mcap", Task(reference=swing(2), before_motion=lambda _: ["confirmed: all"]))
+    assert agreed.outcome.reason == "finished"
     assert "confirmed: all" in agreed.events("mark")
 
 
@@ -125,7 +126,7 @@ def test_speeds_that_are_none(tmp_path, speed):
         with pytest.raises(AcquisitionError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
-                lambda status, left_s: None, Stop(),
+                Operator(),
             )  # fmt: skip
     assert not (tmp_path / "a.mcap").exists()
 
@@ -167,7 +168,7 @@ class Late(Through):
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s, refused):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
     robot = robot_of(bus_text(1, period_s=0.005))
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     master = Master(Late(link=run.link, late_ns=4_000_000), bus_of(robot))
     monkeypatch.setattr(scheduling, "largest_delay_s", lambda _: bound_s)
     if refused:

@@ -9,14 +9,14 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol.states import State
 from acquisition.recording.rows import SENT
-from acquisition.session.plan import Plan
+from acquisition.session.task import Task
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.plants import JointwisePlant, typical_plant
 
 DEG = np.degrees(1.0)
-TRACK = Plan(reference=swing(2, seconds=0.4, amplitude=0.02))
+TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))
 
 
 def loaded(share: float) -> JointwisePlant:
@@ -25,29 +25,29 @@ def loaded(share: float) -> JointwisePlant:
     return typical_plant(robot, rated_motor_effort(bus_of(robot)), share)
 
 
-def targets(outcome: DrySession, node: int) -> np.ndarray:
+def targets(session: DrySession, node: int) -> np.ndarray:
     """Targets sent to a drive in motor counts, in the order sent."""
-    frames = outcome.recording.frames["test"]
+    frames = session.recording.frames["test"]
     ours = frames[(frames["can_id"] == 0x200 + node) & ((frames["flags"] & SENT) != 0)]
     return ours["data"][:, 2:6].copy().view("<i4")[:, 0]
 
 
-def phase_of(outcome: DrySession, name: str) -> np.ndarray:
-    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
+def phase_of(session: DrySession, name: str) -> np.ndarray:
+    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
     names = list(stamps)
     at, then = stamps[name], stamps[names[names.index(name) + 1]]
-    samples = outcome.recording.samples
+    samples = session.recording.samples
     return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
 
 
 @pytest.mark.parametrize("late_s", [0.0, 2.0])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     late = [SimulatedFault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
-    assert outcome.ending.reason == "finished"
-    enabling = phase_of(outcome, "enable")
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
+    assert session.outcome.reason == "finished"
+    enabling = phase_of(session, "enable")
     start = enabling["position"][0]
-    stood = phase_of(outcome, "approach")["position"][:3] if late_s else phase_of(outcome, "track")["position"][:3]
+    stood = phase_of(session, "approach")["position"][:3] if late_s else phase_of(session, "track")["position"][:3]
     # The first drive has settled: none of its sag is left; the loop, of 5 Hz, needed some while the load came on.
     assert np.abs(stood[:, 0] - start[0]).max() * DEG < (0.001 if late_s else 0.02)
     if late_s:
@@ -55,8 +55,8 @@ def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
         assert 0.01 < np.abs(enabling["position"] - start).max() * DEG < 1.0
     # Held to the count, and no step when motion begins: the reference starts here, so the approach goes nowhere.
     for node in (1, 2):
-        assert np.ptp(targets(outcome, node)[: len(enabling) + 90]) == 0
-    assert len(phase_of(outcome, "approach")) == pytest.approx(100, abs=3)
+        assert np.ptp(targets(session, node)[: len(enabling) + 90]) == 0
+    assert len(phase_of(session, "approach")) == pytest.approx(100, abs=3)
 
 
 def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
@@ -74,12 +74,12 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
         rated / 140, 0.01 * rated, 0.05 * rated, 0 * rated, slides=np.zeros(2, bool), position=np.zeros(2)
     )  # fmt: skip
     late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
-    assert outcome.ending.reason == "finished"
-    enabling = phase_of(outcome, "enable")["position"][:, 1]
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
+    assert session.outcome.reason == "finished"
+    enabling = phase_of(session, "enable")["position"][:, 1]
     assert enabling[-1] - enabling[0] == pytest.approx(0.05 * 0.2, rel=0.1)
     # It is held at the last position that came before the drive said it was enabled.
-    sent = targets(outcome, 2)
+    sent = targets(session, 2)
     scale = 50 * 65536 / (2 * np.pi)
     assert sent[len(enabling) + 1] / scale == pytest.approx(enabling[-2], abs=2e-4)
 
@@ -96,11 +96,11 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
     positions = phase_of(free, "enable")["position"]
     sag_deg = np.abs(positions - positions[0]).max() * DEG
     assert 0.1 < sag_deg < 1.0
-    assert enabled("inside.mcap", 1.02 * sag_deg).ending.reason == "finished"
+    assert enabled("inside.mcap", 1.02 * sag_deg).outcome.reason == "finished"
     beyond = enabled("beyond.mcap", 0.98 * sag_deg)
-    assert beyond.ending.fault
-    assert beyond.ending.reason.startswith("joint_1: moved -0.00")
-    assert "rad while drives were enabled: expected" in beyond.ending.reason
+    assert beyond.outcome.fault
+    assert beyond.outcome.reason.startswith("joint_1: moved -0.00")
+    assert "rad while drives were enabled: expected" in beyond.outcome.reason
     assert beyond.drives.all_disabled
 
 
@@ -154,10 +154,10 @@ def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tm
             return super().receive(until_ns)
 
     late = [SimulatedFault(kind="slow", node=2, sync=1, count=100_000)]
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, plant=runaway(), faults=late, through=Here)
-    assert outcome.ending.fault
-    assert outcome.ending.reason.startswith("joint_1: ")
-    assert outcome.ending.all_disabled
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=runaway(), faults=late, through=Here)
+    assert session.outcome.fault
+    assert session.outcome.reason.startswith("joint_1: ")
+    assert session.outcome.all_disabled
 
     def first(state: State) -> float:
         return next(t for t, one, _ in history if one is state) * 1e-9

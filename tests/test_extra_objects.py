@@ -17,7 +17,7 @@ from acquisition.recording.rows import SENT
 from acquisition.recording.summary import overview
 from acquisition.robot.extra_objects import extra_columns
 from acquisition.robot.robot import Robot
-from acquisition.session.plan import Plan
+from acquisition.session.task import Task
 from acquisition.transport.wall_clock import WallClock, describe_step
 
 TEMPERATURE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
@@ -118,8 +118,8 @@ def test_extras_are_recorded_exported_and_summed_up(tmp_path):
 
 def test_simulated_drives_tell_their_velocity(tmp_path):
     robot = robot_of(bus_text(2, drive='extra = ["606C"]'))
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
-    samples = outcome.recording.samples
+    run = dry_session(tmp_path / "a.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
+    samples = run.recording.samples
     motor = 50 * np.gradient(samples["position"], 0.002, axis=0)
     assert np.ptp(motor) > 10
     assert np.abs(samples["extra"] - motor)[5:-5].max() < 0.03 * np.ptp(motor)

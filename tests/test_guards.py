@@ -16,14 +16,14 @@ from acquisition.master.reports import error_words, status_words
 from acquisition.protocol.states import State
 from acquisition.recording.summary import overview
 from acquisition.session.guards import SPEED_MARGIN
-from acquisition.session.plan import Outcome, Plan, Stop
+from acquisition.session.task import Outcome, Stop, Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
-from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.node import SimulatedNode
 from identification.data.signals import load_signals
 from identification.errors import IdentificationError
 
-REST = Plan(reference=np.zeros((151, 2)))  # 0.3 s
+REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
 PERIOD_S = 0.002
 LIMIT = np.radians(200)  # rad/s
 BEGIN_S = 0.25  # after the brakes opened: in the track phase
@@ -66,11 +66,11 @@ def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
 
 
 def outcome_of(tmp_path, where, text) -> str:
-    outcome = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
-    assert outcome.drives.all_disabled
-    assert outcome.ending.all_disabled
-    assert outcome.ending.fault is (outcome.ending.reason != "finished")
-    return outcome.ending.reason
+    session = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
+    assert session.drives.all_disabled
+    assert session.outcome.all_disabled
+    assert session.outcome.fault is (session.outcome.reason != "finished")
+    return session.outcome.reason
 
 
 def test_over_speed_in_both_directions(tmp_path):
@@ -116,9 +116,9 @@ def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
 
     def with_clear(sync: int, count: int) -> str:
         fault = SimulatedFault(kind="clear", node=2, sync=sync, count=count, bits=bit)
-        outcome = dry_session(tmp_path / f"{sync}_{count}.mcap", REST, faults=[fault])
-        assert outcome.drives.all_disabled
-        return outcome.ending.reason
+        session = dry_session(tmp_path / f"{sync}_{count}.mcap", REST, faults=[fault])
+        assert session.drives.all_disabled
+        return session.outcome.reason
 
     assert with_clear(60, 2) == "finished"
     reason = with_clear(60, 3)
@@ -130,9 +130,9 @@ def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
 def test_what_a_drive_warns_of_is_written_down_once(tmp_path, monkeypatch):
     plain = SimulatedNode.statusword.fget
     monkeypatch.setattr(SimulatedNode, "statusword", property(lambda node: plain(node) | (node.drive.node == 2) << 11))
-    outcome = dry_session(tmp_path / "a.mcap", REST)
-    assert outcome.ending.reason == "finished"
-    assert outcome.events("mark") == ["node 2 (motor_2): internal limit active"]
+    session = dry_session(tmp_path / "a.mcap", REST)
+    assert session.outcome.reason == "finished"
+    assert session.events("mark") == ["node 2 (motor_2): internal limit active"]
 
 
 def test_the_bits_of_a_statusword_in_words():
@@ -183,19 +183,19 @@ def test_a_heartbeat_is_lost_after_three_periods(tmp_path, lost, fault):
         def __post_init__(self):
             self.lost = lost
 
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=np.zeros((301, 2))), through=Here)
-    assert outcome.ending.fault is fault
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((301, 2))), through=Here)
+    assert session.outcome.fault is fault
+    assert session.drives.all_disabled
     if fault:
-        assert outcome.ending.reason == "node 1 (motor_1): heartbeat lost for 0.30 s"
+        assert session.outcome.reason == "node 1 (motor_1): heartbeat lost for 0.30 s"
 
 
 @pytest.mark.parametrize(("count", "fault"), [(2, False), (3, True)])
 def test_three_syncs_in_a_row_may_not_stay_unanswered(tmp_path, count, fault):
     gone = SimulatedFault(kind="missing", node=1, sync=60, count=count)
-    outcome = dry_session(tmp_path / "a.mcap", REST, faults=[gone])
-    assert outcome.ending.fault is fault
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", REST, faults=[gone])
+    assert session.outcome.fault is fault
+    assert session.drives.all_disabled
 
 
 @dataclass(kw_only=True)
@@ -238,19 +238,19 @@ def stalling(at_sync: int, for_s: float) -> type[Through]:
 )
 def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
     robot = robot_of(bus_text(2, extra=extra))
-    outcome = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
-    assert outcome.ending.fault is fault
-    assert outcome.drives.all_disabled
-    assert outcome.ending.all_disabled
-    frames = outcome.recording.frames["test"]
+    session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
+    assert session.outcome.fault is fault
+    assert session.drives.all_disabled
+    assert session.outcome.all_disabled
+    frames = session.recording.frames["test"]
     longest_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]).max() * 1e-9
     assert for_s - 0.003 < longest_s < for_s + 0.006  # the gap stands in the recording
     if fault:
-        assert outcome.ending.reason.startswith("SYNC ")
-        assert "late in motion: expected 0.0" in outcome.ending.reason
+        assert session.outcome.reason.startswith("SYNC ")
+        assert "late in motion: expected 0.0" in session.outcome.reason
     if for_s == 2.0:
-        assert outcome.ending.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
-        (gap,) = overview(outcome.recording).gaps
+        assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
+        (gap,) = overview(session.recording).gaps
         assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
         with pytest.raises(IdentificationError, match=r"gap\(s\) in the samples.*expected 2.000 ms throughout"):
             load_signals(tmp_path / "a.mcap")
@@ -305,9 +305,9 @@ def test_a_clock_that_is_set_is_called_that(tmp_path, monkeypatch):
                 shift[0] = -3_600_000_000_000
             return super().receive(until_ns)
 
-    outcome = dry_session(tmp_path / "a.mcap", REST, through=Setting)
-    assert outcome.ending.reason == "finished"
-    assert [t for t in outcome.events("warning") if "clock" in t] == [
+    session = dry_session(tmp_path / "a.mcap", REST, through=Setting)
+    assert session.outcome.reason == "finished"
+    assert [t for t in session.events("warning") if "clock" in t] == [
         "this computer's clock was set by -3.6e+03 s: the receive times of frames jump by that"
     ]
 
@@ -324,24 +324,24 @@ def test_ctrl_c_again_is_a_quick_stop(tmp_path):
                 stop.at_once = True
             return super().receive(until_ns)
 
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
-    assert outcome.ending.fault
-    assert outcome.ending.reason == "stopped by SIGINT, then again: quick stop"
-    assert outcome.ending.all_disabled
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
+    assert session.outcome.fault
+    assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
+    assert session.outcome.all_disabled
+    assert session.drives.all_disabled
 
 
 PHASES = ("enable", "approach", "track", "stop", "disable")
-SHORT = Plan(reference=np.zeros((51, 2)))  # 0.1 s
+SHORT = Task(reference=np.zeros((51, 2)))  # 0.1 s
 
 
 @pytest.fixture(scope="module")
 def sync_of(tmp_path_factory) -> dict[str, int]:
     """A SYNC early in each phase, counted from 1."""
-    outcome = dry_session(tmp_path_factory.mktemp("phases") / "a.mcap", SHORT)
-    frames = outcome.recording.frames["test"]
+    session = dry_session(tmp_path_factory.mktemp("phases") / "a.mcap", SHORT)
+    frames = session.recording.frames["test"]
     syncs = frames["time_ns"][frames["can_id"] == 0x80]
-    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
+    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
     return {phase: int(np.sum(syncs < stamps[phase])) + 2 for phase in PHASES}
 
 
@@ -349,26 +349,26 @@ def sync_of(tmp_path_factory) -> dict[str, int]:
 @pytest.mark.parametrize("kind", ["emergency", "silent", "reset", "deaf"])
 def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):
     fault = SimulatedFault(kind=kind, node=1, sync=sync_of[phase], count=10_000 if kind == "deaf" else 1)
-    outcome = dry_session(tmp_path / "a.mcap", SHORT, faults=[fault])
-    assert outcome.events("phase")[-1] == phase
-    assert outcome.drives.all_disabled
-    ending = outcome.ending
-    assert ending.fault
-    assert outcome.events("fault") == [ending.reason]
-    assert ending.unconfirmed == ((1,) if kind == "silent" else ())
-    assert [isinstance(item, Outcome) for item in outcome.announced] == [True]
-    assert outcome.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
+    session = dry_session(tmp_path / "a.mcap", SHORT, faults=[fault])
+    assert session.events("phase")[-1] == phase
+    assert session.drives.all_disabled
+    outcome = session.outcome
+    assert outcome.fault
+    assert session.events("fault") == [outcome.reason]
+    assert outcome.unconfirmed == ((1,) if kind == "silent" else ())
+    assert [isinstance(item, Outcome) for item in session.announced] == [True]
+    assert session.announced[0].alarm == ("NOT DISABLED: nodes 1: EMERGENCY STOP" if kind == "silent" else "")
     if kind == "emergency":
         report = "node 1 (motor_1): error register 1001 = 0x01, last error 1003:1 = 0x2310 (continuous over current)"
-        assert ending.reports[0].startswith(report)
-        assert outcome.events("mark") == list(ending.reports)
-    assert outcome.drives.states[1] is not State.OPERATION_ENABLED
+        assert outcome.reports[0].startswith(report)
+        assert session.events("mark") == list(outcome.reports)
+    assert session.drives.states[1] is not State.OPERATION_ENABLED
 
 
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(tmp_path, monkeypatch, capsys, kind):
     faults = [SimulatedFault(kind=kind, node=1, sync=130)]
-    monkeypatch.setattr(record_module, "dry_run", partial(dry_run, faults=faults))
+    monkeypatch.setattr(record_module, "SimulatedDrives", partial(SimulatedDrives, faults=faults))
     robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"
     robot.write_text(bus_text(2))
     table.write_text("time_s,joint_1,joint_2\n0,0,0\n0.3,0,0\n")

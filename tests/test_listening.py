@@ -18,8 +18,9 @@ from acquisition.protocol.states import State
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, REMOTE, SENT
 from acquisition.robot.bus import BusFile
-from acquisition.session.plan import Plan, Stop
 from acquisition.session.replaying import replay
+from acquisition.session.task import Stop, Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.transport.bus import open_bus
 from acquisition.transport.frame import Frame
@@ -27,14 +28,14 @@ from acquisition.transport.link import Link, open_link
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)
-PLANS = [Plan(duration_s=0.1), Plan(reference=swing(2, seconds=0.4, amplitude=0.02))]
+TASKS = [Task(duration_s=0.1), Task(reference=swing(2, seconds=0.4, amplitude=0.02))]
 
 
 @pytest.fixture(scope="module")
 def tracked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A session that moved two drives."""
     path = tmp_path_factory.mktemp("listening") / "log.mcap"
-    assert not dry_session(path, PLANS[1]).ending.fault
+    assert not dry_session(path, TASKS[1]).outcome.fault
     return path
 
 
@@ -103,7 +104,7 @@ rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
 def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):
     robot = robot_of(bus_text(2, channel="replay_onto_drives"))
     stop, ear = threading.Event(), Ear(bus_file("replay_onto_drives"))
-    drives = threading.Thread(target=serve, args=(robot, bus_of(robot), stop.is_set), daemon=True)
+    drives = threading.Thread(target=serve, args=(SimulatedDrives(robot, bus_of(robot)), stop.is_set), daemon=True)
     drives.start()
     try:
         with pytest.raises(AcquisitionError, match=r"node [12] is heard: expected a silent bus; nothing was sent"):
@@ -168,24 +169,24 @@ class Neighbour(Through):
         return super().receive(until_ns)
 
 
-def sent_in(outcome) -> list[int]:
-    blocks = list(outcome.recording.frames.values())
+def sent_in(session) -> list[int]:
+    blocks = list(session.recording.frames.values())
     return [] if not blocks else blocks[0]["can_id"][(blocks[0]["flags"] & SENT) != 0].tolist()
 
 
-@pytest.mark.parametrize("plan", PLANS)
+@pytest.mark.parametrize("task", TASKS)
 @pytest.mark.parametrize("can_id", [0x000, 0x080, 0x201, 0x605, 0x77F])
-def test_a_session_beside_another_master_sends_nothing(tmp_path, plan, can_id):
-    outcome = dry_session(tmp_path / "a.mcap", plan, through=partial(Neighbour, can_id=can_id))
-    assert outcome.ending.fault
-    assert service_of(Frame(0, can_id, b""), 0x80) in outcome.ending.reason
-    assert "record --passive" in outcome.ending.reason
-    assert sent_in(outcome) == []
-    assert outcome.events("disabled") + outcome.events("not disabled") == []
+def test_a_session_beside_another_master_sends_nothing(tmp_path, task, can_id):
+    session = dry_session(tmp_path / "a.mcap", task, through=partial(Neighbour, can_id=can_id))
+    assert session.outcome.fault
+    assert service_of(Frame(0, can_id, b""), 0x80) in session.outcome.reason
+    assert "record --passive" in session.outcome.reason
+    assert sent_in(session) == []
+    assert session.events("disabled") + session.events("not disabled") == []
 
 
-@pytest.mark.parametrize("plan", PLANS)
-def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, plan):
+@pytest.mark.parametrize("task", TASKS)
+def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
     """Only SDO reads are sent; the way out is named."""
 
     @dataclass(kw_only=True)
@@ -196,19 +197,19 @@ def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, plan):
                 return frame._replace(data=frame.data[:4] + b"\x37\x02\0\0")  # 6041h: operation enabled
             return frame
 
-    outcome = dry_session(tmp_path / "a.mcap", plan, through=Enabled)
-    assert outcome.ending.reason.startswith("node 1: operation enabled before the session began")
-    assert "`robot-acquire disable`" in outcome.ending.reason
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", task, through=Enabled)
+    assert session.outcome.reason.startswith("node 1: operation enabled before the session began")
+    assert "`robot-acquire disable`" in session.outcome.reason
+    frames = next(iter(session.recording.frames.values()))
     sent = frames[(frames["flags"] & SENT) != 0]
     assert sent["can_id"].tolist() == [0x601]
     assert sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
-    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
 
 
 def test_nmt_goes_to_our_drives_only(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", PLANS[1])
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", TASKS[1])
+    frames = next(iter(session.recording.frames.values()))
     nmt = frames[frames["can_id"] == 0]
     assert nmt["length"].tolist() == [2] * len(nmt)
     assert nmt["data"][:, :2].tolist() == [[128, 1], [128, 2], [1, 1], [1, 2], [128, 1], [128, 2]]
@@ -216,7 +217,7 @@ def test_nmt_goes_to_our_drives_only(tmp_path):
 
 def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
     sent: list[Frame] = []
-    run = dry_run(ROBOT, BUS, tap=lambda frame: sent.append(frame) if frame.flags & SENT else None)
+    run = dry_run(SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None)
     try:
         alone = look(Neighbour(link=run.link, can_id=0x181), BUS)
         assert sum("switch on disabled" in finding.found for finding in alone) == 2

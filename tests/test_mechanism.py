@@ -11,8 +11,7 @@ import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import AcquisitionError
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import load_robot
-from acquisition.session.plan import Stop
-from acquisition.session.recording_session import RecordOptions, record
+from acquisition.session.recording_session import Operator, RecordOptions, record
 from acquisition.simulated.mechanism import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
 from identification.model.inverse import InverseModel
@@ -30,10 +29,8 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     table = tmp_path / "reference.csv"
     names = ",".join(joint.name for joint in robot.joints)
     np.savetxt(table, np.column_stack([t_s, reference]), delimiter=",", header=f"time_s,{names}", comments="")
-    ending, _ = record(
-        robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), lambda *_: None, Stop()
-    )
-    assert (ending.reason, ending.all_disabled) == ("finished", True)
+    outcome, _ = record(robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), Operator())
+    assert (outcome.reason, outcome.all_disabled) == ("finished", True)
     recording = read_recording(tmp_path / "a.mcap")
     assert not [e.text for e in recording.events if e.kind == "warning"]
     samples = recording.samples

@@ -12,7 +12,7 @@ from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import sample_dtype
 from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
-from acquisition.session.plan import Plan
+from acquisition.session.task import Task
 from acquisition.simulated.plants import TablePlant
 from identification.data.signals import load_signals
 from identification.methods.idim import identify_ls
@@ -52,11 +52,11 @@ def over_can(tx40_at_500_hz: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     )
     table = read_recording(tx40_at_500_hz).samples
     path = tmp_path_factory.mktemp("can") / "session.mcap"
-    outcome = dry_session(
-        path, Plan(duration_s=(len(table) + 5) / RATE_HZ), robot=robot, plant=TablePlant(table, RATE_HZ)
+    session = dry_session(
+        path, Task(duration_s=(len(table) + 5) / RATE_HZ), robot=robot, plant=TablePlant(table, RATE_HZ)
     )
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
     return path
 
 
@@ -103,8 +103,8 @@ def test_volts_and_metres_of_the_emps_travel_too(emps, tmp_path):
         "emps", period_s=0.001, drive='reference = "6074"\nreference_rule = "mV"\ncounts_per_m = 10_000_000'
     )
     table = recording.samples[:3000].astype(sample_dtype(1, reference=True))
-    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=3.01), robot=robot, plant=TablePlant(table, 1000.0))
-    samples = outcome.recording.samples[:3000]
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=3.01), robot=robot, plant=TablePlant(table, 1000.0))
+    samples = session.recording.samples[:3000]
     assert np.abs(samples["position"] - table["position"]).max() <= 0.5e-7 * (1 + 1e-6)
     assert np.abs(samples["effort"] - table["effort"]).max() <= 0.5e-3 * 35.15065188 * (1 + 1e-6)
-    assert outcome.recorded.warnings == ()
+    assert session.recorded.warnings == ()

@@ -10,6 +10,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.master.stopping import leave_operational, not_disabled, safe_stop
 from acquisition.protocol.states import Command, Mode, State
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import DryRun, dry_run
 from acquisition.simulated.mechanism import Mechanism, typical_loops
 from acquisition.simulated.node import SimulatedNode
@@ -43,7 +44,10 @@ def moving(
     robot = robot_of(bus_text(2))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
     mechanism = Mechanism(plant=Coasting(after), loops=typical_loops(robot, np.full(2, 0.42)))
-    run = dry_run(robot, bus, mechanism, supervised=False, tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)))
+    run = dry_run(
+        SimulatedDrives(robot, bus, mechanism, supervised=False),
+        tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),
+    )
     master = Master(run.link, bus)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)

@@ -27,8 +27,9 @@ from acquisition.recorder.process import ProcessLog
 from acquisition.recording.rows import SENT
 from acquisition.robot.bus import dictionary_label
 from acquisition.robot.drives import axis_of
-from acquisition.session.plan import Plan, Stop
-from acquisition.session.recording_session import RecordOptions, record, stop_on_signals
+from acquisition.session.recording_session import Operator, RecordOptions, record, stop_on_signals
+from acquisition.session.task import Stop, Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.simulated.node import SimulatedNode
@@ -36,7 +37,7 @@ from acquisition.transport.bus import open_bus
 from acquisition.transport.frame import Frame
 from acquisition.transport.link import Link
 
-TRACK = Plan(reference=swing(2))
+TRACK = Task(reference=swing(2))
 ENABLED = 0x0237
 
 
@@ -55,26 +56,26 @@ class StaleAnswers(Through):
 
 
 def test_positions_from_before_start_command_nothing(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=StaleAnswers)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=StaleAnswers)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    frames = next(iter(session.recording.frames.values()))
     first = frames[(frames["can_id"] == 0x201) & ((frames["flags"] & SENT) != 0)][0]
     control, target = struct.unpack("<Hi", first["data"].tobytes()[:6])
     assert control == 0x06  # shutdown, the first step up, not enable operation
     assert abs(target) < 10
-    assert np.ptp(outcome.recording.samples["position"], axis=0) == pytest.approx(0.6, abs=0.01)
+    assert np.ptp(session.recording.samples["position"], axis=0) == pytest.approx(0.6, abs=0.01)
 
 
 def test_a_drive_that_is_enabled_already_is_somebody_elses(tmp_path, monkeypatch):
     monkeypatch.setattr(SimulatedNode, "statusword", property(lambda _: ENABLED))
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending is not None
-    assert "node 1: operation enabled before the session began" in outcome.ending.reason
-    assert not any(node.operational for node in outcome.drives.nodes)
-    assert outcome.events("disabled") + outcome.events("not disabled") == []
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome is not None
+    assert "node 1: operation enabled before the session began" in session.outcome.reason
+    assert not any(node.operational for node in session.drives.nodes)
+    assert session.events("disabled") + session.events("not disabled") == []
     # It is left as it is: objects were read, and nothing else was sent.
-    frames = next(iter(outcome.recording.frames.values()))
+    frames = next(iter(session.recording.frames.values()))
     sent = frames[(frames["flags"] & SENT) != 0]
     assert set(sent["can_id"].tolist()) <= {0x601, 0x602}
     assert set(sent["data"][:, 0].tolist()) == {0x40}
@@ -90,36 +91,36 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
         return sent
 
     monkeypatch.setattr(SimulatedNode, "boot", in_fault)
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert outcome.events("mark") == [f"node {k}: found in fault; it is reset" for k in (1, 2)]
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert session.events("mark") == [f"node {k}: found in fault; it is reset" for k in (1, 2)]
     robot = robot_of(bus_text(2))
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     findings = look(run.link, bus_of(robot))
     assert [f.ok for f in findings if f.subject in ("node 1 (motor_1)", "node 2 (motor_2)")] == [False, False]
     run.close()
 
 
-@pytest.mark.parametrize("plan", [TRACK, Plan(duration_s=1.0)])
-def test_a_stop_before_anything_began(tmp_path, plan):
-    outcome = dry_session(tmp_path / "a.mcap", plan, stop=Stop(reason="stopped by SIGTERM"))
-    assert outcome.raised is None
-    assert outcome.ending is not None
-    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGTERM", False)
-    assert outcome.drives.all_disabled
+@pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
+def test_a_stop_before_anything_began(tmp_path, task):
+    session = dry_session(tmp_path / "a.mcap", task, stop=Stop(reason="stopped by SIGTERM"))
+    assert session.raised is None
+    assert session.outcome is not None
+    assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGTERM", False)
+    assert session.drives.all_disabled
 
 
 def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_for_those_away(tmp_path):
-    too_far = dry_session(tmp_path / "a.mcap", Plan(reference=swing(2, amplitude=2.0)))
-    assert "position of joint_1" in too_far.ending.reason
+    too_far = dry_session(tmp_path / "a.mcap", Task(reference=swing(2, amplitude=2.0)))
+    assert "position of joint_1" in too_far.outcome.reason
     assert too_far.events("disabled") + too_far.events("not disabled") == []
     frames = next(iter(too_far.recording.frames.values()), None)
     assert frames is None or not (frames["flags"] & SENT).any()
     robot, other = robot_of(bus_text(2)), robot_of(bus_text(2).replace("node = 2", "node = 9"))
-    for name, plan in (("track", TRACK), ("record", Plan(duration_s=1.0))):
-        away = dry_session(tmp_path / f"{name}.mcap", plan, robot=other, bus=bus_of(other), drives=bus_of(robot))
-        assert "node 9: object 6041:0: no answer" in away.ending.reason
+    for name, task in (("track", TRACK), ("record", Task(duration_s=1.0))):
+        away = dry_session(tmp_path / f"{name}.mcap", task, robot=other, bus=bus_of(other), drives=bus_of(robot))
+        assert "node 9: object 6041:0: no answer" in away.outcome.reason
         assert away.events("disabled") + away.events("not disabled") == []
 
 
@@ -128,16 +129,16 @@ def test_drives_that_were_configured_and_then_refused_are_disabled_and_asked(tmp
         robot_of(bus_text(2)),
         robot_of(bus_text(2).replace("rated_torque_nm = 0.42", "rated_torque_nm = 0.5")),
     )
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=other, bus=bus_of(other), drives=bus_of(robot))
-    assert "expected 500 as robot.toml says" in outcome.ending.reason
-    assert outcome.events("disabled") == ["every drive confirmed"]
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=other, bus=bus_of(other), drives=bus_of(robot))
+    assert "expected 500 as robot.toml says" in session.outcome.reason
+    assert session.events("disabled") == ["every drive confirmed"]
 
 
 def test_a_path_beyond_the_counter_is_refused_before_anything_is_sent(tmp_path):
     robot = robot_of(bus_text(2, drive="zero_counts = 2147480000"))
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
-    assert "counts: expected -2147483648 to 2147483647" in outcome.ending.reason
-    assert not outcome.recording.frames or not (next(iter(outcome.recording.frames.values()))["flags"] & SENT).any()
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert "counts: expected -2147483648 to 2147483647" in session.outcome.reason
+    assert not session.recording.frames or not (next(iter(session.recording.frames.values()))["flags"] & SENT).any()
 
 
 @pytest.mark.parametrize(
@@ -170,7 +171,7 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
     robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
     assert found["node 1 (motor_1) scale"].startswith(
         "encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1"
@@ -222,19 +223,19 @@ class AnotherSync(Through):
 
 
 def test_sync_of_another_producer_stops_ours(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=AnotherSync)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "bus: another producer sends SYNC"
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=AnotherSync)
+    assert session.outcome is not None
+    assert session.outcome.reason == "bus: another producer sends SYNC"
+    assert session.drives.all_disabled
 
 
 def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
     fault = SimulatedFault(kind="missing", node=1, sync=300, count=4)
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])
-    assert outcome.ending is not None
-    assert "node 1 (motor_1): 3 SYNC not answered" in outcome.ending.reason
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])
+    assert session.outcome is not None
+    assert "node 1 (motor_1): 3 SYNC not answered" in session.outcome.reason
+    assert session.drives.all_disabled
 
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
@@ -266,12 +267,12 @@ def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
                 stop.reason = "stopped by SIGINT"
             return super().receive(until_ns)
 
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=reference), robot=robot, through=Interrupting, stop=stop)
-    assert outcome.ending is not None
-    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGINT", False)
-    targets = outcome.recording.samples["reference"][:, 0]
-    stamps = {e.text: e.stamp_ns for e in outcome.recording.events if e.kind == "phase"}
-    tracked = targets[(outcome.recording.samples["stamp_ns"] > stamps["track"])]
+    session = dry_session(tmp_path / "a.mcap", Task(reference=reference), robot=robot, through=Interrupting, stop=stop)
+    assert session.outcome is not None
+    assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
+    targets = session.recording.samples["reference"][:, 0]
+    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
+    tracked = targets[(session.recording.samples["stamp_ns"] > stamps["track"])]
     assert np.abs(np.diff(tracked)).max() / 0.002 > 0.9
     # Targets are whole counts: a second difference of 50 samples takes their rounding out.
     smooth = (tracked[100:] - 2 * tracked[50:-50] + tracked[:-100]) / 0.1**2
@@ -447,16 +448,14 @@ def test_what_is_refused_leaves_no_file(tmp_path):
     out = tmp_path / "a.mcap"
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
     with pytest.raises(AcquisitionError, match=r"bus: slcan .*: cannot be opened"):
-        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), lambda *_: None, Stop())
+        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), Operator())
     with pytest.raises(AcquisitionError, match="--track: lasts as long as its reference"):
-        record(
-            nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), lambda *_: None, Stop()
-        )
+        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), Operator())
     assert not out.exists()
     far = tmp_path / "far.csv"
     far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
     with pytest.raises(AcquisitionError, match=r"far.csv: .*position of joint_1"):
-        record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), lambda *_: None, Stop())
+        record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), Operator())
     assert not out.exists()
 
 
@@ -482,5 +481,5 @@ def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
 
     monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: Busy())
     until_s = time.monotonic() + 0.3
-    serve(robot, bus_of(robot), lambda: time.monotonic() > until_s)
+    serve(SimulatedDrives(robot, bus_of(robot)), lambda: time.monotonic() > until_s)
     assert sent.count((0x701, b"\x7f")) >= 5

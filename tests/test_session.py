@@ -14,8 +14,9 @@ from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.protocol.states import State
 from acquisition.recording.rows import SENT
-from acquisition.session.plan import Plan, Stop
 from acquisition.session.session import _Session
+from acquisition.session.task import Stop, Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
 from acquisition.trajectory.reference import approach, check_limits, table_reference
@@ -23,25 +24,25 @@ from acquisition.transport.bus import open_bus
 from acquisition.transport.link import Link
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
-TRACK = Plan(reference=swing(2))
+TRACK = Task(reference=swing(2))
 
 
 def test_a_reference_is_tracked_and_recorded(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending is not None
-    assert (outcome.ending.reason, outcome.ending.fault, outcome.ending.all_disabled) == ("finished", False, True)
-    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
-    assert outcome.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
-    assert outcome.events("end") == ["finished"]
-    assert outcome.events("disabled") == ["every drive confirmed"]
-    assert outcome.recorded.warnings == ()
-    samples = outcome.recording.samples
-    stamps = {e.text: e.stamp_ns for e in outcome.recording.events}
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome is not None
+    assert (session.outcome.reason, session.outcome.fault, session.outcome.all_disabled) == ("finished", False, True)
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    assert session.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
+    assert session.events("end") == ["finished"]
+    assert session.events("disabled") == ["every drive confirmed"]
+    assert session.recorded.warnings == ()
+    samples = session.recording.samples
+    stamps = {e.text: e.stamp_ns for e in session.recording.events}
     track = (samples["stamp_ns"] >= stamps["track"]) & (samples["stamp_ns"] < stamps["stop"])
     assert samples["reference"][track] == pytest.approx(swing(2), abs=2e-6)
     assert np.abs(samples["position"] - samples["reference"])[track].max() < 0.01
     assert (np.diff(samples["stamp_ns"]) == 2_000_000).all()
-    frames = outcome.recording.frames["test"]
+    frames = session.recording.frames["test"]
     assert 0.4 < np.mean(frames["flags"] & SENT != 0) < 0.6
 
 
@@ -53,15 +54,15 @@ def test_runs_repeat_bit_for_bit(tmp_path):
 
 
 def test_nothing_moves_without_a_reference(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.5))
-    assert outcome.events("phase") == ["configure", "record"]
-    assert np.ptp(outcome.recording.samples["position"]) == 0
-    sent = outcome.recording.frames["test"]
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
+    assert session.events("phase") == ["configure", "record"]
+    assert np.ptp(session.recording.samples["position"]) == 0
+    sent = session.recording.frames["test"]
     sent = sent[(sent["flags"] & SENT) != 0]
     assert not np.isin(sent["can_id"], [0x201, 0x202]).any()
     sdo = sent[(sent["can_id"] > 0x600) & (sent["can_id"] < 0x680)]
     assert not ((sdo["data"][:, 1] == 0x40) & (sdo["data"][:, 2] == 0x60) & (sdo["data"][:, 0] != 0x40)).any()
-    assert len(outcome.recording.samples) == pytest.approx(250, abs=3)
+    assert len(session.recording.samples) == pytest.approx(250, abs=3)
 
 
 @pytest.mark.parametrize(
@@ -79,28 +80,28 @@ def test_nothing_moves_without_a_reference(tmp_path):
     ],
 )
 def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reason):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, faults=[fault])
-    assert outcome.ending is not None
-    assert outcome.ending.fault
-    assert re.search(reason, outcome.ending.reason)
-    assert outcome.drives.all_disabled
-    assert outcome.events("fault") == [outcome.ending.reason]
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[fault])
+    assert session.outcome is not None
+    assert session.outcome.fault
+    assert re.search(reason, session.outcome.reason)
+    assert session.drives.all_disabled
+    assert session.events("fault") == [session.outcome.reason]
     silent = fault.kind == "silent"
-    assert outcome.ending.all_disabled is not silent
-    assert outcome.events("not disabled" if silent else "disabled")
-    assert outcome.recording.cut is False
-    assert outcome.recorded.samples > 0
+    assert session.outcome.all_disabled is not silent
+    assert session.events("not disabled" if silent else "disabled")
+    assert session.recording.cut is False
+    assert session.recorded.samples > 0
 
 
 @pytest.mark.parametrize("kind", ["late", "missing", "duplicate", "short"])
 def test_a_single_bad_pdo_is_counted_and_the_session_goes_on(tmp_path, kind):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, faults=[SimulatedFault(kind=kind, node=1, sync=200)])
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert outcome.drives.all_disabled
-    assert any(f"1 {kind}" in warning for warning in outcome.recorded.warnings)
-    assert outcome.recording.health[-1].counters[kind] == 1
-    gaps = int((np.diff(outcome.recording.samples["stamp_ns"]) != 2_000_000).sum())
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[SimulatedFault(kind=kind, node=1, sync=200)])
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert session.drives.all_disabled
+    assert any(f"1 {kind}" in warning for warning in session.recorded.warnings)
+    assert session.recording.health[-1].counters[kind] == 1
+    gaps = int((np.diff(session.recording.samples["stamp_ns"]) != 2_000_000).sum())
     assert gaps == (1 if kind in ("missing", "short") else 0)
 
 
@@ -125,13 +126,13 @@ class ShortlyDeadBus(DeadBus):
 
 @pytest.mark.parametrize("through", [DeadBus, ShortlyDeadBus])
 def test_a_bus_that_takes_no_frames(tmp_path, through):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=through)
-    assert outcome.ending is not None
-    assert "transmit buffer full" in outcome.ending.reason
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=through)
+    assert session.outcome is not None
+    assert "transmit buffer full" in session.outcome.reason
     # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
-    assert outcome.drives.all_disabled
-    assert outcome.ending.all_disabled is (through is ShortlyDeadBus)
-    assert outcome.events("fault") == [outcome.ending.reason]
+    assert session.drives.all_disabled
+    assert session.outcome.all_disabled is (through is ShortlyDeadBus)
+    assert session.events("fault") == [session.outcome.reason]
 
 
 @dataclass(kw_only=True)
@@ -163,10 +164,10 @@ def test_a_heartbeat_from_before_start_is_no_fault(tmp_path):
     class Once(StaleHeartbeats):
         stale: int = 2
 
-    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=1.0), through=Once)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert len(outcome.recording.samples) >= 495
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=1.0), through=Once)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert len(session.recording.samples) >= 495
 
 
 def test_a_node_that_does_not_start_or_leaves_is_a_fault(tmp_path):
@@ -187,19 +188,19 @@ def test_a_node_that_does_not_start_or_leaves_is_a_fault(tmp_path):
         (Ever, "node 2 (motor_2): not operational 3 heartbeats after START (NMT state 127)"),
         (Leaves, "node 1 (motor_1): left operational (NMT state 127)"),
     ):
-        outcome = dry_session(tmp_path / f"{through.__name__}.mcap", TRACK, through=through)
-        assert outcome.ending is not None
-        assert outcome.ending.reason == reason
-        assert outcome.ending.fault
-        assert outcome.drives.all_disabled
+        session = dry_session(tmp_path / f"{through.__name__}.mcap", TRACK, through=through)
+        assert session.outcome is not None
+        assert session.outcome.reason == reason
+        assert session.outcome.fault
+        assert session.drives.all_disabled
 
 
 def test_an_error_frame_stops_motion(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
-    assert outcome.ending is not None
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=ErrorFrames)
+    assert session.outcome is not None
     told = "protocol: in acknowledgement; no acknowledgement: no other node hears, or the cable is open"
-    assert outcome.ending.reason == f"bus: error frame: {told}"
-    assert outcome.drives.all_disabled
+    assert session.outcome.reason == f"bus: error frame: {told}"
+    assert session.drives.all_disabled
 
 
 @dataclass(kw_only=True)
@@ -213,13 +214,13 @@ class Jittery(Through):
 
 
 def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=Jittery)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert outcome.drives.all_disabled
-    assert 1e-4 < outcome.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
-    frames = next(iter(outcome.recording.frames.values()))
-    stamps, sent = outcome.recording.samples["stamp_ns"], frames["time_ns"][frames["can_id"] == 0x80]
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=Jittery)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert session.drives.all_disabled
+    assert 1e-4 < session.recording.health[-1].counters["sync_jitter_sd_s"] < 1e-3
+    frames = next(iter(session.recording.frames.values()))
+    stamps, sent = session.recording.samples["stamp_ns"], frames["time_ns"][frames["can_id"] == 0x80]
     assert np.isin(stamps, sent).all()  # a sample has its SYNC's own time
     assert np.diff(stamps).std() > 1e5
 
@@ -227,11 +228,11 @@ def test_sync_jitter_is_measured_and_the_session_goes_on(tmp_path):
 def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
     usage = namedtuple("usage", "total used free")
     monkeypatch.setattr(shutil, "disk_usage", lambda _: usage(1, 1, 0))
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending is not None
-    assert (outcome.ending.reason, outcome.ending.fault) == ("disk nearly full", False)
-    assert outcome.drives.all_disabled
-    assert outcome.recorded.samples > 0
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome is not None
+    assert (session.outcome.reason, session.outcome.fault) == ("disk nearly full", False)
+    assert session.drives.all_disabled
+    assert session.recorded.samples > 0
 
 
 def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
@@ -246,10 +247,10 @@ def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
         real(self, channel, block)
 
     monkeypatch.setattr(RecordingWriter, "frames", frames)
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending is not None
-    assert "No space left" in outcome.ending.reason
-    assert outcome.drives.all_disabled
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome is not None
+    assert "No space left" in session.outcome.reason
+    assert session.drives.all_disabled
 
 
 @pytest.mark.parametrize("at", [0.028, 0.05, 0.3, 0.6])
@@ -264,11 +265,11 @@ def test_a_stop_asked_for_is_slow_and_in_order(tmp_path, at):
                 stop.reason = "stopped by SIGINT"
             return super().receive(until_ns)
 
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, through=Interrupting, stop=stop)
-    assert outcome.ending is not None
-    assert (outcome.ending.reason, outcome.ending.fault) == ("stopped by SIGINT", False)
-    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
-    q = outcome.recording.samples["position"]
+    session = dry_session(tmp_path / "a.mcap", TRACK, through=Interrupting, stop=stop)
+    assert session.outcome is not None
+    assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGINT", False)
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    q = session.recording.samples["position"]
     assert np.abs(np.diff(q, 2, axis=0)).max() / 0.002**2 < 70  # rad/s²: the stated limit
     assert np.ptp(q[-20:]) < 1e-3
 
@@ -292,11 +293,11 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
             raise error
 
     monkeypatch.setattr(_Session, method, broken)
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.raised is error
-    assert outcome.drives.all_disabled
-    assert outcome.events("fault")[0].startswith(type(error).__name__)
-    assert outcome.events("disabled") == ["every drive confirmed"]
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.raised is error
+    assert session.drives.all_disabled
+    assert session.events("fault")[0].startswith(type(error).__name__)
+    assert session.events("disabled") == ["every drive confirmed"]
 
 
 @pytest.mark.parametrize(
@@ -312,9 +313,9 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
 def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp_path, change, expected):
     robot = robot_of(bus_text(2))
     other = robot_of(bus_text(2).replace(*change))
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     session_bus = bus_of(other)
-    session = _Session(other, Master(run.link, session_bus), _NoLog(), Plan(duration_s=1.0), Stop())
+    session = _Session(other, Master(run.link, session_bus), _NoLog(), Task(duration_s=1.0), Stop())
     with pytest.raises(AcquisitionError, match=re.escape(expected)):
         session.prepare()
     assert not any(node.operational for node in run.drives.nodes)
@@ -339,11 +340,11 @@ class _NoLog:
     ],
 )
 def test_a_reference_that_leaves_a_limit_is_refused_before_start(tmp_path, reference, expected):
-    outcome = dry_session(tmp_path / "a.mcap", Plan(reference=reference, place="ref.csv"))
-    assert outcome.ending is not None
-    assert "ref.csv: at " in outcome.ending.reason
-    assert expected in outcome.ending.reason
-    frames = outcome.recording.frames["test"]
+    session = dry_session(tmp_path / "a.mcap", Task(reference=reference, place="ref.csv"))
+    assert session.outcome is not None
+    assert "ref.csv: at " in session.outcome.reason
+    assert expected in session.outcome.reason
+    frames = session.recording.frames["test"]
     assert not (frames["flags"] & SENT).any()  # nothing was ever sent
 
 
@@ -380,24 +381,24 @@ def test_a_table_of_a_reference(tmp_path):
 
 def test_sync_of_another_producer_is_followed(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert outcome.drives.all_disabled
-    samples = outcome.recording.samples
-    stamps = {e.text: e.stamp_ns for e in outcome.recording.events}
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert session.drives.all_disabled
+    samples = session.recording.samples
+    stamps = {e.text: e.stamp_ns for e in session.recording.events}
     track = (samples["stamp_ns"] >= stamps["track"]) & (samples["stamp_ns"] < stamps["stop"])
     assert samples["reference"][track][5:-5] == pytest.approx(swing(2)[5:-5], abs=0.01)
 
 
 def test_a_sync_that_ends_stops_motion(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
-    plan = Plan(reference=swing(2, seconds=4.0))
-    outcome = dry_session(tmp_path / "a.mcap", plan, robot=robot, through=SyncOfAnother)
-    assert outcome.ending is not None
-    assert "no SYNC in 10 periods" in outcome.ending.reason  # in motion: 20 ms
-    assert outcome.ending.all_disabled
-    assert outcome.drives.all_disabled
+    task = Task(reference=swing(2, seconds=4.0))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, through=SyncOfAnother)
+    assert session.outcome is not None
+    assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
+    assert session.outcome.all_disabled
+    assert session.drives.all_disabled
 
 
 @pytest.mark.parametrize(
@@ -408,18 +409,18 @@ def test_a_sync_that_ends_stops_motion(tmp_path):
     ],
 )  # fmt: skip
 def test_pdos_that_cannot_be_tracked_with(tmp_path, rpdo, expected):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot_of(bus_text(2, drive=rpdo)))
-    assert outcome.ending is not None
-    assert expected in outcome.ending.reason
-    assert not any(node.operational for node in outcome.drives.nodes)
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot_of(bus_text(2, drive=rpdo)))
+    assert session.outcome is not None
+    assert expected in session.outcome.reason
+    assert not any(node.operational for node in session.drives.nodes)
 
 
 def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):
     robot = robot_of(bus_text(2, drive='rpdo = [{ objects = ["6040", "6060", "607A"] }]'))
-    outcome = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished"
-    assert np.ptp(outcome.recording.samples["position"]) > 0.5
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished"
+    assert np.ptp(session.recording.samples["position"]) > 0.5
 
 
 def test_a_passive_link_refuses_to_send():

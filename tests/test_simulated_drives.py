@@ -14,7 +14,8 @@ from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.protocol.states import State
 from acquisition.robot.bus import dictionary_label
-from acquisition.session.plan import Plan
+from acquisition.session.task import Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import dry_run
 from acquisition.simulated.plants import JointwisePlant, TablePlant, typical_plant
 
@@ -39,22 +40,22 @@ def robot_with(name: str, *, n: int = 2):
 def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
     robot = robot_with(name)
     bus = bus_of(robot)
-    plan = Plan(reference=swing(2, seconds=0.6, amplitude=0.1))
-    outcome = dry_session(tmp_path / "a.mcap", plan, robot=robot, bus=bus)
-    assert outcome.ending is not None
-    assert outcome.ending.reason == "finished", outcome.ending.reason
-    assert outcome.drives.states == [State.SWITCH_ON_DISABLED] * 2
+    task = Task(reference=swing(2, seconds=0.6, amplitude=0.1))
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot, bus=bus)
+    assert session.outcome is not None
+    assert session.outcome.reason == "finished", session.outcome.reason
+    assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
     entry = bus.drives[0].effort.entry
     pdo = bus.drives[0].carrier(entry, "tpdo")
-    frames = outcome.recording.frames["test"]
+    frames = session.recording.frames["test"]
     data = frames[frames["can_id"] == pdo.can_id]["data"]
     at = pdo.offset(entry.index, entry.sub)
     raw = data[:, at : at + entry.bits // 8].copy().view(f"<i{entry.bits // 8}")[:, 0]
     assert np.ptp(raw) > 10  # the vendor's own reference object carries the effort
     scale = abs(bus.drives[0].effort.scale) * float(robot.gain[0]) * 50
-    assert np.ptp(outcome.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
-    assert "dictionary:" + name in outcome.recording.attachments
-    assert f"{entry}" in outcome.recording.metadata["effort_provenance"]
+    assert np.ptp(session.recording.samples["effort"][:, 0]) == pytest.approx(np.ptp(raw) * scale, rel=1e-6)
+    assert "dictionary:" + name in session.recording.attachments
+    assert f"{entry}" in session.recording.metadata["effort_provenance"]
 
 
 def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
@@ -67,10 +68,10 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
     line = robot.files[label][: robot.files[label].index(b"ProductNumber=")].count(b"\n") + 1
     told = f"{name}: line {line}: ProductNumber is empty: read as 0, which says nothing"
-    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.2), robot=robot)
-    assert outcome.recorded.warnings == (told,)
-    assert outcome.events("warning") == [told]
-    run = dry_run(robot, bus_of(robot))
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
+    assert session.recorded.warnings == (told,)
+    assert session.events("warning") == [told]
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     found = [(f.subject, f.ok) for f in look(run.link, bus_of(robot)) if f.found == told]
     run.close()
     assert found == [("node 1 (motor_1) dictionary", True), ("node 2 (motor_2) dictionary", True)]
@@ -78,7 +79,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
 
 def test_another_drive_than_the_dictionary_says_is_told():
     robot = robot_with("elmo_Gold.dcf", n=1)
-    made = dry_run(robot, bus_of(robot))
+    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
     master = Master(made.link, bus_of(robot))
     assert master.differences() == []
     made.drives.nodes[0].values[0x1018, 1] = 0x123
@@ -89,7 +90,7 @@ def test_another_drive_than_the_dictionary_says_is_told():
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(1))
-    made = dry_run(robot, bus_of(robot))
+    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
     yield made, Master(made.link, bus_of(robot))
     made.close()
 
@@ -176,7 +177,7 @@ def test_plants_at_their_ends():
 def test_a_boot_up_counts_as_the_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
     robot = robot_of(bus_text(1))
-    made = dry_run(robot, bus_of(robot))
+    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
     made.drives.tell_heartbeats(100)
     assert made.drives.boot() == [(0x701, b"\0")]
     assert made.drives.advance(1_000_000_000) == []

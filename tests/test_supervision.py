@@ -13,21 +13,22 @@ from acquisition.master.heartbeat import MasterHeartbeat, free_entry, timeout_ms
 from acquisition.master.master import Master
 from acquisition.master.supervision import second_stop, supervision_of
 from acquisition.protocol.states import Command, Mode, State
-from acquisition.session.plan import Plan
+from acquisition.session.task import Task
 from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import DryRun, dry_run
 from acquisition.simulated.node import SimulatedNode
 
 MS = 1_000_000
-TRACK = Plan(reference=swing(2))
+TRACK = Task(reference=swing(2))
 # 1016h:1 = 127 << 16 | 300 ms as an expedited SDO of four bytes (CiA 301, 7.2.4 and 7.5.2.17), and its removal.
 ASKED, REMOVED = bytes.fromhex("231610012c017f00"), bytes.fromhex("2316100100000000")
 
 
 def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending.reason == "finished"
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.reason == "finished"
+    frames = next(iter(session.recording.frames.values()))
     beats = frames[frames["can_id"] == 0x77F]
     assert {bytes(d[:n]) for d, n in zip(beats["data"], beats["length"], strict=True)} == {b"\x05"}
     syncs = frames["time_ns"][frames["can_id"] == 0x80]
@@ -42,22 +43,22 @@ def test_a_tracking_session_is_supervised_from_start_to_disabled(tmp_path):
         ]
         assert [d.tobytes() for d in asked["data"]] == [ASKED, REMOVED]
         removed_ns = asked["time_ns"][1]
-        assert removed_ns >= outcome.recording.events[-1].stamp_ns - 100 * MS
+        assert removed_ns >= session.recording.events[-1].stamp_ns - 100 * MS
         assert removed_ns - times[-1] < 300 * MS  # it ends before the time-out is over
-    assert [node.values[0x1016, 1] for node in outcome.drives.nodes] == [0, 0]
+    assert [node.values[0x1016, 1] for node in session.drives.nodes] == [0, 0]
     assert not (frames["can_id"] == 0x81).any()
 
 
 def test_without_motion_there_is_no_heartbeat(tmp_path):
-    outcome = dry_session(tmp_path / "a.mcap", Plan(duration_s=0.5))
-    frames = next(iter(outcome.recording.frames.values()))
+    session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.5))
+    frames = next(iter(session.recording.frames.values()))
     assert not (frames["can_id"] == 0x77F).any()
 
 
 def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[DryRun, Master, MasterHeartbeat]:
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
     robot = robot_of(bus_text(2))
-    run = dry_run(robot, bus_of(robot), supervised=supervised)
+    run = dry_run(SimulatedDrives(robot, bus_of(robot), supervised=supervised))
     master = Master(run.link, bus_of(robot))
     heartbeat = MasterHeartbeat(master)
     master.configure()
@@ -113,12 +114,12 @@ def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
         return sent
 
     monkeypatch.setattr(SimulatedNode, "boot", entries)
-    outcome = dry_session(tmp_path / "a.mcap", TRACK)
-    assert outcome.ending.reason == "finished"
-    full, left = outcome.drives.nodes
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.reason == "finished"
+    full, left = session.drives.nodes
     assert (full.values[0x1016, 1], full.values[0x1016, 2]) == (other, other + 0x10000)
     assert (left.values[0x1016, 1], left.values[0x1016, 2]) == (other, 0)
-    (warning,) = [text for text in outcome.events("warning") if "1016" in text]
+    (warning,) = [text for text in session.events("warning") if "1016" in text]
     assert warning.startswith("node 1: object 1016: no free sub-index")
 
 
@@ -152,7 +153,7 @@ def test_a_master_under_the_id_of_a_drive_is_refused():
 
 def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     robot = robot_of(bus_text(1))
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
     node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
@@ -193,7 +194,7 @@ def test_supervision_in_words(values, missing, expected):
 
 def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
-    run = dry_run(robot, bus_of(robot))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     shown = [f.found for f in look(run.link, bus_of(robot)) if f.subject == "node 2 (motor_2) supervision"]
     run.close()
     assert any("6007 = 1: fault" in text for text in shown)

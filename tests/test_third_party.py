@@ -33,6 +33,7 @@ from test_recording_processes import (
 
 from acquisition.recording.reader import read_recording
 from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import serve
 
 __all__ = ["folder", "port"]  # fixtures
@@ -162,7 +163,7 @@ def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     network = canopen.Network()
     network.connect(interface="virtual", channel="python_master")
     # The drive comes up once its boot-up is waited for: canopen does not see one that came before.
-    thread = threading.Timer(1.0, serve, args=(robot, bus_of(robot), stop.is_set))
+    thread = threading.Timer(1.0, serve, args=(SimulatedDrives(robot, bus_of(robot)), stop.is_set))
     dictionary = canopen.ObjectDictionary()
     for index, name, kind in (
         (0x6041, "status", 6),

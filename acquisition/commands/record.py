@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Record, say how it goes and what was recorded; 1 when the session ended by a fault."""
     from ..robot import load_robot
-    from ..session import RecordOptions, Stop, record, stop_on_signals
+    from ..session import Operator, RecordOptions, Stop, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
         raise AcquisitionError(f"--duration {options.duration_s:g}: expected more than 0, and an end")
@@ -58,8 +58,9 @@ def run(options: argparse.Namespace) -> int:
         def confirm(words: list[str]) -> bool:
             return options.yes or _agreed(words, stop, progress)
 
-        asked, show = from_options(RecordOptions, options, confirm=confirm), _shown_by(robot, progress)
-        outcome, recorded = record(robot, str(options.robot), options.output, asked, show, stop, _announce)
+        operator = Operator(stop=stop, confirm=confirm, show=_shown_by(robot, progress), announce=_announce)
+        asked = from_options(RecordOptions, options)
+        outcome, recorded = record(robot, str(options.robot), options.output, asked, operator)
     return _report(options.output, robot, outcome, recorded)
 
 

@@ -27,7 +27,15 @@ def run(options: argparse.Namespace) -> None:
     from ..recording import read_recording
     from ..robot import load_robot, resolve
     from ..session import Stop, stop_on_signals
-    from ..simulated import Mechanism, TablePlant, mechanism_of, rated_motor_effort, serve, typical_loops
+    from ..simulated import (
+        Mechanism,
+        SimulatedDrives,
+        TablePlant,
+        mechanism_of,
+        rated_motor_effort,
+        serve,
+        typical_loops,
+    )
 
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
@@ -41,14 +49,11 @@ def run(options: argparse.Namespace) -> None:
         mechanism = Mechanism(plant=plant, loops=typical_loops(robot, rated_motor_effort(bus)))
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
-    told = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
-    told += f"; {mechanism.warning}" if mechanism.warning else ""
+    text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"
+    text += f"; {mechanism.warning}" if mechanism.warning else ""
     with stop_on_signals(stop):
         serve(
-            robot,
-            bus,
+            SimulatedDrives(robot, bus, mechanism, supervised=not options.unsupervised),
             lambda: bool(stop.reason) or time.monotonic() > end_s,
-            mechanism,
-            ready=lambda: print(told, file=sys.stderr, flush=True),
-            supervised=not options.unsupervised,
+            ready=lambda: print(text, file=sys.stderr, flush=True),
         )

@@ -1,18 +1,19 @@
 """The one loop that sends: record, enable, track, stop; its guards; replay."""
 
-from .plan import Outcome, Plan, Stop
-from .recording_session import RecordOptions, ShowStatus, record, stop_on_signals
+from .recording_session import Operator, RecordOptions, ShowStatus, record, stop_on_signals
 from .replaying import replay
 from .scheduling import DEVIATIONS, steady, sync_jitter
 from .session import run_active
+from .task import Outcome, Stop, Task
 
 __all__ = [
     "DEVIATIONS",
+    "Operator",
     "Outcome",
-    "Plan",
     "RecordOptions",
     "ShowStatus",
     "Stop",
+    "Task",
     "record",
     "replay",
     "run_active",

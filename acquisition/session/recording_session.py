@@ -4,7 +4,7 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
@@ -12,12 +12,12 @@ from ..errors import AcquisitionError
 from ..master import Confirm, Master, confirm_positions, second_stop
 from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Status
 from ..robot import Robot, refuse_load, resolve
-from ..simulated import DryRun, dry_run, mechanism_of
+from ..simulated import DryRun, SimulatedDrives, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
 from ..transport import SHARED, Link, open_link
-from .plan import Outcome, Plan, Stop
 from .scheduling import refuse_jitter, steady
 from .session import run_active
+from .task import Outcome, Stop, Task
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
@@ -25,33 +25,41 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 
 @dataclass(frozen=True, kw_only=True)
 class RecordOptions:
-    """What `robot-acquire record` was asked for; `confirm` asks the user to confirm the joint positions before motion."""
+    """The options of `robot-acquire record`."""
 
     passive: bool = False
     dry_run: bool = False
     duration_s: float | None = None
     track: Path | None = None
     speed: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Operator:
+    """Whoever runs a session: how they stop it, what they are shown and asked.
+
+    Attributes:
+        stop: set by the operator (Ctrl-C) to end the session.
+        confirm: shows the joint positions before motion; True where the operator confirms them. Default: nothing moves.
+        show: called twice a second with the recorder's status and the seconds left.
+        announce: called with the outcome as soon as it is known.
+    """
+
+    stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda _: False
+    show: ShowStatus = lambda status, left_s: None
+    announce: Callable[[Outcome], None] = lambda outcome: None
 
 
-def record(
-    robot: Robot,
-    place: str,
-    out: Path,
-    options: RecordOptions,
-    show: ShowStatus,
-    stop: Stop,
-    announce: Callable[[Outcome], None] = lambda _: None,
-) -> tuple[Outcome, Recorded]:
-    """Record until the plan ends or `stop` has a reason.
+def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator: Operator) -> tuple[Outcome, Recorded]:
+    """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
 
     Parameters
     ----------
+    robot : a description with a `[bus]` section.
     place : the name of the description in errors.
     out : the recording to write; an existing file is never replaced.
-    show : called twice a second with the status and the seconds left.
-    announce : called with the outcome as soon as it is known.
+    operator : who is asked before motion, is shown the status, and may stop the session.
 
     Returns
     -------
@@ -76,17 +84,17 @@ def record(
         raise AcquisitionError(f"--speed {options.speed:g}: is that of a reference: expected it with --track")
     if not 0 < options.speed <= 1:
         raise AcquisitionError(f"--speed {options.speed:g}: expected more than 0, and 1 at most")
-    plan = Plan(duration_s=options.duration_s)
+    task = Task(duration_s=options.duration_s)
     if options.track is not None:
         reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
         check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))  # before there is a file
-        plan = Plan(reference=reference, place=str(options.track))
+        task = Task(reference=reference, place=str(options.track))
         if not options.dry_run:
-            plan = replace(plan, before_motion=lambda master: _before_motion(robot, master, options))
+            task = replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
     if not by_traffic:
         resolve(robot, place)  # what can be refused is refused before anything is opened
     if options.passive:
-        return _listen(robot, place, out, plan, show, stop)
+        return _listen(robot, place, out, task, operator)
     bus = resolve(robot, place)
     refuse_load(bus, place)
     simulated: DryRun | None = None
@@ -95,7 +103,7 @@ def record(
     if options.dry_run:
         mechanism = mechanism_of(robot, bus)
         log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
-        simulated = dry_run(robot, bus, mechanism, tap=log.tap)
+        simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         link = simulated.link
         if mechanism.warning is not None:
             log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
@@ -114,13 +122,13 @@ def record(
     try:
         started_ns = link.now_ns()
         watched = _StatusLog(
-            log, show, lambda now: _left(plan, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
+            log, operator.show, lambda now: _left(task, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
         )
         with nullcontext() if simulated is not None else steady() as granted:  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
-            outcome = run_active(robot, Master(link, bus), watched, plan, stop, announce)
+            outcome = run_active(robot, Master(link, bus), watched, task, operator.stop, operator.announce)
         try:
             return outcome, log.finish(link.now_ns())
         except AcquisitionError as error:
@@ -133,9 +141,9 @@ def record(
             link.close()
 
 
-def _before_motion(robot: Robot, master: Master, options: RecordOptions) -> list[str]:
+def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm: Confirm) -> list[str]:
     """What is looked at before a real robot moves, in words for `/events`."""
-    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, options.confirm))}"]
+    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, confirm))}"]
     jitter = refuse_jitter(master)
     marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
     if options.speed != 1:
@@ -145,8 +153,9 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions) -> list
     return marks
 
 
-def _listen(robot: Robot, place: str, out: Path, plan: Plan, show: ShowStatus, stop: Stop) -> tuple[Outcome, Recorded]:
-    """Record what goes by. No link is opened here: the recorder's own cannot send."""
+def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator) -> tuple[Outcome, Recorded]:
+    """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
+    stop = operator.stop
     log = ProcessLog(out, robot, source="CAN, passive", place=place, feed=False, passive=True)
     try:
         started_s = time.monotonic()
@@ -155,11 +164,11 @@ def _listen(robot: Robot, place: str, out: Path, plan: Plan, show: ShowStatus, s
         try:
             while not stop.reason:
                 elapsed_s = time.monotonic() - started_s
-                if plan.duration_s is not None and elapsed_s >= plan.duration_s:
+                if task.duration_s is not None and elapsed_s >= task.duration_s:
                     break
                 status = log.poll(time.time_ns())
                 if status is not None:
-                    show(status, None if plan.duration_s is None else plan.duration_s - elapsed_s)
+                    operator.show(status, None if task.duration_s is None else task.duration_s - elapsed_s)
                     if status.disk_full:
                         stop.reason = "disk nearly full"
                 time.sleep(0.02)
@@ -193,8 +202,8 @@ class _StatusLog:
         return status
 
 
-def _left(plan: Plan, period_s: float, elapsed_ns: int) -> float | None:
-    whole_s = plan.duration_s if plan.reference is None else len(plan.reference) * period_s
+def _left(task: Task, period_s: float, elapsed_ns: int) -> float | None:
+    whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
     return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
 
 

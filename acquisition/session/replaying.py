@@ -12,7 +12,7 @@ from ..recorder import written_by_master
 from ..recording import ERROR, EXTENDED, REMOTE, Block, Recording, read_recording
 from ..robot import BusFile, resolve
 from ..transport import open_link
-from .plan import Stop
+from .task import Stop
 
 WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second on loopback
 EMERGENCY, HEARTBEAT = 0x80, 0x700

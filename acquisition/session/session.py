@@ -1,6 +1,6 @@
 """The only loop: listen, or configure and record, or enable, approach, track, stop. Safe state in `finally`.
 
-Nothing moves unless a plan has a reference. Whatever ends a session that touched the drives, its last act is to disable
+Nothing moves unless a task has a reference. Whatever ends a session that touched the drives, its last act is to disable
 every one of them and to write down which ones confirmed it.
 """
 
@@ -30,7 +30,7 @@ from ..trajectory import approach, check_limits, follow
 from .enabling import all_enabled, disable, enable
 from .guards import MotionState, motion_fault, node_fault
 from .pacing import Clock, Pace
-from .plan import Outcome, Plan, SessionLog, Stop
+from .task import Outcome, SessionLog, Stop, Task
 
 HOLD_S = 0.3  # at the end of motion, before drives are disabled
 
@@ -39,17 +39,17 @@ def run_active(
     robot: Robot,
     master: Master,
     log: SessionLog,
-    plan: Plan,
+    task: Task,
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, produce SYNC, record; follow the plan's reference where it has one.
+    """Configure the drives, produce SYNC, record; follow the task's reference where it has one.
 
     Parameters
     ----------
     master : over an open link that may send.
     log : takes events; its frames come from the link.
-    plan : without a reference nothing moves.
+    task : without a reference nothing moves.
     stop : set from outside (Ctrl-C) to end the session.
     announce : called with the outcome as soon as it is known, also when an exception follows.
 
@@ -62,7 +62,7 @@ def run_active(
     Exceptions other than `AcquisitionError` from inside, after the drives were disabled.
     """
     link = master.link
-    session = _Session(robot, master, log, plan, stop)
+    session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
     try:
         session.prepare()
@@ -97,8 +97,8 @@ def run_active(
 class _Session:
     """One run: every method below either yields orders for one SYNC after the other, or carries them out."""
 
-    def __init__(self, robot: Robot, master: Master, log: SessionLog, plan: Plan, stop: Stop) -> None:
-        self._robot, self._master, self._log, self._plan, self._stop = robot, master, log, plan, stop
+    def __init__(self, robot: Robot, master: Master, log: SessionLog, task: Task, stop: Stop) -> None:
+        self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
         self._pace, self._clock = Pace(master), Clock()
@@ -112,17 +112,17 @@ class _Session:
 
     def prepare(self) -> None:
         """Everything that can be refused before a node is started."""
-        if self._plan.reference is not None:
-            check_limits(self._plan.reference, self._robot, self._period_s, self._plan.place)
-            refuse_out_of_range(self._plan.reference, self._robot, self._bus, self._plan.place)
+        if self._task.reference is not None:
+            check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
+            refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
             check_carriers(self._bus)
         self._log.event(self._link.now_ns(), "phase", "configure")
         refuse_other_master(self._master)
-        reset = "; it is reset" if self._plan.reference is not None else ""
+        reset = "; it is reset" if self._task.reference is not None else ""
         for node in refuse_enabled(self._master):  # by reading alone: who else holds a drive keeps it as it is
             self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
-        if self._plan.reference is not None:
-            for text in self._plan.before_motion(self._master):
+        if self._task.reference is not None:
+            for text in self._task.before_motion(self._master):
                 self._log.event(self._link.now_ns(), "mark", text)
             self._master.wait(self._link.now_ns())  # frames received while the user was asked
         self.addressed = True
@@ -130,22 +130,22 @@ class _Session:
         differences = self._master.differences()
         if differences:
             raise AcquisitionError("; ".join(differences))
-        if self._plan.reference is not None:
+        if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
             for text in self._heartbeat.request():
                 self._log.event(self._link.now_ns(), "warning", text)
         self._master.start()
         self._started = True
         self._pace.start()
-        if self._plan.duration_s is not None:
-            self._until_ns = self._link.now_ns() + round(self._plan.duration_s * 1e9)
+        if self._task.duration_s is not None:
+            self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
 
     def phases(self) -> None:
         """One phase after the other, each until it ends."""
-        if self._plan.reference is None:
+        if self._task.reference is None:
             self._run("record", self._record())
             return
-        reference = self._plan.reference
+        reference = self._task.reference
         self._run("enable", self._enable())
         if not all_enabled(self._master):
             self._run("disable", self._disable())  # a stop was asked for in between
@@ -259,11 +259,11 @@ class _Session:
 
         Where nothing was commanded, drives that were started are only asked for their state, and any without torque will do.
         """
-        if not self.addressed or (not self._started and self._plan.reference is None):
+        if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
             return []
         self._stop.reason = self._stop.reason or "safe state"
-        if self._plan.reference is None:
+        if self._task.reference is None:
             return [drive.node for drive in self._bus.drives if not self._is_disabled(drive)]
         return safe_stop(self._master, after_sync=lambda: self._log.poll(self._link.now_ns()))
 

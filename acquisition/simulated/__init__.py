@@ -1,5 +1,6 @@
 """Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
 
+from .drives import SimulatedDrives
 from .lock_step import DryRun, dry_run, serve
 from .loops import SUBSTEPS, LoopGains
 from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
@@ -10,6 +11,7 @@ __all__ = [
     "DryRun",
     "LoopGains",
     "Mechanism",
+    "SimulatedDrives",
     "TablePlant",
     "dry_run",
     "mechanism_of",

@@ -14,17 +14,13 @@ from ..arrays import Array
 from ..protocol import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
 from ..robot import Bus, Robot
 from .faults import FaultKind, SimulatedFault
-from .loops import SUBSTEPS, LoopGains, LoopMemory
+from .loops import SUBSTEPS, LoopMemory
+from .mechanism import Mechanism, mechanism_of
 from .node import Sent, simulated_node
-from .plants import Plant
 from .supervision import Supervision, leave_unsupervised
 
-QUICK_STOP_STAYS = (
-    5,
-    6,
-    7,
-    8,
-)  # 605Ah: in quick stop active when at rest; the smaller ones go on to switch on disabled
+# 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
+QUICK_STOP_STAYS = range(5, 9)
 
 
 @dataclass(kw_only=True)
@@ -41,17 +37,26 @@ class _Agenda:
 
 
 class SimulatedDrives:
-    """All drives of a robot. Frames go in by `receive`; what they send comes back. No I/O, no clock.
+    """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
-    Where not `supervised` they notice neither a lost SYNC nor a lost master: no 1016h, and 6007h is 0.
+    Parameters
+    ----------
+    robot, bus : the description, and its drives as resolved.
+    mechanism : what the drives move, and their control loops; by default `mechanism_of` the description.
+    faults : what goes wrong, with which node, at which SYNC.
+    supervised : False: the drives notice neither a lost SYNC nor a lost master (no 1016h, and 6007h is 0).
+
+    Raises
+    ------
+    AcquisitionError
+        The description's `[parameters]` cannot be simulated.
     """
 
     def __init__(
         self,
         robot: Robot,
         bus: Bus,
-        plant: Plant,
-        loops: LoopGains,
+        mechanism: Mechanism | None = None,
         faults: Sequence[SimulatedFault] = (),
         *,
         supervised: bool = True,
@@ -64,8 +69,9 @@ class SimulatedDrives:
             for node in self.nodes:
                 leave_unsupervised(node)
         self._supervisions = [Supervision(node, watches_sync=supervised) for node in self.nodes]
-        self.plant = plant
-        self._robot, self._bus, self._loops, self._faults = robot, bus, loops, tuple(faults)
+        mechanism = mechanism or mechanism_of(robot, bus)
+        self.bus, self.plant = bus, mechanism.plant
+        self._robot, self._loops, self._faults = robot, mechanism.loops, tuple(faults)
         self._period_s = bus.file.sync_period_s
         codecs = [drive.position_codec for drive in bus.drives]
         self._positions = PositionCodec(
@@ -79,7 +85,7 @@ class SimulatedDrives:
         self._silent: set[int] = set()
         self._agenda = _Agenda()
         self._next_heartbeat = [0] * robot.n
-        q, _ = plant.state()
+        q, _ = self.plant.state()
         self._memory = LoopMemory(
             target=q,
             before=q,
@@ -114,7 +120,7 @@ class SimulatedDrives:
 
     def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
         """What the drives send upon a frame."""
-        if can_id == self._bus.file.sync_can_id:
+        if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
         sent: Sent = []
         if 0x700 < can_id < 0x780 and data:
@@ -191,7 +197,7 @@ class SimulatedDrives:
             elif fault.kind == "reset":
                 return node.boot()
             elif fault.kind == "late":
-                late_ns = now_ns + round(1.1 * self._bus.period_ns)
+                late_ns = now_ns + round(1.1 * self.bus.period_ns)
                 self._agenda.items += [(late_ns, can_id, data) for can_id, data in frames]
                 frames = []
             elif fault.kind == "missing":

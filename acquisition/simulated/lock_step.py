@@ -1,20 +1,17 @@
 """Simulated drives on a bus: in lock-step with a session in this process, or in real time for any master."""
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 
 import msgspec
 
 from ..errors import AcquisitionError
-from ..robot import Bus, Robot
 from ..transport import Link, LockStepLink, Tap, open_bus, open_link
 from .drives import SimulatedDrives
-from .faults import SimulatedFault
-from .mechanism import Mechanism, mechanism_of
 
-IDLE_HEARTBEAT_MS = 200  # before a master sets another: who listens first must hear them
+IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them
 _NUMBERS = itertools.count()
 
 
@@ -32,21 +29,22 @@ class DryRun:
         self.other_end.close()
 
 
-def dry_run(
-    robot: Robot,
-    bus: Bus,
-    mechanism: Mechanism | None = None,
-    faults: Sequence[SimulatedFault] = (),
-    *,
-    tap: Tap | None = None,
-    passive: bool = False,
-    supervised: bool = True,
-) -> DryRun:
-    """Simulated drives on an in-process `virtual` bus, in lock-step with the link: simulated time, the same every run."""
-    drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
-    file = msgspec.structs.replace(bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
+def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
+    """Put simulated drives on an in-process `virtual` bus, in lock-step with the link of a session.
+
+    Parameters
+    ----------
+    drives : not booted yet.
+    tap : called with every frame that the session's link sends or receives.
+
+    Returns
+    -------
+    The session's link and the drives. Time is simulated: it advances only when the link waits, and every run with the same
+    drives gives the same frames.
+    """
+    file = msgspec.structs.replace(drives.bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
     other_end = Link(open_bus(file, passive=False), passive=False)
-    own = open_bus(file, passive=passive)
+    own = open_bus(file, passive=False)
 
     def others(now_ns: int) -> bool:
         frame = other_end.take(0)
@@ -59,25 +57,27 @@ def dry_run(
             other_end.send(can_id, data)
         return frame is not None or bool(sent)
 
-    link = LockStepLink(own, others, drives.due_ns, passive=passive, tap=tap)
+    link = LockStepLink(own, others, drives.due_ns, passive=False, tap=tap)
     for can_id, data in drives.boot():
         other_end.send(can_id, data)
     return DryRun(link=link, drives=drives, other_end=other_end)
 
 
-def serve(
-    robot: Robot,
-    bus: Bus,
-    stopped: Callable[[], bool],
-    mechanism: Mechanism | None = None,
-    faults: Sequence[SimulatedFault] = (),
-    ready: Callable[[], None] = lambda: None,
-    *,
-    supervised: bool = True,
-) -> SimulatedDrives:
-    """Simulated drives on the bus of the description, in real time, until `stopped()`; `ready` is called at the start."""
-    drives = _drives(robot, bus, mechanism, faults, supervised=supervised)
-    link = open_link(bus.file, passive=False)
+def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
+    """Simulated drives on the bus of their description, in real time, for any master.
+
+    Parameters
+    ----------
+    drives : not booted yet.
+    stopped : asked at least every 50 ms; True ends the simulation.
+    ready : called once the bus is open and the drives have booted.
+
+    Raises
+    ------
+    AcquisitionError
+        The bus cannot be opened, or takes or gives no frames any more.
+    """
+    link = open_link(drives.bus.file, passive=False)
     try:
         drives.tell_heartbeats(IDLE_HEARTBEAT_MS)
         sent = drives.boot()
@@ -89,16 +89,8 @@ def serve(
             due = drives.due_ns()
             frame = link.receive(min(now_ns + 50_000_000, due if due is not None else now_ns + 50_000_000))
             sent = [] if frame is None else drives.receive(link.now_ns(), frame.can_id, frame.data)
-            if frame is None or (due is not None and due <= now_ns):  # a full bus keeps no heartbeat back
+            if frame is None or (due is not None and due <= now_ns):  # heartbeats are sent on a busy bus too
                 sent = sent + drives.advance(link.now_ns())
     finally:
         with suppress(AcquisitionError):
             link.close()
-    return drives
-
-
-def _drives(
-    robot: Robot, bus: Bus, mechanism: Mechanism | None, faults: Sequence[SimulatedFault], *, supervised: bool
-) -> SimulatedDrives:
-    mechanism = mechanism or mechanism_of(robot, bus)
-    return SimulatedDrives(robot, bus, mechanism.plant, mechanism.loops, faults, supervised=supervised)

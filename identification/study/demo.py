@@ -13,8 +13,8 @@ import numpy as np
 from acquisition.master import Master
 from acquisition.recorder import InlineLog, Recorder
 from acquisition.robot import Robot, resolve
-from acquisition.session import Plan, Stop, run_active
-from acquisition.simulated import SUBSTEPS, Mechanism, dry_run
+from acquisition.session import Stop, Task, run_active
+from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, dry_run
 from acquisition.trajectory import fourier_reference
 
 from ..arrays import Array
@@ -64,16 +64,16 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
     log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
-    simulated = dry_run(robot, bus, mechanism, tap=log.tap)
+    simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
         say(f"simulated drives: {wanted.duration_s:g} s on the bus")
-        ending = run_active(robot, Master(simulated.link, bus), log, Plan(reference=q_ref, place="reference"), Stop())
+        outcome = run_active(robot, Master(simulated.link, bus), log, Task(reference=q_ref, place="reference"), Stop())
         log.finish(simulated.link.now_ns())
     finally:
         log.close()
         simulated.close()
-    if ending.fault:
-        raise IdentificationError(f"{out}: the simulated session failed: {ending.reason}")
+    if outcome.fault:
+        raise IdentificationError(f"{out}: the simulated session failed: {outcome.reason}")
 
 
 def description(name: str) -> Path:

@@ -33,7 +33,7 @@ class Stop:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plan:
+class Task:
     """What a session does: for how long, and along which joint positions (N, n), one row each SYNC.
 
     `before_motion` looks at the drives before anything is written to them; it returns what is to be noted, and raises
