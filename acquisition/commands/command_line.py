@@ -30,8 +30,8 @@ DISTRIBUTION = "robot-idim"
 PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")
 
 
-class Command(Protocol):
-    """A module that declares one command."""
+class CommandModule(Protocol):
+    """What a module of one command has: `add`."""
 
     def add(self, commands: Commands, /) -> None:
         """Declare the command's options, and set `run` to what it does: a function of the options that gives a status."""
@@ -43,7 +43,7 @@ class Program:
 
     name: str
     description: str
-    commands: tuple[Command, ...]
+    commands: tuple[CommandModule, ...]
     errors: tuple[type[Exception], ...]
 
     def parser(self) -> argparse.ArgumentParser:
