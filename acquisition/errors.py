@@ -1,4 +1,4 @@
-"""Errors of the package: their data, and the one line made of them."""
+"""Errors: their data, and the one line made of them."""
 
 from collections.abc import Sequence
 from typing import Any, Final
@@ -18,8 +18,8 @@ def listed(names: Sequence[str]) -> str:
     return shown + (f" and {len(names) - 30} more" if len(names) > 30 else "") or "(nothing)"
 
 
-class AcquisitionError(Exception):
-    """Bad input or a failed session, in one line: `place: key = value: text: expected ...`, parts not given left out.
+class RobotIdimError(Exception):
+    """The errors of both packages, each in one line: `place: key = value: text: expected ...`, parts not given left out.
 
     Attributes:
         place: the file, or where in it; empty where not given.
@@ -39,3 +39,7 @@ class AcquisitionError(Exception):
             key = f"{key} = {value!r}"[: len(key) + _LONGEST_VALUE]
         parts = (place, key, text, expected and f"expected {expected}")
         super().__init__(one_line(": ".join(part for part in parts if part)))
+
+
+class AcquisitionError(RobotIdimError):
+    """Bad input, or a session that failed."""

@@ -1,10 +1,7 @@
 """Errors of the package."""
 
-from acquisition.errors import one_line
+from acquisition.errors import RobotIdimError
 
 
-class IdentificationError(Exception):
-    """Bad input or a fit that cannot be made, told in one line."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__(one_line(text))
+class IdentificationError(RobotIdimError):
+    """Bad input, or a fit that cannot be made; its data are those of `AcquisitionError`: `place, key, value, expected`."""

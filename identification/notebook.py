@@ -47,7 +47,7 @@ def fit(
     AcquisitionError : where the description cannot be read.
     """
     if method not in ("iv", "wls", "ols"):
-        raise IdentificationError(f"method = {method!r}: expected 'iv', 'wls' or 'ols'")
+        raise IdentificationError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
     described = robot if isinstance(robot, Robot) else load_robot(robot)
     signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref)
     if method == "iv":

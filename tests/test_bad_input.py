@@ -67,7 +67,7 @@ def test_volts_never_become_newton_metres(tmp_path):
     with RecordingWriter(path, volts, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
         writer.samples(recording.samples)
     assert load_signals(path).robot.effort_units[0] == "V"
-    with pytest.raises(IdentificationError, match=r"recorded in V at motor .*; robot SCARA says .*: expected V"):
+    with pytest.raises(IdentificationError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
         load_signals(path, robot_named("scara"))
 
 

@@ -130,7 +130,7 @@ def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
     robot, samples = robot_named("scara"), made_samples()
     path = tmp_path / "log.mcap"
     write_samples(path, robot, np.delete(samples, np.s_[1500:1510]))
-    assert "1 gap(s) in the samples, the first after 1.4990 s: a step of 11.000 ms" in refused(capsys, "fit", path)
+    assert "samples: 1 gap(s), the first after 1.4990 s: a step of 11.000 ms" in refused(capsys, "fit", path)
     write_samples(path, robot, samples[:300])
     assert "expected at least 1200, 30 decimated rows" in refused(capsys, "fit", path)
     write_samples(path, robot, samples[:1])
@@ -179,18 +179,18 @@ def test_outputs_are_whole_or_not_there(capsys, tmp_path):
     [
         ("{", "not a fit"),
         ('{"format": 1}', "not a fit"),
-        ('{"format": 9, "method": "wls", "status": "solved", "parameters": []}', "format = 9; this version reads 1"),
+        ('{"format": 9, "method": "wls", "status": "solved", "parameters": []}', "format = 9: expected 1"),
         (
             '{"format": 1, "method": "wls", "status": "solved", "parameters": []}',
             "expected those of the recording's robot",
         ),
         (
             '{"format": 1, "method": "wls", "status": "", "parameters": [{"name": "ZZ9", "value": 1, "sigma": 1, "unit": ""}]}',
-            "parameters ZZ9: expected those of the recording's robot",
+            "parameters = 'ZZ9': expected those of the recording's robot",
         ),
         (
             '{"format": 1, "method": "wls", "status": "", "parameters": [{"name": "MX2", "value": 1, "sigma": 1, "unit":"A"}]}',
-            "MX2 in A; the recording's robot has it in kg m",
+            "MX2.unit = 'A': expected kg m, as the recording's robot has it",
         ),
     ],
 )

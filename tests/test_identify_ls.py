@@ -231,7 +231,7 @@ def test_signals_that_are_not_finite_are_refused():
     signals = synthetic_signals(seconds=5.0)
     broken = signals.effort.copy()
     broken[70, 1] = np.inf
-    with pytest.raises(IdentificationError, match=r"made.mcap: effort row 70 is not finite"):
+    with pytest.raises(IdentificationError, match=r"made.mcap: effort\[70\] = \[2.*, inf\]: expected finite"):
         dataclasses.replace(signals, effort=broken)
 
 

@@ -91,23 +91,27 @@ def test_arrays_stay_what_they_are(signals):
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "place", "key", "value", "expected"),
     [
-        ({"q": np.zeros(50)}, r"arrays: q has shape \(50,\): expected \(N, 2\), time first"),
-        ({"q": np.zeros((2, 50))}, r"arrays: q has shape \(2, 50\): expected \(N, 2\), time first"),
-        ({"q": [["a", "b"]] * 50}, r"arrays: q: could not convert .*: expected numbers of shape \(N, 2\)"),
-        ({"tau": np.zeros((49, 2))}, r"arrays: effort has shape \(49, 2\): expected \(50, 2\), as q has"),
-        ({"q_ref": np.zeros((51, 2))}, r"arrays: q_ref has shape \(51, 2\): expected \(50, 2\), as q has"),
-        ({"tau": np.full((50, 2), np.nan)}, "arrays: effort row 0 is not finite"),
-        ({"sample_rate_hz": 0.0}, "arrays: sample_rate_hz = 0.0: expected a number above 0"),
-        ({"sample_rate_hz": np.nan}, "arrays: sample_rate_hz = nan"),
-        ({"method": "ls"}, "method = 'ls': expected 'iv', 'wls' or 'ols'"),
+        ({"q": np.zeros(50)}, "arrays", "q.shape", (50,), "(N, 2), time first"),
+        ({"q": np.zeros((2, 50))}, "arrays", "q.shape", (2, 50), "(N, 2), time first"),
+        ({"q": [["a", "b"]] * 50}, "arrays", "q", None, "numbers of shape (N, 2)"),
+        ({"tau": np.zeros((49, 2))}, "arrays", "effort.shape", (49, 2), "(50, 2), as q has"),
+        ({"q_ref": np.zeros((51, 2))}, "arrays", "q_ref.shape", (51, 2), "(50, 2), as q has"),
+        ({"tau": np.full((50, 2), np.inf)}, "arrays", "effort[0]", [np.inf, np.inf], "finite numbers"),
+        ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
+        ({"sample_rate_hz": -np.inf}, "arrays", "sample_rate_hz", -np.inf, "a number above 0"),
+        ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
     ],
 )
-def test_what_cannot_be_fitted_is_refused(change, told):
+def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
     given = {"q": np.zeros((50, 2)), "tau": np.zeros((50, 2)), "sample_rate_hz": 100.0, "robot": SCARA}
-    with pytest.raises(identification.IdentificationError, match=told):
+    with pytest.raises(identification.IdentificationError) as caught:
         identification.fit(**{**given, **change})
+    error = caught.value
+    assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
+    assert str(error).startswith(f"{place}: {key}" if place else key)
+    assert str(error).endswith(f": expected {expected}")
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):

@@ -454,7 +454,7 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
     a = fit("a.json", "M1", "kg")
     for b, message in (
         (fit("b.json", "M2", "kg"), "no parameter in common"),
-        (fit("c.json", "M1", "V s²/m"), "M1 is in kg in a and in V s²/m in c"),
+        (fit("c.json", "M1", "V s²/m"), "c: M1.unit = 'V s²/m': expected kg, as in a"),
         (tmp_path / "none.json", "cannot be read"),
     ):
         status, _, err = run(capsys, "compare", a, b)

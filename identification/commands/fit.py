@@ -59,9 +59,11 @@ def run(options: argparse.Namespace) -> int:
     """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
     for name in ("start", "tolerance_percent", "max_iterations"):
         if options.method != "iv" and getattr(options, name) is not None:
-            told = f"--{name.replace('_', '-')} {getattr(options, name)}"
             raise IdentificationError(
-                f"{told}: does nothing with --method {options.method}: expected --method iv with it"
+                f"does nothing with --method {options.method}",
+                key=f"--{name.replace('_', '-')}",
+                value=getattr(options, name),
+                expected="--method iv with it",
             )
     inputs = [options.recording, options.robot, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, picture=options.rrd)

@@ -99,7 +99,7 @@ def make_folder(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise IdentificationError(f"{out}: cannot be made: {error.strerror}; expected a folder") from error
+        raise IdentificationError(f"cannot be made: {error.strerror}", place=str(out), expected="a folder") from error
 
 
 def refuse_outputs(inputs: Sequence[Path | None], *outputs: Path | None, picture: Path | None = None) -> None:
@@ -112,7 +112,7 @@ def refuse_outputs(inputs: Sequence[Path | None], *outputs: Path | None, picture
     refuse_clash(inputs, *outputs, picture)
     for output in outputs:
         if output is not None and not output.absolute().parent.is_dir():
-            raise IdentificationError(f"{output}: no folder {output.parent}")
+            raise IdentificationError(f"no folder {output.parent}", place=str(output), expected="a folder that exists")
 
 
 def not_negative(text: str) -> float:

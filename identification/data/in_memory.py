@@ -33,12 +33,14 @@ def signals_from_arrays(
         above 0.
     """
     if not 0 < sample_rate_hz < math.inf:
-        raise IdentificationError(f"{NAME}: sample_rate_hz = {sample_rate_hz}: expected a number above 0")
+        raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
     given = {"q": q, "effort": effort, **({} if q_ref is None else {"q_ref": q_ref})}
     arrays = {name: _copied(name, array, robot.n) for name, array in given.items()}
     for name, array in arrays.items():
         if array.shape != arrays["q"].shape:
-            raise IdentificationError(f"{NAME}: {name} has shape {array.shape}: expected {arrays['q'].shape}, as q has")
+            raise IdentificationError(
+                place=NAME, key=f"{name}.shape", value=array.shape, expected=f"{arrays['q'].shape}, as q has"
+            )
     digest = hashlib.sha256(b"".join(array.tobytes() for array in arrays.values()))
     return Signals(
         t_s=np.arange(len(arrays["q"])) / sample_rate_hz,
@@ -57,7 +59,7 @@ def _copied(name: str, array: ArrayLike, n: int) -> Array:
     try:
         copied = np.array(array, dtype=np.float64, order="C")
     except (TypeError, ValueError) as error:
-        raise IdentificationError(f"{NAME}: {name}: {error}: expected numbers of shape (N, {n})") from error
+        raise IdentificationError(str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})") from error
     if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
-        raise IdentificationError(f"{NAME}: {name} has shape {copied.shape}: expected (N, {n}), time first")
+        raise IdentificationError(place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first")
     return copied

@@ -63,15 +63,22 @@ class Signals:
         N, n = self.q.shape
         for name, part, shape in (("t_s", self.t_s, (N,)), ("effort", self.effort, (N, n))):
             if part.shape != shape:
-                raise IdentificationError(f"{self.recording}: {name} has shape {part.shape}; expected {shape}")
+                raise IdentificationError(
+                    place=self.recording, key=f"{name}.shape", value=part.shape, expected=str(shape)
+                )
         if n != self.robot.n:
-            raise IdentificationError(f"{self.recording}: {n} joints recorded; the robot has {self.robot.n}")
+            raise IdentificationError(
+                place=self.recording, key="joints recorded", value=n, expected=f"{self.robot.n}, as the robot has"
+            )
         for name, array in (("t_s", self.t_s), ("q", self.q), ("q_ref", self.q_ref), ("effort", self.effort)):
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
                     raise IdentificationError(
-                        f"{self.recording}: {name} row {row} is not finite; expected finite numbers"
+                        place=self.recording,
+                        key=f"{name}[{row}]",
+                        value=array[row].tolist(),
+                        expected="finite numbers",
                     )
                 array.flags.writeable = False
 
@@ -93,12 +100,16 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     recording = read_recording(path)
     if recording.cut:
         raise IdentificationError(
-            f"{path}: is cut: it has no proper end; `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
+            "is cut",
+            place=str(path),
+            expected=f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds",
         )
     samples = recording.samples
     if samples is None or len(samples) == 0:
         raise IdentificationError(
-            f"{path}: holds no joint samples; expected the channel /samples (`robot-acquire decode` makes it of frames)"
+            "holds no joint samples",
+            place=str(path),
+            expected="the channel /samples (`robot-acquire decode` makes it from frames)",
         )
     stamps = samples["stamp_ns"]
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
@@ -138,7 +149,10 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
         for (name, before), now in zip(old, new, strict=True):
             if before != now:
                 raise IdentificationError(
-                    f"{path}: recorded in {before} at {kind} {name}; robot {robot.name} says {now}: expected {before}"
+                    place=str(path),
+                    key=f"unit of {kind} {name} in robot {robot.name}",
+                    value=now,
+                    expected=f"{before}, as recorded",
                 )
 
 
@@ -149,15 +163,17 @@ def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Arr
     theirs within 10 %. Refuses gaps over three periods and time that does not grow.
     """
     if len(stamps) < 2:
-        raise IdentificationError(f"{path}: {len(stamps)} sample; expected a trajectory")
+        raise IdentificationError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
     steps = np.diff(stamps)
     period = float(np.median(steps))
     bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
     if bad.size:
         k = int(bad[0])
         raise IdentificationError(
-            f"{path}: {bad.size} gap(s) in the samples, the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of "
-            f"{steps[k] * 1e-6:.3f} ms; expected {period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that"
+            f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
+            place=str(path),
+            key="samples",
+            expected=f"{period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that",
         )
     since = np.asarray(stamps - stamps[0], dtype=np.float64)
     whole = steps.max() <= 1.5 * period or len(stamps) < 3

@@ -109,7 +109,9 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     partners = _partners(a, b)
     if not partners:
         raise IdentificationError(
-            f"{a.label} and {b.label} have no parameter in common: expected two fits of one robot, or of like robots"
+            "no parameter in common",
+            place=f"{a.label} and {b.label}",
+            expected="two fits of one robot, or of like robots",
         )
     rows = []
     for name, x in a.parameters.items():
@@ -118,7 +120,9 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             rows.append(_alone(name, a=x))
             continue
         if x.unit != y.unit:
-            raise IdentificationError(f"{name} is in {x.unit} in {a.label} and in {y.unit} in {b.label}")
+            raise IdentificationError(
+                place=b.label, key=f"{name}.unit", value=y.unit, expected=f"{x.unit}, as in {a.label}"
+            )
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         rows.append(
             Difference(

@@ -65,13 +65,20 @@ class StoredFit(msgspec.Struct, frozen=True):
         foreign = [name for name in values if name not in base.names]
         if foreign or not values:
             raise IdentificationError(
-                f"{place}: parameters {', '.join(foreign[:5]) or '(none)'}: expected those of the recording's robot: "
-                f"{', '.join(base.names[:5])}, ..."
+                place=place,
+                key="parameters",
+                value=", ".join(foreign[:5]) or None,
+                expected=f"those of the recording's robot: {', '.join(base.names[:5])}, ...",
             )
         units = {p.name: p.unit for p in self.parameters}
         for name, unit in zip(base.names, base.units, strict=True):
             if units.get(name, unit) != unit:
-                raise IdentificationError(f"{place}: {name} in {units[name]}; the recording's robot has it in {unit}")
+                raise IdentificationError(
+                    place=place,
+                    key=f"{name}.unit",
+                    value=units[name],
+                    expected=f"{unit}, as the recording's robot has it",
+                )
         return np.array([values.get(name, 0.0) for name in base.names])
 
 
@@ -87,13 +94,17 @@ def read_fit(path: Path) -> StoredFit:
     try:
         stored = msgspec.json.decode(path.read_bytes(), type=StoredFit)
     except OSError as error:
-        raise IdentificationError(f"{path}: cannot be read: {error.strerror}") from error
+        raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
     except msgspec.MsgspecError as error:
-        raise IdentificationError(f"{path}: not a fit as `robot-identify fit --json` writes it: {error}") from error
+        raise IdentificationError(
+            f"not a fit: {error}", place=str(path), expected="a fit as `robot-identify fit --json` writes it"
+        ) from error
     if stored.format != FORMAT:
-        raise IdentificationError(f"{path}: format = {stored.format}; this version reads {FORMAT}")
+        raise IdentificationError(
+            place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, the one that this version reads"
+        )
     if not all(math.isfinite(p.value) and p.sigma >= 0 and (p.sigma_hac or 0) >= 0 for p in stored.parameters):
-        raise IdentificationError(f"{path}: parameters: expected finite values and sigmas of at least 0")
+        raise IdentificationError(place=str(path), key="parameters", expected="finite values and sigmas of at least 0")
     return stored
 
 
