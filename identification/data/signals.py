@@ -91,10 +91,21 @@ class Signals:
 
 
 def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
-    """Read a recording; `robot` takes the place of the description stored in it.
+    """Read a recording.
 
-    Raises `AcquisitionError` when the file cannot be read and `IdentificationError` when its samples do not form one
-    uniform grid; both are one line.
+    Parameters
+    ----------
+    path : of an MCAP file with joint samples.
+    robot : takes the place of the description stored in the recording; it may correct ratios and gains, not units.
+
+    Returns
+    -------
+    The samples in SI units at the joints, on a uniform grid: interpolated where they are more than 0.05 periods off it.
+
+    Raises
+    ------
+    AcquisitionError : the file cannot be read.
+    IdentificationError : it is cut, has no joint samples or gaps in them, or `robot` has other units than were recorded.
     """
     path = Path(path)
     recording = read_recording(path)

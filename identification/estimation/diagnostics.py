@@ -30,7 +30,18 @@ class TorqueError:
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
-    """Torque errors of each joint and, last and under the name `all`, of all joints; all arrays (rows, n)."""
+    """Torque errors of each joint and of all joints together.
+
+    Parameters
+    ----------
+    tau, predicted : (rows, n) measured and predicted torque, N m (N, or A and V where the drive gain is not known).
+    speed : (rows, n) joint speeds, rad/s or m/s: they tell which rows move.
+    names : (n,) of the joints.
+
+    Returns
+    -------
+    An error per joint and, last and under the name `all`, that of all joints.
+    """
     moving = are_moving(speed)
     rho = tau - predicted
     each = [_torque_error(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
@@ -38,7 +49,7 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
 
 
 def are_moving(speed: Array) -> NDArray[np.bool_]:
-    """Where joints move (rows, n): faster than 2 % of their peak speed."""
+    """Where joints move: faster than 2 % of their peak speed. `speed` and the result are (rows, n)."""
     return np.asarray(np.abs(speed) > MOVING * np.abs(speed).max(axis=0))
 
 
@@ -48,7 +59,7 @@ def lag_one(rho: Array) -> float | None:
 
 
 def autocorrelation(rho: Array, lag: int) -> float | None:
-    """That of residuals (rows,) or (rows, n) at a lag of some rows; None where they are zero."""
+    """Autocorrelation of residuals (rows,) or (rows, n) at a lag of `lag` rows; None where they are zero."""
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
@@ -67,18 +78,28 @@ def _torque_error(name: str, tau: Array, rho: Array, moving: NDArray[np.bool_]) 
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:
-    """100 |rho| / |tau|; None where there is no torque to compare with."""
+    """100 |rho| / |tau| of residual and torque in the same unit and shape; None where the torque is zero."""
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
 def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int) -> Array:
-    """Standard deviations (b,) that hold for correlated residuals (Newey and West).
+    """Standard deviations that hold for correlated residuals (Newey and West, Econometrica 55, 1987).
 
-    beta - beta_true = bread Qᵀ rho, with Q (r, b) and the weighted rho (r,) stacked joint by joint, n joints of equally
-    many, of which `rows` count; rho is zero in the others. The scores of all joints at one instant are added first, so
-    correlation between joints counts as well as correlation in time; the window spans 1.3 sqrt(T) of the T instants. The
-    formula's deviations assume white residuals.
+    beta - beta_true = bread Qᵀ rho. The scores of all joints at one instant are added first, so correlation between joints
+    counts as well as correlation in time; the window spans 1.3 sqrt(T) of the T instants. The formula's deviations assume
+    white residuals.
+
+    Parameters
+    ----------
+    Q, bread : (r, b), (b, b) as `Estimate` has them.
+    rho : (r,) weighted residuals, stacked joint by joint, zero in rows that do not count.
+    n : number of joints, of equally many rows.
+    rows : how many of the rows count.
+
+    Returns
+    -------
+    (b,) deviations in the units of the parameters.
     """
     b = Q.shape[1]
     scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
@@ -112,7 +133,15 @@ class InstrumentTests:
 
 
 def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float) -> InstrumentTests:
-    """Tests on weighted W (r, b), Y (r,) and the orthonormal Q (r, b) of Z; `correlation` is the residual's at one row."""
+    """Tests of the instruments: revised Durbin-Wu-Hausman (Janot2016), strength, first-stage F.
+
+    Parameters
+    ----------
+    Q : (r, b) orthonormal columns that span the weighted instruments Z.
+    W, Y : (r, b), (r,) weighted regressor and torque.
+    rows : how many of the rows count.
+    correlation : of the residual at a lag of one row; F statistics called effective are smaller by it.
+    """
     b = W.shape[1]
     d = np.linalg.norm(W, axis=0)
     Qw = np.linalg.qr(W / d)[0]

@@ -94,12 +94,17 @@ class Reduction:
 
 
 def ordinary_least_squares(system: System) -> Estimate:
-    """Least squares with all rows that count alike."""
+    """beta minimises |Y - W beta| over the rows that count, all alike. Raises as `weighted_least_squares`."""
     return _least_squares(system, np.ones(len(system.rows)))
 
 
 def weighted_least_squares(system: System) -> Estimate:
-    """Least squares with the rows of joint j divided by s_j, the deviation that joint's own least squares leaves."""
+    """Least squares with the rows of joint j divided by s_j, the deviation that joint's own least squares leaves.
+
+    Raises
+    ------
+    IdentificationError : where no more rows count than there are parameters, or W is rank deficient.
+    """
     return _least_squares(system, joint_weights(system))
 
 
@@ -122,11 +127,15 @@ def joint_weights(system: System) -> Array:
 
 
 def essential_parameters(system: System, full: Estimate, *, correlation: float, ratio: float = 30.0) -> Reduction:
-    """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma.
+    """Drop the parameter of the largest %sigma and solve again, until max %sigma < ratio · min %sigma (Gautier2013).
 
-    A drop that the F test refuses at 1 % ends it sooner. `correlation` is the residual's at a lag of one row: r rows are
-    worth r (1 - correlation)/(1 + correlation) independent ones, and F is smaller by that factor. Weights stay those of
-    the full model.
+    A drop that the F test refuses at 1 % ends it sooner. Weights stay those of the full model.
+
+    Parameters
+    ----------
+    system, full : all base parameters, and their estimate from that system.
+    correlation : of the residual at a lag of one row: r rows are worth r (1 - correlation)/(1 + correlation) independent ones.
+    ratio : 30 by default.
     """
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
     W, Y = system.weighted(full.weights)
@@ -162,10 +171,20 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
 
 
 def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate:
-    """beta = (ZᵀW)⁻¹ ZᵀY, with the instruments Z (r, b), W and Y weighted by 1/s_j, `weights` (n,).
+    """beta = (ZᵀW)⁻¹ ZᵀY, section 3 of Janot2014, with Z, W and Y weighted.
 
     Solved through the QR factors of Z: Z = Q R gives (QᵀW) beta = QᵀY. The covariance is s² (ZᵀW)⁻¹ ZᵀZ (WᵀZ)⁻¹, in which
-    R drops out. Raises `IdentificationError` where the instruments have too little in common with W.
+    R drops out.
+
+    Parameters
+    ----------
+    system : W, Y and the rows that count.
+    Z : (r, b) instruments, not weighted.
+    weights : (n,) 1/s_j for the rows of joint j.
+
+    Raises
+    ------
+    IdentificationError : where the instruments have too little in common with W, or as `weighted_least_squares` does.
     """
     _refuse_few_rows(system)
     W, Y = system.weighted(weights)

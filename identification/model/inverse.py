@@ -187,9 +187,12 @@ class DirectModel:
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
-    """The equation of motion of a robot with the standard parameters chi (p,).
+    """The equation of motion (1) of a robot; pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
 
-    pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
+    Parameters
+    ----------
+    dynamics : the inverse dynamic model.
+    chi : (p,) its standard parameters, SI.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
