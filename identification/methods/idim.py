@@ -67,8 +67,21 @@ def identify_ls(
 ) -> Fit:
     """IDIM-LS, section 2: base parameters beta from measured torque and filtered position.
 
-    `essential` keeps only the parameters that the recording determines well. `say` is told what is being done. Raises
-    `IdentificationError` where the recording is too short or excites too little.
+    Parameters
+    ----------
+    signals : the recording.
+    overrides : settings in place of those of the description; `Overrides()` for none.
+    method : `wls`, rows weighted joint by joint, or `ols`, all rows alike.
+    essential : keep only the parameters that the recording determines well.
+    say : called with a line of text for each step.
+
+    Returns
+    -------
+    The estimate with its evidence; its status is `solved`.
+
+    Raises
+    ------
+    IdentificationError : where the recording is too short or excites too little.
     """
     problem = make_problem(signals, overrides)  # (2): tau = IDM(q, dq, ddq) beta
     observed = regression_of_recording(problem, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
@@ -89,6 +102,20 @@ def identify_iv(
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
+
+    Parameters
+    ----------
+    signals, overrides, essential, say : as of `identify_ls`.
+    iteration : where the passes start, and when they end.
+
+    Returns
+    -------
+    The estimate with its evidence. Its status is `converged` only where two passes agree and the robot simulated with the
+    estimate follows the recording.
+
+    Raises
+    ------
+    IdentificationError : as `identify_ls`, or where the recording is too long, or the first pass gives no estimate.
     """
     problem = make_problem(signals, overrides)  # (2)
     observed = regression_of_recording(problem, say)  # (5), (6)
@@ -147,7 +174,14 @@ def validate(
 ) -> tuple[Settings, tuple[TorqueError, ...]]:
     """Torque errors that given base parameters leave on a recording; nothing is fitted.
 
-    `values` gives the parameters (b,) in the order of the robot's base parameters.
+    Parameters
+    ----------
+    signals, overrides : as of `identify_ls`.
+    values : gives the parameters (b,) for the base parameters of the recording's robot, in their order.
+
+    Returns
+    -------
+    The settings, and an error per joint and, last, that of all joints.
     """
     problem = make_problem(signals, overrides)
     tau, predicted, speed = torque_of_recording(problem, values(problem.base))

@@ -167,10 +167,19 @@ def inertia_prior(problem: Problem, overrides: Overrides, ls: LeastSquares) -> A
 
 
 def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = None) -> Array:
-    """Base parameters (b,) of a robot of which nothing is known but that each motor turns J (n,) at its joint, 1 by default.
+    """Base parameters of a robot of which nothing is known but that each motor turns J at its joint.
 
-    J is in kg m² (or kg). With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40.
-    A joint without Ia has a link with that inertia about every axis, or that mass.
+    With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
+    a link with that inertia about every axis, or that mass.
+
+    Parameters
+    ----------
+    model, base : the robot's inverse dynamic model and base parameters.
+    J : (n,) in kg m² or kg; 1 by default.
+
+    Returns
+    -------
+    (b,) values in the order of `base`.
     """
     chi, robot = np.zeros(model.p), model.robot
     J = np.ones(robot.n) if J is None else J

@@ -29,12 +29,12 @@ class Doubt:
 
 
 def poses_of(q: Array) -> Array:
-    """Some 300 positions (P, n) of a trajectory (N, n) at which M is looked at."""
+    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is looked at."""
     return q[:: max(1, len(q) // POSES)]
 
 
 def inertias(model: DirectModel, poses: Array) -> Array:
-    """J_j (n,): the largest diagonal entry of M for each joint over the poses (P, n)."""
+    """J_j (n,) in kg m² or kg: the largest diagonal entry of M for each joint over the poses (P, n)."""
     M = model.inertia(poses)
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 

@@ -38,7 +38,17 @@ class Rehearsal:
 def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callable[[str], None]) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
-    Raises `IdentificationError` or `AcquisitionError` where the description lacks `[bus]` or values, or the session fails.
+    Parameters
+    ----------
+    robot : described with `[bus]` and `[parameters]`.
+    place : its description, as errors name it.
+    out : the recording to write.
+    wanted : length, seed and noise.
+    say : called with a line of text for each step.
+
+    Raises
+    ------
+    IdentificationError, AcquisitionError : where the description lacks `[bus]` or values, or the session fails.
     """
     if robot.bus is None:
         raise IdentificationError(f"{place}: no [bus]: expected the drives to simulate")

@@ -63,9 +63,15 @@ class RigidBodyPlant:
 
 
 def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
-    """The robot of the description's `[parameters]` in the middle of its ranges, and loops of drives for its inertias.
+    """The plant of `robot-acquire record --dry-run`: the rigid robot of the description's `[parameters]`.
 
-    Raises `AcquisitionError` where the parameters are not of this robot, or no motion is possible with them.
+    Returns
+    -------
+    The robot at rest in the middle of its ranges, and loops of its drives for its inertias.
+
+    Raises
+    ------
+    AcquisitionError : where the parameters are not of this robot, or no motion is possible with them.
     """
     try:
         dynamics = InverseModel(robot)

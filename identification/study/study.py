@@ -104,7 +104,21 @@ class Summary:
 
 
 def run_study(robot: Robot, study: Study) -> Iterator[Run]:
-    """All runs on all cores, in order; a run that fails says so. Raises `IdentificationError` where no run can succeed."""
+    """All runs of a study, on all cores.
+
+    Parameters
+    ----------
+    robot : described with `[parameters]`.
+    study : what is varied.
+
+    Returns
+    -------
+    The runs in order; one that fails has a `reason`.
+
+    Raises
+    ------
+    IdentificationError : where no run can succeed: no values in the description, a cut-off above half the rate.
+    """
     fs, bandwidth_hz = study.sample_rate_hz, robot.controller.bandwidth_hz
     study_truth(robot)
     if max(study.cutoffs) * bandwidth_hz >= fs / 2:
@@ -218,7 +232,7 @@ def _misinformed(robot: Robot, factor: float) -> Robot:
 
 
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
-    """One summary per cut-off and method."""
+    """One summary per cut-off and method; `true` (b,) are the values simulated with."""
     found = []
     for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.cutoff == cutoff]
@@ -260,7 +274,7 @@ def _false(run: Run) -> bool:
 
 
 def study_json(study: Study, runs: Sequence[Run], names: Sequence[str], true: Array) -> dict[str, Any]:
-    """A study as JSON: settings, truth, summaries, every run."""
+    """A study as JSON: settings, `names` (b,) and `true` (b,) of the base parameters, summaries, every run."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, np.ndarray):

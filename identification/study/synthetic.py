@@ -70,7 +70,21 @@ def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
 
 
 def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Array:
-    """A random exciting reference (N, n) that begins and ends at rest."""
+    """A random exciting reference, a Fourier series within the limits of the robot.
+
+    Parameters
+    ----------
+    duration_s, sample_rate_hz : length and rate, which together give 100 to 10 000 000 samples.
+    seed : the same one gives the same reference.
+
+    Returns
+    -------
+    (N, n) joint positions, rad or m, at rest at both ends.
+
+    Raises
+    ------
+    IdentificationError : for another number of samples.
+    """
     samples = duration_s * sample_rate_hz
     if not LEAST_SAMPLES <= samples <= MOST_SAMPLES:
         raise IdentificationError(
@@ -81,10 +95,21 @@ def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, 
 
 
 def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
-    """Signals of the robot tracking q_ref (N, n), given at the rate of the recording, which is the controller's too.
+    """Signals of the simulated robot tracking a reference.
 
     Torque at an instant is the mean of what the controller gives before and after it, as a drive's own current filter
-    shows it. Raises `IdentificationError` where the description has no values, or the robot does not follow.
+    shows it.
+
+    Parameters
+    ----------
+    robot : described with `[parameters]`.
+    q_ref : (N, n) reference positions, rad or m.
+    sample_rate_hz : rate of reference, recording and controller.
+    noise, seed : what the sensors add.
+
+    Raises
+    ------
+    IdentificationError : where the description has no values or another rate, or the robot does not follow.
     """
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
@@ -124,7 +149,15 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
 
 
 def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[str, str] | None = None) -> None:
-    """Write simulated signals as a recording."""
+    """Write simulated signals as a recording.
+
+    Parameters
+    ----------
+    path : of the recording; it is written whole or not at all.
+    signals : with the robot's description.
+    source : where they come from, as `info` shows it.
+    notes : more keys of the recording's metadata.
+    """
     samples = np.empty(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
     samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
     samples["position"], samples["effort"] = signals.q, signals.effort
