@@ -59,12 +59,12 @@ class Difference:
 
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
-    """The parameters a fit estimated."""
+    """The parameters that a fit estimated, labelled by its method: IV, LS or OLS."""
     return _estimated({"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.sigma_hac)
 
 
 def least_squares_parameters(fit: Fit) -> ParameterSet:
-    """The parameters that least squares of the same recording estimated."""
+    """The parameters that least squares of the same recording estimated, labelled LS."""
     return _estimated("LS", fit, fit.least_squares.estimate, fit.least_squares.sigma_hac)
 
 
@@ -89,7 +89,7 @@ def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array) -> Parameter
 
 
 def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
-    """Known values (b,) of the base parameters."""
+    """Known values `true` (b,) of the base parameters, SI, labelled `true`; their deviations are 0."""
     return ParameterSet(
         label="true",
         parameters={
@@ -100,11 +100,14 @@ def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
 
 
 def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
-    """Parameter by parameter, those of `a` first, then those that only `b` has.
+    """Two sets of parameters, one by one: those of `a` first, then those that only `b` has.
 
     Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
     what its parameters stand for, those of the same name.
-    Raises `IdentificationError` where the two have nothing in common, or a parameter in different units.
+
+    Raises
+    ------
+    IdentificationError : where the two have nothing in common, or a parameter in different units.
     """
     partners = _partners(a, b)
     if not partners:
@@ -180,13 +183,23 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 
 
 def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
-    """Two sets of parameters side by side. Raises `IdentificationError` as `differences` does."""
+    """Two sets of parameters side by side, with `warnings` about them.
+
+    Raises
+    ------
+    IdentificationError : as `differences` does.
+    """
     compared = comparison_section(a, b)
     return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
-    """Two sets of parameters side by side; sigma is the larger of a set's two deviations."""
+    """Two sets of parameters side by side, as a section; sigma is the larger of a set's two deviations.
+
+    Raises
+    ------
+    IdentificationError : as `differences` does.
+    """
     rows = differences(a, b)
     numbers = (a.label, "sigma", b.label, "sigma", "off by", "%", "in sigma")
     return Section(
@@ -219,5 +232,5 @@ class ComparisonFile(ResultFile, frozen=True, kw_only=True):
 
 
 def comparison_file(a: ParameterSet, b: ParameterSet, report: Document) -> ComparisonFile:
-    """A comparison as it goes into its JSON file."""
+    """A comparison as it goes into its JSON file, with its `report`."""
     return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b), report=document_json(report))

@@ -89,7 +89,7 @@ class Document:
 
 
 def columns(*texts: str, numbers: tuple[str, ...] = ()) -> tuple[Column, ...]:
-    """Columns of texts, then columns of numbers."""
+    """Columns of a table: those of `texts` by their headings, then those of `numbers`."""
     return (*(Column(heading) for heading in texts), *(Column(heading, numeric=True) for heading in numbers))
 
 
@@ -147,7 +147,12 @@ def _section_json(section: Section) -> SectionFile:
 
 
 def write_json(path: Path, content: ResultFile) -> None:
-    """Write a result as a JSON file, whole or not at all."""
+    """Write a result as a JSON file, whole or not at all.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
+    """
     text = json.dumps(msgspec.to_builtins(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")

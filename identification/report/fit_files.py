@@ -128,7 +128,14 @@ def fit_schema() -> dict[str, Any]:
 
 
 def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
-    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null."""
+    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null.
+
+    Parameters
+    ----------
+    signals : the recording that was fitted; its description goes into the file.
+    fit : of either method.
+    report : as the terminal shows it.
+    """
     e, reduction = fit.estimate, fit.essential
     return FitFile(
         **_on_recording(signals, fit.settings, fit.errors, fit.warnings, report),
@@ -166,7 +173,15 @@ def validation_file(
     report: Document,
     warnings: tuple[str, ...],
 ) -> ValidationFile:
-    """A validation as it goes into its JSON file."""
+    """A validation as it goes into its JSON file.
+
+    Parameters
+    ----------
+    signals, settings : the recording, and what was done with it.
+    fit : name of the file of the parameters.
+    errors, warnings : as `methods.validate` gives them, and what was noticed.
+    report : as the terminal shows it.
+    """
     return ValidationFile(fit=fit, **_on_recording(signals, settings, errors, warnings, report))
 
 

@@ -11,7 +11,11 @@ from .recording_report import error_line, errors_section, headline, recording_li
 def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
     """A fit as a report, the verdict first.
 
-    Its table has the essential parameters; with `everything` all of them, and what the regrouped ones stand for.
+    Parameters
+    ----------
+    signals : the recording that was fitted.
+    fit : of either method.
+    everything : show all parameters and what the regrouped ones stand for, not the essential ones alone.
     """
     settings = Section(
         title="settings and tests",

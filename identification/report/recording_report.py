@@ -10,7 +10,14 @@ from .document import Document, Number, Section, Table, columns
 
 
 def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
-    """What is known of a recording before a fit; `refusal` says why it cannot be fitted."""
+    """What is known of a recording before a fit.
+
+    Parameters
+    ----------
+    signals : the recording.
+    settings : what a fit would do with it; None where it cannot be fitted.
+    refusal : why it cannot be fitted; None where it can.
+    """
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     lines = (
         *([f"cannot be fitted: {refusal}"] if refusal else []),
@@ -44,7 +51,14 @@ def recording_document(signals: Signals, settings: Settings | None, refusal: str
 def validation_document(
     signals: Signals, settings: Settings, fit: str, errors: tuple[TorqueError, ...], warnings: tuple[str, ...]
 ) -> Document:
-    """The torque errors of a fit, by its file's name, on a recording that it was not made from."""
+    """The torque errors of a fit on a recording that it was not made from.
+
+    Parameters
+    ----------
+    signals, settings : the recording, and what was done with it.
+    fit : name of the file of the parameters.
+    errors, warnings : as `methods.validate` gives them, and what was noticed.
+    """
     return Document(
         title=f"{fit} on {signals.recording}: {headline(errors)}",
         sections=(

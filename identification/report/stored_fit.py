@@ -83,14 +83,19 @@ class StoredFit(msgspec.Struct, frozen=True):
 
 
 def doubts(stored: StoredFit, place: str) -> list[str]:
-    """What must be said wherever a fit is used that is not what it should be."""
+    """Warnings about a stored fit, each led by `place`, its file: a status without a fixed point, values that no robot has."""
     unsettled = stored.status in (*NO_FIXED_POINT, "not_confirmed")
     told = [f"its status is {stored.status}"] if unsettled else []
     return [f"{place}: {text}" for text in (*told, *(doubt.text for doubt in stored.doubts if doubt.severe))]
 
 
 def read_fit(path: Path) -> StoredFit:
-    """Read a fit's JSON file; an error is one line that names the file, the key and what was expected."""
+    """Read a fit's JSON file, or one of known values.
+
+    Raises
+    ------
+    IdentificationError : where it cannot be read, or is no fit of this format; `place` is the file.
+    """
     try:
         stored = msgspec.json.decode(path.read_bytes(), type=StoredFit)
     except OSError as error:
@@ -109,7 +114,10 @@ def read_fit(path: Path) -> StoredFit:
 
 
 def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str]:
-    """A line where the link frames of two fits differ: equal names then stand for different quantities."""
+    """Compares the link frames of two fits: no lines, or one that says that they differ.
+
+    Equal names stand for different quantities then. `labels` name the two fits.
+    """
     robots = [fit.robot(label) for fit, label in zip((a, b), labels, strict=True)]
     if any(robot is None for robot in robots):
         return []

@@ -41,7 +41,7 @@ class StudyFile(ResultFile, frozen=True, kw_only=True):
 
 
 def base_file(base: BaseParameters, robot: str, true: Array | None = None) -> BaseFile:
-    """Base parameters as they go into their JSON file; `true` are known values (b,)."""
+    """Base parameters as they go into their JSON file. Parameters as of `base_document`."""
     values: list[float | UnsetType] = [UNSET] * base.b if true is None else [float(x) for x in true]
     parameters = [
         BaseParameter(name=name, expression=expression, unit=unit, value=value)
@@ -51,12 +51,19 @@ def base_file(base: BaseParameters, robot: str, true: Array | None = None) -> Ba
 
 
 def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array, report: Document) -> StudyFile:
-    """A study as it goes into its JSON file."""
+    """A study as it goes into its JSON file, with its `report`; `true` (b,) are the values of the parameters `base`."""
     return StudyFile(**study_json(study, runs, base.names, true), report=document_json(report))
 
 
 def base_document(base: BaseParameters, robot: str, true: Array | None = None) -> Document:
-    """The base parameters of a robot with the sums of standard parameters that they stand for, and known values (b,)."""
+    """The base parameters of a robot with the sums of standard parameters that they stand for.
+
+    Parameters
+    ----------
+    base : its base parameters.
+    robot : its name.
+    true : (b,) known values, SI; None where there are none.
+    """
     names = zip(base.names, base.expressions, base.units, strict=True)
     values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
     table = Table(
@@ -67,9 +74,15 @@ def base_document(base: BaseParameters, robot: str, true: Array | None = None) -
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
-    """Estimates beside the values (b,) that a recording was simulated with.
+    """Estimates beside the values that a recording was simulated with.
 
     They are off by a number of deviations: the larger of HAC and formula.
+
+    Parameters
+    ----------
+    robot : its name.
+    fits : of one recording.
+    true : (b,) the values, SI.
     """
     sigmas = [np.fmax(fit.sigma_hac, fit.estimate.sigma) for fit in fits]
     rows: list[Row] = []
@@ -94,7 +107,14 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
-    """A study's summaries, one row per cut-off and method, and what it varied."""
+    """A study's summaries, one row per cut-off and method, and what it varied.
+
+    Parameters
+    ----------
+    robot : its name.
+    study, runs : what was varied, and what came of it.
+    true : (b,) the values simulated with, SI.
+    """
     percents = ("bias %", "spread %", "median error %", "worst error %")
     shares = ("sigma / spread", "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %")
     table = Table(

@@ -48,14 +48,23 @@ Vector = NDArray[np.float64]
 def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Vector | None = None) -> None:
     """Write a fit as a Rerun file that opens with its own layout (`rerun fit.rrd`).
 
-    A fit by instruments is shown with its least squares; `truth` (b,) are
-    known values of the base parameters. Times are seconds from the recording's first sample, on the timeline `time`.
-    Measured curves span the recording, filtered and predicted ones what the fit used of it. Entities are
+    A fit by instruments is shown with its least squares. Times are seconds from the recording's first sample, on the
+    timeline `time`. Measured curves span the recording, filtered and predicted ones what the fit used of it. Entities are
     `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
-    `error/<joint>/reference`, `simulated`: these positions less the measured one, in the unit of the plot's title;
+    `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the plot's title;
     `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `robot`, `parameters`, `trust`, `passes`,
     `residual`, `spectrum`, `session`, `events`, `health`, `report`.
-    Raises `AcquisitionError`, one line, when the file cannot be written; nothing is left behind then.
+
+    Parameters
+    ----------
+    path : of the file; it is written whole or not at all.
+    signals : the recording that was fitted.
+    fit : of either method.
+    truth : (b,) known values of the base parameters, SI; None where there are none.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
     """
     # A viewer holds one layout per application, and a layout is of its data: each fit is an application of its own.
     compared = truth.tobytes() if truth is not None else b""
@@ -71,7 +80,17 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Vector | Non
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
     """Write a recording that has not been fitted as a Rerun file, with the panels of a fit that need none.
 
-    Entities and errors as in `write_fit_rrd`.
+    Entities as in `write_fit_rrd`.
+
+    Parameters
+    ----------
+    path : of the file; it is written whole or not at all.
+    signals : the recording.
+    overrides : settings in place of those of the description.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
     """
     refusal, plan = None, None
     try:
@@ -86,7 +105,13 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 
 
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
-    """Write two sets of parameters as a Rerun file: entities `trust` and `report`. Errors as in `write_fit_rrd`."""
+    """Write two sets of parameters as a Rerun file: entities `trust` and `report`.
+
+    Raises
+    ------
+    AcquisitionError : where the file `path` cannot be written.
+    IdentificationError : where the sets do not belong together, as `report.differences` has it.
+    """
     document = comparison_document(own, other)
 
     def pages(show: "_Show") -> list[Any]:
@@ -101,10 +126,19 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
 
 
 def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector, document: Document) -> None:
-    """Write a study as a Rerun file: entities `study`, every run's error and their medians, and `report`, its `document`.
+    """Write a study as a Rerun file: entities `study`, every run's error and their medians, and `report`.
 
-    `true` (b,) are the parameters simulated with.
-    Errors as in `write_fit_rrd`.
+    Parameters
+    ----------
+    path : of the file; it is written whole or not at all.
+    robot : its name.
+    runs : of the study.
+    true : (b,) the values simulated with, SI.
+    document : the study's report.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
     """
 
     def pages(show: "_Show") -> list[Any]:
