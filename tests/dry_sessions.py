@@ -8,7 +8,7 @@ import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.master.master import Master
-from acquisition.recorder.process import InlineLog
+from acquisition.recorder.logs import InlineLog
 from acquisition.recorder.recorder import Recorded, Recorder
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.robot.drives import Bus

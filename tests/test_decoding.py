@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import AcquisitionError
-from acquisition.recorder.decoding import Decoded, decode, unwrapped, written_by_master
+from acquisition.recorder.decoding import Decoded, decode, unwrapped
+from acquisition.recorder.traffic import written_by_master
 from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
 from acquisition.robot.resolving import resolve
 

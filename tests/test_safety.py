@@ -14,7 +14,7 @@ from conftest import needs_data
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.recorder.process as recorder_process
+import acquisition.recorder.logs as recorder_logs
 import acquisition.simulated.lock_step as dry_run_module
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
@@ -23,7 +23,8 @@ from acquisition.protocol.dictionary import DictionaryEntry, ObjectDictionary, l
 from acquisition.protocol.objects import interpolation_period
 from acquisition.protocol.sdo import write_request
 from acquisition.protocol.states import State
-from acquisition.recorder.process import ProcessLog
+from acquisition.recorder import Role
+from acquisition.recorder.logs import ProcessLog
 from acquisition.recording.rows import SENT
 from acquisition.robot.bus import dictionary_label
 from acquisition.robot.drives import axis_of
@@ -418,10 +419,8 @@ def test_a_hangup_that_is_ignored_stays_so():
 
 
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
-    monkeypatch.setattr(recorder_process, "SILENT_S", 1.0)
-    log = ProcessLog(
-        tmp_path / "a.mcap", robot_of(bus_text(1)), source="", place="robot.toml", feed=True, passive=False
-    )
+    monkeypatch.setattr(recorder_logs, "SILENT_S", 1.0)
+    log = ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", Role.FED)
     until_s = time.monotonic() + 10
     while log.poll(time.time_ns()) is None:  # it lives
         assert time.monotonic() < until_s
@@ -436,7 +435,7 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
             except AcquisitionError as error:
                 told = str(error)
         assert told.startswith("the recorder tells nothing for")
-        monkeypatch.setattr(recorder_process, "HUNG_FINISH_S", 0.5)
+        monkeypatch.setattr(recorder_logs, "HUNG_FINISH_S", 0.5)
         with pytest.raises(AcquisitionError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())
     finally:

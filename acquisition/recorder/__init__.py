@@ -1,8 +1,10 @@
 """Frames into a recording by a process of its own, decoded on the grid of SYNC; the second stop."""
 
-from .decoding import Decoded, decode, written_by_master
-from .process import STOPPING, InlineLog, ProcessLog
+from .decoding import Decoded, decode
+from .logs import InlineLog, ProcessLog
+from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
+from .traffic import written_by_master
 
 __all__ = [
     "STOPPING",
@@ -11,6 +13,7 @@ __all__ = [
     "ProcessLog",
     "Recorded",
     "Recorder",
+    "Role",
     "Status",
     "decode",
     "written_by_master",

@@ -20,6 +20,21 @@ LONGEST_LATE = 3  # SYNCs by which one PDO may be late; a later one counts as mi
 LONGEST_RUN = 200  # SYNCs after which a drive whose PDOs are late has caught up; else one of them is missing
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SyncGrid:
+    """All SYNCs of a session in order, those included that were not recorded.
+
+    Attributes:
+        before: (len(frames),) SYNC frames up to and with each frame.
+        index_of: (k,) grid index of each of the k SYNC frames.
+        size: SYNCs in all.
+    """
+
+    before: Ints
+    index_of: Ints
+    size: int
+
+
 @dataclass(frozen=True, kw_only=True)
 class Answers:
     """The PDOs of one identifier on the grid of SYNC.
@@ -74,20 +89,20 @@ def sync_steps(syncs: Block, times: Ints, drives: list[Ints], before: Ints, fram
     return steps
 
 
-def answers(rows: Ints, before: Ints, index_of: Ints, grid: int, frames: Block) -> Answers:
-    """Frames `rows` of one PDO on the grid; `index_of` is the grid index of each SYNC frame, `before` as above."""
-    rows, interval = _after_first_sync(rows, before)
+def answers(rows: Ints, grid: SyncGrid, frames: Block) -> Answers:
+    """Assign the frames `rows` of one PDO to the SYNCs of the grid."""
+    rows, interval = _after_first_sync(rows, grid.before)
     first = np.searchsorted(interval, interval)  # place of the first PDO in the same interval
     place = np.arange(len(rows)) - first
     # Where SYNCs were lost the PDOs of one recorded interval belong to as many SYNCs.
-    span = np.append(np.diff(index_of), 1)[interval]
-    on_time = index_of[interval] + np.minimum(place, span - 1)
-    count = np.bincount(on_time, minlength=grid)
+    span = np.append(np.diff(grid.index_of), 1)[interval]
+    on_time = grid.index_of[interval] + np.minimum(place, span - 1)
+    count = np.bincount(on_time, minlength=grid.size)
     made_up, extra = _paired(rows, on_time, count, frames)
     # Answers come in order: the first SYNC that has one gets the first frame, and so on.
     answered = np.flatnonzero((count > 0) | made_up)
     used = ~extra
-    slot = np.full(grid, -1, np.int64)
+    slot = np.full(grid.size, -1, np.int64)
     slot[answered] = rows[used]
     missing = int(answered[-1] - answered[0] + 1 - len(answered)) if len(answered) else 0
     late = int(np.count_nonzero(answered != on_time[used]))

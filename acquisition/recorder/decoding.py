@@ -4,7 +4,6 @@ A drive samples at SYNC, whenever its PDO arrives, so a sample's time is that of
 `association` assigns each PDO to the SYNC it answers.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,15 +11,15 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
-from ..recording import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block, sample_dtype
+from ..protocol import Pdo
+from ..recording import SENT, Block, sample_dtype
 from ..robot import Bus, Robot
-from .association import answers, sync_steps
+from .association import SyncGrid, answers, sync_steps
 from .sync_times import SyncTimes, sync_times
+from .traffic import Traffic
 
 Ints = NDArray[np.int64]
 
-_DATA_AT = FRAME.itemsize - 8  # where a frame's bytes begin in its row
 LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
 FEWEST_SYNCS = 10  # with fewer their period is not checked
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
@@ -78,39 +77,35 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, too few samples remain, or
     SYNC came at another period than the description's.
     """
-    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
-    ids = np.where(plain, frames["can_id"], 0xFFFFFFFF).astype(np.uint32)
-    is_sync = ids == bus.file.sync_can_id
+    traffic = Traffic(frames)
+    is_sync = traffic.ids == bus.file.sync_can_id
     sync_rows = np.flatnonzero(is_sync)
     if len(sync_rows) < 2:
         raise AcquisitionError(
             f"{place}: {len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames: expected many"
         )
-    before = np.cumsum(is_sync)  # SYNCs up to and with each row
+    before = np.cumsum(is_sync)
     carriers = _carriers(bus)
     rows, shorts = {}, {}
     for pdo in carriers:
-        sent = np.flatnonzero(ids == pdo.can_id)
-        whole = frames["length"][sent] >= pdo.length
-        shorts[pdo.can_id] = int(np.count_nonzero(~whole))
-        rows[pdo.can_id] = sent[whole]
-        if not whole.any():
+        rows[pdo.can_id], shorts[pdo.can_id] = traffic.of(pdo)
+        if not len(rows[pdo.can_id]):
             raise AcquisitionError(
                 f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
                 "expected the drive's answers to SYNC; is it mapped and started?"
             )
     syncs, times = frames[sync_rows], frames["time_ns"][sync_rows]
     steps = sync_steps(syncs, times, list(rows.values()), before, frames)
-    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])  # grid index of each SYNC frame
-    grid = int(index_of[-1]) + int(steps[-1])
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    grid = SyncGrid(before=before, index_of=index_of, size=int(index_of[-1]) + int(steps[-1]))
     ours = bool((syncs["flags"] & SENT).all())
-    clock = sync_times(times, index_of, grid, ours=ours, nominal_ns=bus.period_ns)
+    clock = sync_times(times, index_of, grid.size, ours=ours, nominal_ns=bus.period_ns)
     if len(times) >= FEWEST_SYNCS:
         _refuse_period(clock.period_s, bus, place)
 
     slots, counts = {}, []
     for pdo, name in carriers.items():
-        found = answers(rows[pdo.can_id], before, index_of, grid, frames)
+        found = answers(rows[pdo.can_id], grid, frames)
         slots[pdo.can_id] = found.slot
         counts.append(
             PdoCount(
@@ -132,13 +127,13 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     motor = np.empty((2, len(answered), n))
     counts_on = np.empty((n, len(answered)), np.int64)  # positions, going on where a counter wraps
     wrapped = []
-    everywhere = len(answered) == grid
+    everywhere = len(answered) == grid.size
     for i, drive in enumerate(bus.drives):
         for k, entry in enumerate((drive.position, drive.effort.entry)):
             carrier = drive.carrier(entry, "tpdo")
             assert carrier is not None  # `resolve` has seen to it
             slot = slots[carrier.can_id]
-            raw[k, i] = _integers(frames, slot if everywhere else slot[answered], carrier, entry)
+            raw[k, i] = traffic.integers(slot if everywhere else slot[answered], carrier, entry)
         counts_on[i], wraps = unwrapped(raw[0, i], drive.position.bits)
         if len(wraps):
             first_s = (clock.stamps[answered[wraps[0]]] - clock.stamps[answered[0]]) * 1e-9
@@ -148,14 +143,16 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
             )
         motor[0, :, i], motor[1, :, i] = drive.position_codec.si(counts_on[i]), drive.effort.si(raw[1, i])
     q, effort = robot.joint_position(motor[0]), robot.joint_effort(motor[1])
-    reference = _reference(frames, ids, before, index_of, grid, answered, robot, bus, q, counts_on)
+    targets, reference = _targets(traffic, grid, answered, bus, counts_on), None
+    if targets is not None:  # before the first target the measured position stands in
+        reference = np.where(targets.known[:, None], robot.joint_position(targets.motor), q)
     extras = [(drive, extra) for drive in bus.drives for extra in drive.extras]
     samples = np.empty(len(answered), sample_dtype(n, reference=reference is not None, extra=len(extras)))
     samples["stamp_ns"] = clock.stamps[answered]
     for k, (drive, extra) in enumerate(extras):
         carrier = drive.carrier(extra.entry, "tpdo")
         assert carrier is not None
-        samples["extra"][:, k] = extra.si(_integers(frames, slots[carrier.can_id][answered], carrier, extra.entry))
+        samples["extra"][:, k] = extra.si(traffic.integers(slots[carrier.can_id][answered], carrier, extra.entry))
     samples["position"], samples["effort"] = q, effort
     if reference is not None:
         samples["reference"] = reference
@@ -183,17 +180,6 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
     return found
 
 
-def _integers(frames: Block, rows: Ints, pdo: Pdo, entry: ObjectEntry) -> Ints:
-    """The integers of one object in the frames `rows`."""
-    at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
-    assert at is not None
-    # One strided field over the rows as they lie: three times as fast as cutting the bytes out.
-    kind = f"<{entry.type[0].lower()}{size}"
-    only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
-    found: Ints = frames.view(only)["value"][rows].astype(np.int64)
-    return found
-
-
 def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     """Counts that go on where a counter of `bits` wraps from one end to the other, and the rows at which it does.
 
@@ -208,42 +194,35 @@ def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     return counts + (np.cumsum(turns) << bits), wraps + 1
 
 
-def _reference(
-    frames: Block,
-    ids: NDArray[np.uint32],
-    before: Ints,
-    index_of: Ints,
-    grid: int,
-    answered: Ints,
-    robot: Robot,
-    bus: Bus,
-    q: Array,
-    counts_on: Ints,
-) -> Array | None:
-    """Target positions (N, n) in force at each sample: the last one sent before its SYNC, held until the next.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Targets:
+    """Targets in force at each sample: motor positions (N, n); whether all drives had got one yet, (N,)."""
 
-    A target wraps as the position does that it leads; of the counts it may stand for, those next to `counts_on` are meant.
+    motor: Array
+    known: NDArray[np.bool_]
 
-    Before the first target the measured position stands in. None where a drive gets no targets, or only now and then: a
-    master that commands the state alone sends them too.
+
+def _targets(traffic: Traffic, grid: SyncGrid, answered: Ints, bus: Bus, counts_on: Ints) -> _Targets | None:
+    """The last target sent before the SYNC of each sample, held until the next.
+
+    A target wraps as the position does that follows it; of the counts it may mean, the one nearest `counts_on` is taken.
+    None where a drive gets no targets, or only a few: a master that commands the state alone sends them too.
     """
-    motors, known = np.empty((len(answered), robot.n)), np.ones(len(answered), np.bool_)
-    following = np.append(index_of, grid)  # grid index of the SYNC after as many SYNC frames
+    motor, known = np.empty((len(answered), len(bus.drives))), np.ones(len(answered), np.bool_)
+    following = np.append(grid.index_of, grid.size)  # grid index of the SYNC after as many SYNC frames
     for i, drive in enumerate(bus.drives):
         pdo = drive.carrier(drive.target, "rpdo")
-        rows = np.flatnonzero(ids == pdo.can_id) if pdo is not None else np.zeros(0, np.int64)
-        if pdo is not None:
-            rows = rows[frames["length"][rows] >= pdo.length]
+        rows = np.zeros(0, np.int64) if pdo is None else traffic.of(pdo)[0]
         if pdo is None or len(rows) < FEWEST_TARGETS * len(answered):
             return None
-        slot = np.full(grid + 1, -1, np.int64)
-        slot[following[before[rows]]] = np.arange(len(rows))
+        slot = np.full(grid.size + 1, -1, np.int64)
+        slot[following[grid.before[rows]]] = np.arange(len(rows))
         held = np.maximum.accumulate(slot[:-1])[answered]
         known &= held >= 0
-        target = _integers(frames, rows, pdo, drive.target)[held]
+        target = traffic.integers(rows, pdo, drive.target)[held]
         away = np.rint((counts_on[i] - target) / (1 << drive.target.bits)).astype(np.int64)
-        motors[:, i] = drive.position_codec.si(target + (away << drive.target.bits))
-    return np.where(known[:, None], robot.joint_position(motors), q) if known.any() else None
+        motor[:, i] = drive.position_codec.si(target + (away << drive.target.bits))
+    return _Targets(motor=motor, known=known) if known.any() else None
 
 
 def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
@@ -285,16 +264,4 @@ def _warnings(counts: list[PdoCount], lost: int, clock: SyncTimes, bus: Bus, ans
         losses = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
         if losses:
             found.append(f"{count.name}: {', '.join(losses)} of {count.received}")
-    return found
-
-
-def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
-    """What a master wrote into communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
-    found: dict[int, dict[tuple[int, int], int]] = {}
-    ids = np.where(frames["flags"] & (EXTENDED | ERROR | REMOTE), 0, frames["can_id"])
-    low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
-    for row in frames[(ids > REQUEST) & (ids < REQUEST + 128) & (frames["length"] == 8)]:
-        transfer = request_of(row["data"].tobytes())
-        if transfer.kind == "write" and low <= transfer.index <= high:
-            found.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
     return found

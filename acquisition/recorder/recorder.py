@@ -12,7 +12,8 @@ import numpy as np
 from ..errors import AcquisitionError
 from ..recording import FRAME, Block, RecordingWriter, read_recording
 from ..robot import Bus, Robot, resolve
-from .decoding import Decoded, decode, written_by_master
+from .decoding import Decoded, decode
+from .traffic import written_by_master
 
 FLUSH_S = 0.5
 SMALLEST_FREE_BYTES = 100 * 2**20  # with less left on the disk the session ends

@@ -10,7 +10,7 @@ from types import FrameType
 
 from ..errors import AcquisitionError
 from ..master import Confirm, Master, confirm_positions, second_stop
-from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Status
+from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role, Status
 from ..robot import Robot, refuse_load, resolve
 from ..simulated import DryRun, SimulatedDrives, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
@@ -112,10 +112,8 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
         # The link first: a bus that cannot be opened leaves no file behind.
         link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
         try:
-            dead_man = shared and options.track is not None
-            log = ProcessLog(
-                out, robot, source="CAN, active", place=place, feed=not shared, passive=False, dead_man=dead_man
-            )
+            role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
+            log = ProcessLog(out, robot, place, role)
         except BaseException:
             link.close()
             raise
@@ -156,7 +154,7 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
 def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator) -> tuple[Outcome, Recorded]:
     """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
     stop = operator.stop
-    log = ProcessLog(out, robot, source="CAN, passive", place=place, feed=False, passive=True)
+    log = ProcessLog(out, robot, place, Role.LISTENER)
     try:
         started_s = time.monotonic()
         log.event(time.time_ns(), "phase", "record")
