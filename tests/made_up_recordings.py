@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.errors import AcquisitionError
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.recording.rows import EXTENDED, FRAME, SENT, Block, sample_dtype
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot
 
 
@@ -31,16 +31,22 @@ def some_frames(count: int) -> Block:
     return frames
 
 
+def header(robot: Robot, sample_rate_hz: float = 1000.0) -> Header:
+    return Header(robot=robot, source="", sample_rate_hz=sample_rate_hz, effort_provenance="")
+
+
 def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40) -> None:
     """A small recording with something of everything, in as many chunks as there are blocks."""
     with RecordingWriter(
         path,
-        robot,
-        source="a test",
-        sample_rate_hz=1000.0,
-        effort_provenance="made up, Rᵀ",
-        notes={"bitrate": "1000000"},
-        attachments={"../../etc/drive.eds": b"[FileInfo]\n"},
+        Header(
+            robot=robot,
+            source="a test",
+            sample_rate_hz=1000.0,
+            effort_provenance="made up, Rᵀ",
+            notes={"bitrate": "1000000"},
+            attachments={"../../etc/drive.eds": b"[FileInfo]\n"},
+        ),
     ) as writer:
         samples, frames = some_samples(blocks * rows), some_frames(blocks * rows)
         writer.event(0, "phase", "track")

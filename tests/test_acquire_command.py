@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from made_up_recordings import some_frames, some_samples, write
+from made_up_recordings import header, some_frames, some_samples, write
 
 from acquisition.commands.program import main
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import SENT
-from acquisition.recording.writer import RecordingWriter
 
 SCARA = REPLAY / "scara" / "robot.toml"
 MAP = """
@@ -93,7 +93,8 @@ def test_info_tells_everything_and_passes_no_terminal_codes_on(
     assert f"240 frames, {sent} of them sent, 0.239 s" in text
     samples = np.delete(some_samples(100), [50, 51])
     with RecordingWriter(
-        tmp_path / "b.mcap", robot_named("scara"), source="[bold]x\x1b[2J", sample_rate_hz=1000.0, effort_provenance=""
+        tmp_path / "b.mcap",
+        Header(robot=robot_named("scara"), source="[bold]x\x1b[2J", sample_rate_hz=1000.0, effort_provenance=""),
     ) as writer:
         writer.samples(samples)
         writer.event(0, "phase", "\x1b]0;title\x07 [red]track[/red]")
@@ -113,9 +114,7 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(
     samples["stamp_ns"] += start_ns - samples["stamp_ns"][0]
     frames["time_ns"] += start_ns - frames["time_ns"][0]
     for name, block in (("sample", samples), ("frame", None)):
-        with RecordingWriter(
-            tmp_path / name, robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance=""
-        ) as writer:
+        with RecordingWriter(tmp_path / name, header(robot_named("scara"))) as writer:
             writer.event(start_ns - 22_000_000, "phase", "configure")
             if block is None:
                 writer.frames("can0", frames)
@@ -135,9 +134,7 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(
 
 
 def test_a_recording_without_samples_has_an_overview(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    with RecordingWriter(
-        tmp_path / "a.mcap", robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance=""
-    ):
+    with RecordingWriter(tmp_path / "a.mcap", header(robot_named("scara"))):
         pass
     assert main(["info", str(tmp_path / "a.mcap")]) == 0
     assert "SCARA" in capsys.readouterr().out

@@ -10,11 +10,12 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, ROOT, robot_named
+from made_up_recordings import header
 from test_identify_command import refused, run
 
 from acquisition.errors import AcquisitionError
+from acquisition.recording import RecordingWriter
 from acquisition.recording.reader import read_recording
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import robot_from_files
 from identification.data.signals import load_signals
 from identification.errors import IdentificationError
@@ -64,7 +65,7 @@ def test_volts_never_become_newton_metres(tmp_path):
     in_volts = "\n".join(f'{li}\neffort_unit = "V"' if li == "[[motor]]" else li for li in kept)
     volts = robot_from_files({"robot.toml": in_volts.encode()}, "v.toml")
     path = tmp_path / "volts.mcap"
-    with RecordingWriter(path, volts, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(path, header(volts)) as writer:
         writer.samples(recording.samples)
     assert load_signals(path).robot.effort_units[0] == "V"
     with pytest.raises(IdentificationError, match=r"unit of motor .* in robot SCARA = .*: expected V, as recorded"):
@@ -209,7 +210,7 @@ def test_a_joint_that_stands_is_named_by_its_own_parameters():
 def test_what_the_recorder_warned_of_stands_in_the_fit(tmp_path):
     recording = read_recording(SESSION)
     path = tmp_path / "warned.mcap"
-    with RecordingWriter(path, recording.robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(path, header(recording.robot)) as writer:
         writer.samples(recording.samples)
         writer.event(int(recording.samples["stamp_ns"][-1]), "warning", "SYNC came every 4 ms: expected 8 ms")
     fit = identify_ls(load_signals(path), Overrides())

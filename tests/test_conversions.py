@@ -212,12 +212,12 @@ def test_can_fd_frames_are_left_out(tmp_path):
 
 
 def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
-    from made_up_recordings import some_samples
+    from made_up_recordings import header, some_samples
 
-    from acquisition.recording.writer import RecordingWriter
+    from acquisition.recording import RecordingWriter
 
     for name in ("a.mcap", "b.mcap"):
-        with RecordingWriter(tmp_path / name, ROBOT, source="", sample_rate_hz=500.0, effort_provenance="") as writer:
+        with RecordingWriter(tmp_path / name, header(ROBOT, 500.0)) as writer:
             if name == "a.mcap":
                 writer.samples(some_samples(3))
     with pytest.raises(AcquisitionError, match="holds no CAN frames"):

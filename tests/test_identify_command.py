@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.rows import sample_dtype
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
 from identification.commands.program import main
 
@@ -96,7 +96,7 @@ def test_simulation_is_repeatable(capsys, tmp_path):
 
 def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
     with RecordingWriter(
-        path, robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test"
+        path, Header(robot=robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test")
     ) as writer:
         for k in range(0, len(samples), 1000):
             writer.samples(samples[k : k + 1000])

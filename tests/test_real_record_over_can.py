@@ -8,9 +8,9 @@ from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
 
 from acquisition.importing.conversions import decode_recording
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import sample_dtype
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, robot_from_files
 from acquisition.session.task import Task
 from acquisition.simulated.plants import TablePlant
@@ -37,7 +37,7 @@ def tx40_at_500_hz(tx40: Path, tmp_path_factory: pytest.TempPathFactory) -> Path
     samples = recording.samples[:: round(recording.sample_rate_hz / RATE_HZ)]
     out = tmp_path_factory.mktemp("tx40_500") / "direct.mcap"
     with RecordingWriter(
-        out, recording.robot, source="every tenth row", sample_rate_hz=RATE_HZ, effort_provenance="table"
+        out, Header(robot=recording.robot, source="every tenth row", sample_rate_hz=RATE_HZ, effort_provenance="table")
     ) as writer:
         writer.samples(samples)
     return out

@@ -11,13 +11,13 @@ import mcap.reader
 import numpy as np
 import pytest
 from conftest import robot_named
-from made_up_recordings import some_frames, some_samples, write
+from made_up_recordings import header, some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.robot import Robot, load_robot
 
 
@@ -42,7 +42,7 @@ def test_reads_what_was_written(whole: Path, robot: Robot) -> None:
 
 def test_one_large_block_is_stored_in_small_ones(tmp_path: Path, robot: Robot) -> None:
     samples = some_samples(9001, reference=False)
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(samples)
         writer.frames("can0", some_frames(301))
     recording = read_recording(tmp_path / "a.mcap")
@@ -62,7 +62,7 @@ def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
     samples["effort"], samples["reference"] = [[10.0, -20.0], [30.0, 40.0]], [[0.25, -0.75], [4.0, 5.0]]
     frames = np.zeros(1, FRAME)
     frames[0] = (12, 0x185, 3, SENT | EXTENDED, [0x37, 0x12, 0xFB, 0, 0, 0, 0, 0])
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="x", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(samples)
         writer.frames("can0", frames)
         writer.event(13, "phase", "track")
@@ -90,7 +90,8 @@ def test_blocks_byte_for_byte(tmp_path: Path, robot: Robot) -> None:
 def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
     notes = {"bitrate": "500000", "robot": "not mine to say", "schema_version": "9"}
     with RecordingWriter(
-        tmp_path / "a.mcap", robot, source="a test", sample_rate_hz=250.0, effort_provenance="by hand", notes=notes
+        tmp_path / "a.mcap",
+        Header(robot=robot, source="a test", sample_rate_hz=250.0, effort_provenance="by hand", notes=notes),
     ):
         pass
     recording = read_recording(tmp_path / "a.mcap")
@@ -167,7 +168,7 @@ def test_readers_of_others_find_metadata_and_attachments(whole: Path) -> None:
 @pytest.mark.parametrize(("rate_hz", "step"), [(50.0, 1), (100.0, 1), (250.0, 3), (1000.0, 10), (1024.0, 11)])
 def test_joint_states_are_cdr_at_100_hz_at_most(tmp_path: Path, robot: Robot, rate_hz: float, step: int) -> None:
     samples = some_samples(500, rate_hz=rate_hz)
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=rate_hz, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot, rate_hz)) as writer:
         for k in range(0, 500, 7):  # decimation goes on across blocks
             writer.samples(samples[k : k + 7])
     store = get_typestore(Stores.ROS2_JAZZY)
@@ -202,7 +203,7 @@ def test_amperes_are_no_joint_state_effort(tmp_path: Path, robot: Robot) -> None
 
 
 def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> None:
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         writer.samples(some_samples(10))
         for bad, message in (
             (some_samples(10), "row 1: stamp_ns = 0: expected growing"),
@@ -235,7 +236,7 @@ def test_writer_refuses_what_the_reader_would(tmp_path: Path, robot: Robot) -> N
 
 
 def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot) -> None:
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot, 1.0)) as writer:
         writer.health(3, {"drops": float("nan"), "late": 2})
     (health,) = read_recording(tmp_path / "a.mcap").health
     assert np.isnan(health.counters["drops"])
@@ -244,9 +245,7 @@ def test_a_counter_that_is_not_known_is_read_as_nan(tmp_path: Path, robot: Robot
 
 def test_the_file_ends_properly_when_a_session_fails(tmp_path: Path, robot: Robot) -> None:
     def session() -> None:
-        with RecordingWriter(
-            tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance=""
-        ) as writer:
+        with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
             writer.samples(some_samples(10))
             raise RuntimeError("a drive reports a fault")
 
@@ -268,7 +267,7 @@ def test_gaps_are_named_and_jitter_is_none() -> None:
 def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> None:
     robot = robot_named("tx40")
     samples = some_samples(45_000, n=6, rate_hz=5000.0)
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=5000.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot, 5000.0)) as writer:
         writer.samples(samples)
     times_s = []
     for _ in range(3):
@@ -283,7 +282,7 @@ def test_reads_nine_seconds_of_six_joints_at_5_khz_quickly(tmp_path: Path) -> No
 def test_flush_reaches_the_disk(tmp_path: Path, robot: Robot, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []
     monkeypatch.setattr(os, "fsync", lambda fd: synced.append(os.fstat(fd).st_size))
-    with RecordingWriter(tmp_path / "a.mcap", robot, source="", sample_rate_hz=1000.0, effort_provenance="") as writer:
+    with RecordingWriter(tmp_path / "a.mcap", header(robot)) as writer:
         assert len(synced) == 1  # the description, before any data
         writer.samples(some_samples(100))
         writer.flush()

@@ -56,8 +56,8 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, sys.argv[2])
 from conftest import robot_named
-from made_up_recordings import RecordingWriter, some_samples
-writer = RecordingWriter(Path(sys.argv[1]), robot_named("scara"), source="", sample_rate_hz=1000.0, effort_provenance="")
+from made_up_recordings import RecordingWriter, header, some_samples
+writer = RecordingWriter(Path(sys.argv[1]), header(robot_named("scara")))
 samples = some_samples(1000)
 for k in range(5):
     writer.samples(samples[100 * k : 100 * (k + 1)])

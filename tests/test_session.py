@@ -236,7 +236,7 @@ def test_a_disk_nearly_full_ends_the_session_in_order(tmp_path, monkeypatch):
 
 
 def test_a_recorder_that_cannot_write_stops_motion(tmp_path, monkeypatch):
-    from acquisition.recording.writer import RecordingWriter
+    from acquisition.recording import RecordingWriter
 
     real, count = RecordingWriter.frames, [0]
 

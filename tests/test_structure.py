@@ -79,3 +79,32 @@ def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
+
+
+MOST_PARAMETERS = 6
+MANY_PARAMETERS = {  # to be emptied
+    "acquisition/session/recording_session.py record",
+    "acquisition/simulated/lock_step.py dry_run",
+    "acquisition/simulated/lock_step.py serve",
+    "identification/simulation/closed_loop.py simulate",
+    "identification/simulation/control_law.py __init__",
+    "identification/view/charts.py _value",
+    "identification/view/curves.py _thinned",
+}
+
+
+def parameters(function):
+    """Names of a function's parameters, `self` and `cls` apart."""
+    a = function.args
+    names = [parameter.arg for parameter in (*a.posonlyargs, *a.args, a.vararg, *a.kwonlyargs, a.kwarg) if parameter]
+    return names[1:] if names[:1] in (["self"], ["cls"]) else names
+
+
+def test_functions_take_few_parameters():
+    long = {
+        f"{path.relative_to(ROOT)} {node.name}"
+        for path in FILES
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and len(parameters(node)) > MOST_PARAMETERS
+    }
+    assert long == MANY_PARAMETERS

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import read_recording
-from acquisition.recording.writer import RecordingWriter
 from acquisition.robot.description import LowSpeed
 from acquisition.robot.robot import Robot, robot_from_files
 from identification.commands.program import main
@@ -200,7 +200,9 @@ def test_a_right_sign_is_not_doubted(recorded):
 
 
 def rewritten(path, robot: Robot, samples) -> None:
-    with RecordingWriter(path, robot, source="test", sample_rate_hz=1000.0, effort_provenance="made") as writer:
+    with RecordingWriter(
+        path, Header(robot=robot, source="test", sample_rate_hz=1000.0, effort_provenance="made")
+    ) as writer:
         writer.samples(samples)
 
 

@@ -207,13 +207,15 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
+    from acquisition.recording import Header, RecordingWriter
     from acquisition.recording.reader import read_recording
-    from acquisition.recording.writer import RecordingWriter
 
     recording, path = read_recording(SESSION), tmp_path / "log.mcap"
     samples = np.array(recording.samples[:3000])
     samples["stamp_ns"] += 5_000_000_000 - samples["stamp_ns"][0]
-    with RecordingWriter(path, recording.robot, source="t", sample_rate_hz=1000.0, effort_provenance="t") as writer:
+    with RecordingWriter(
+        path, Header(robot=recording.robot, source="t", sample_rate_hz=1000.0, effort_provenance="t")
+    ) as writer:
         writer.event(4_000_000_000, "phase", "track")
         writer.samples(samples)
         writer.health(6_000_000_000, {"late": 2.0})

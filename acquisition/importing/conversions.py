@@ -1,7 +1,6 @@
 """Conversions of recordings and logs: decode again, export to CSV, import CAN logs."""
 
 from collections import Counter
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,8 +9,8 @@ import numpy as np
 from ..errors import AcquisitionError
 from ..files import atomic_write
 from ..recorder import Decoded, decode, written_by_master
-from ..recording import Block, RecordingWriter, read_recording
-from ..robot import Robot, check_recorded_positions, extra_columns, resolve
+from ..recording import Block, Header, RecordingWriter, read_recording
+from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
 from ..transport import SUFFIXES, Frame, block_of, read_log
 
 
@@ -36,12 +35,15 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     if not recording.frames:
         raise AcquisitionError(f"{path}: holds no CAN frames: expected a recording of drives")
     channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
-    decoded, provenance = _decoded(frames, robot, str(path), place)
-    source = recording.metadata.get("source", "")
-    known = ("source", "effort_provenance", "sample_rate_hz")
-    notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"decoded_from": recording.sha256}
-    others = {name: content for name, content in recording.attachments.items() if name not in recording.robot.files}
-    with atomic_write(out) as partial, _writer(partial, robot, source, provenance, notes, others) as writer:
+    decoded, bus = _decoded(frames, robot, str(path), place)
+    header = replace(
+        recording.header,
+        robot=robot,
+        sample_rate_hz=1.0 / bus.file.sync_period_s,
+        effort_provenance=bus.provenance,
+        notes={**recording.metadata, "decoded_from": recording.sha256},
+    )
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         for name, block in recording.frames.items():
             writer.frames(name, block)
         for event in recording.events:
@@ -65,10 +67,16 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
     """
     frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded, provenance = _decoded(frames, robot, str(log), place)
+    decoded, bus = _decoded(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
-    notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    with atomic_write(out) as partial, _writer(partial, robot, f"log {log.name}", provenance, notes, {}) as writer:
+    header = Header(
+        robot=robot,
+        source=f"log {log.name}",
+        sample_rate_hz=1.0 / bus.file.sync_period_s,
+        effort_provenance=bus.provenance,
+        notes={"left_out": "; ".join(left_out)} if left_out else {},
+    )
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
     return _converted(robot, decoded, "log")
@@ -126,32 +134,12 @@ def export_csv(path: Path, out: Path) -> int:
     return len(samples)
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, str]:
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, Bus]:
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
     samples = decoded.samples
     warnings = check_recorded_positions(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
-    return replace(decoded, warnings=decoded.warnings + warnings), bus.provenance
-
-
-def _writer(
-    path: Path,
-    robot: Robot,
-    source: str,
-    provenance: str,
-    notes: Mapping[str, str],
-    attachments: Mapping[str, bytes],
-) -> RecordingWriter:
-    assert robot.bus is not None
-    return RecordingWriter(
-        path,
-        robot,
-        source=source,
-        sample_rate_hz=1.0 / robot.bus.sync_period_s,
-        effort_provenance=provenance,
-        notes=notes,
-        attachments=attachments,
-    )
+    return replace(decoded, warnings=decoded.warnings + warnings), bus
 
 
 def _write_decoded(writer: RecordingWriter, decoded: Decoded, end_ns: int) -> None:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import AcquisitionError
 from ..files import atomic_write, read_columns
-from ..recording import LARGEST_STAMP_NS, Block, RecordingWriter, sample_dtype
+from ..recording import LARGEST_STAMP_NS, Block, Header, RecordingWriter, sample_dtype
 from ..robot import Positive, Robot, check_recorded_positions, parse_toml
 
 Side = Literal["motor", "joint"]
@@ -138,7 +138,9 @@ def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float,
     source = "tables " + ", ".join(table.name for table in tables)
     with (
         atomic_write(out) as partial,
-        RecordingWriter(partial, robot, source=source, sample_rate_hz=rate_hz, effort_provenance=provenance) as writer,
+        RecordingWriter(
+            partial, Header(robot=robot, source=source, sample_rate_hz=rate_hz, effort_provenance=provenance)
+        ) as writer,
     ):
         writer.samples(samples)
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..recording import FRAME, Block, RecordingWriter, read_recording
+from ..recording import FRAME, Block, Header, RecordingWriter, read_recording
 from ..robot import Bus, Robot, resolve
 from .decoding import Decoded, decode
 from .traffic import written_by_master
@@ -78,17 +78,19 @@ class Recorder:
         try:
             self._writer = RecordingWriter(
                 path,
-                robot,
-                source=source,
-                sample_rate_hz=1.0 / file.sync_period_s,
-                effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
-                notes={
-                    "bus": f"{file.interface} {file.channel}",
-                    "bitrate": str(file.bitrate),
-                    "sync_period_s": repr(file.sync_period_s),
-                    "clock": "receive times of the recorder; samples at the times of their SYNCs",
-                    **(_table(self._bus) if self._bus else {}),
-                },
+                Header(
+                    robot=robot,
+                    source=source,
+                    sample_rate_hz=1.0 / file.sync_period_s,
+                    effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
+                    notes={
+                        "bus": f"{file.interface} {file.channel}",
+                        "bitrate": str(file.bitrate),
+                        "sync_period_s": repr(file.sync_period_s),
+                        "clock": "receive times of the recorder; samples at the times of their SYNCs",
+                        **(_table(self._bus) if self._bus else {}),
+                    },
+                ),
             )
         except OSError as error:
             raise AcquisitionError(f"{path}: cannot be written: {error.strerror or error}") from error

@@ -3,6 +3,7 @@
 from .reader import Recording, read_recording
 from .recovery import recover
 from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE, SENT, Block, sample_dtype
+from .schema import Header
 from .summary import as_tables, overview
 from .writer import RecordingWriter
 
@@ -14,6 +15,7 @@ __all__ = [
     "REMOTE",
     "SENT",
     "Block",
+    "Header",
     "Recording",
     "RecordingWriter",
     "as_tables",

@@ -16,7 +16,7 @@ from ..errors import AcquisitionError
 from ..robot import Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
-from .schema import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc, sample_layouts
+from .schema import FRAMES_TOPIC, SCHEMA_VERSION, Header, metadata_crc, sample_layouts
 
 
 class _EventText(msgspec.Struct):
@@ -66,6 +66,19 @@ class Recording:
     sample_rate_hz: float
     cut: bool
     sha256: str
+
+    @property
+    def header(self) -> Header:
+        """For another recording of the same session."""
+        own = self.robot.files
+        return Header(
+            robot=self.robot,
+            source=self.metadata.get("source", ""),
+            sample_rate_hz=self.sample_rate_hz,
+            effort_provenance=self.metadata.get("effort_provenance", ""),
+            notes=self.metadata,
+            attachments={name: content for name, content in self.attachments.items() if name not in own},
+        )
 
     def __repr__(self) -> str:
         samples, frames = 0 if self.samples is None else len(self.samples), sum(map(len, self.frames.values()))

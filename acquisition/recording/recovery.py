@@ -1,5 +1,6 @@
 """A whole file of what a cut recording still holds."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import AcquisitionError
@@ -16,20 +17,9 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
     recording = read_recording(cut_path)
     if not recording.cut:
         raise AcquisitionError(f"{cut_path}: has its proper end: nothing to recover")
-    known = ("source", "effort_provenance")
-    notes = {k: v for k, v in recording.metadata.items() if k not in known} | {"recovered_from": recording.sha256}
-    with (
-        atomic_write(out_path) as partial,
-        RecordingWriter(
-            partial,
-            recording.robot,
-            source=recording.metadata.get("source", ""),
-            sample_rate_hz=recording.sample_rate_hz,
-            effort_provenance=recording.metadata.get("effort_provenance", ""),
-            notes=notes,
-            attachments=recording.attachments,
-        ) as writer,
-    ):
+    notes = {**recording.metadata, "recovered_from": recording.sha256}
+    header = replace(recording.header, notes=notes)
+    with atomic_write(out_path) as partial, RecordingWriter(partial, header) as writer:
         if recording.samples is not None:
             writer.samples(recording.samples)
         for channel, frames in recording.frames.items():

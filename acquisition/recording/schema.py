@@ -14,9 +14,13 @@ schema is the numpy dtype's `descr`.
 """
 
 import json
+import platform
 import re
 import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from importlib import metadata as packages
 
 import numpy as np
 
@@ -26,6 +30,51 @@ from .rows import sample_dtype
 SCHEMA_VERSION = 1
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Header:
+    """What a recording holds before its data.
+
+    Attributes:
+        robot: its files are attached.
+        source: where the data come from, in words.
+        sample_rate_hz: nominal rate of the samples.
+        effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, in words.
+        notes: further metadata by key (bus, bitrate); keys that the header writes itself are written anew.
+        attachments: files by name, in addition to the robot's own.
+    """
+
+    robot: Robot
+    source: str
+    sample_rate_hz: float
+    effort_provenance: str
+    notes: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+    @property
+    def metadata(self) -> Mapping[str, str]:
+        """The metadata record `recording`, with its CRC."""
+        joints = self.robot.joints
+        entries = {
+            "created": datetime.now(UTC).isoformat(timespec="seconds"),
+            "software": _software(),
+            **self.notes,
+            "schema_version": str(SCHEMA_VERSION),
+            "source": self.source,
+            "sample_rate_hz": repr(float(self.sample_rate_hz)),
+            "robot": self.robot.name,
+            "joints": json.dumps([j.name for j in joints]),
+            "position_unit": json.dumps([j.position_unit for j in joints]),
+            "effort_unit": json.dumps(self.robot.effort_units),
+            "effort_provenance": self.effort_provenance,
+        }
+        return entries | {"crc32": metadata_crc(entries)}
+
+    @property
+    def files(self) -> Mapping[str, bytes]:
+        """All attachments by name; of two with one name the robot's own."""
+        return {**self.attachments, **self.robot.files}
 
 
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
@@ -38,3 +87,13 @@ def metadata_crc(metadata: Mapping[str, str]) -> str:
     """Of all entries but itself. MCAP guards its metadata only by the CRC at the end, which a cut file has lost."""
     entries = sorted((key, value) for key, value in metadata.items() if key != "crc32")
     return f"{zlib.crc32(json.dumps(entries).encode()):08x}"
+
+
+def _software() -> str:
+    versions = [f"python {platform.python_version()}"]
+    for name in ("robot-idim", "numpy", "mcap", "rosbags"):
+        try:
+            versions.append(f"{name} {packages.version(name)}")
+        except packages.PackageNotFoundError:
+            versions.append(f"{name} (not installed as a package)")
+    return ", ".join(versions)

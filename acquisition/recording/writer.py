@@ -3,10 +3,7 @@
 import json
 import math
 import os
-import platform
 from collections.abc import Iterator, Mapping
-from datetime import UTC, datetime
-from importlib import metadata as packages
 from pathlib import Path
 from typing import Any, Self
 
@@ -15,9 +12,8 @@ import numpy as np
 from mcap.writer import Writer
 
 from ..errors import AcquisitionError
-from ..robot import Robot
 from .rows import FRAME, Block, check_frames, check_samples
-from .schema import FRAMES_TOPIC, SCHEMA_VERSION, metadata_crc, sample_layouts
+from .schema import FRAMES_TOPIC, Header, sample_layouts
 
 JOINT_STATE_RATE_HZ = 100.0
 
@@ -31,48 +27,24 @@ class RecordingWriter:
     `atomic_write` where the file must be whole or not there), and `AcquisitionError` for blocks that do not fit.
     """
 
-    def __init__(
-        self,
-        path: Path,
-        robot: Robot,
-        *,
-        source: str,
-        sample_rate_hz: float,
-        effort_provenance: str,
-        notes: Mapping[str, str] | None = None,
-        attachments: Mapping[str, bytes] | None = None,
-    ) -> None:
-        """`notes` are further metadata (bus, bitrate); `attachments` are added to the robot's own files, by name."""
+    def __init__(self, path: Path, header: Header) -> None:
         from rosbags.typesys import (
             Stores,
             get_typestore,
         )  # slow to import: needed for writing only, and not while it goes on
 
         self._types = get_typestore(Stores.ROS2_JAZZY)
-        self._robot, self._place = robot, str(path)
+        self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
-        self._step = max(1, math.ceil(sample_rate_hz / JOINT_STATE_RATE_HZ - 1e-9))
+        self._step = max(1, math.ceil(header.sample_rate_hz / JOINT_STATE_RATE_HZ - 1e-9))
         self._until_joint_state = 0
         self._channels: dict[str, int] = {}
         self._file = path.open("wb")
         self._writer = Writer(self._file, enable_data_crcs=True)
         self._writer.start(profile="", library="robot-idim")
-        description = {
-            "created": datetime.now(UTC).isoformat(timespec="seconds"),
-            "software": _software(),
-            **(notes or {}),
-            "schema_version": str(SCHEMA_VERSION),
-            "source": source,
-            "sample_rate_hz": repr(float(sample_rate_hz)),
-            "robot": robot.name,
-            "joints": json.dumps([j.name for j in robot.joints]),
-            "position_unit": json.dumps([j.position_unit for j in robot.joints]),
-            "effort_unit": json.dumps(robot.effort_units),
-            "effort_provenance": effort_provenance,
-        }
-        self._writer.add_metadata("recording", description | {"crc32": metadata_crc(description)})
-        for name, content in {**(attachments or {}), **robot.files}.items():
+        self._writer.add_metadata("recording", dict(header.metadata))
+        for name, content in header.files.items():
             self._writer.add_attachment(0, 0, name, "application/octet-stream", content)
         self.flush()
 
@@ -170,13 +142,3 @@ class RecordingWriter:
 def _parts(block: Block) -> Iterator[Block]:
     """Pieces small enough for a chunk of about a mebibyte."""
     return (block[k : k + 2000] for k in range(0, len(block), 2000))
-
-
-def _software() -> str:
-    versions = [f"python {platform.python_version()}"]
-    for name in ("robot-idim", "numpy", "mcap", "rosbags"):
-        try:
-            versions.append(f"{name} {packages.version(name)}")
-        except packages.PackageNotFoundError:
-            versions.append(f"{name} (not installed as a package)")
-    return ", ".join(versions)

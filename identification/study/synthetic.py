@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.files import atomic_write
-from acquisition.recording import RecordingWriter, sample_dtype
+from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import fourier_reference
 
@@ -167,11 +167,13 @@ def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[s
         atomic_write(path) as partial,
         RecordingWriter(
             partial,
-            signals.robot,
-            source=source,
-            sample_rate_hz=signals.sample_rate_hz,
-            effort_provenance="simulated joint torque",
-            notes={"simulated": "true", **(notes or {})},
+            Header(
+                robot=signals.robot,
+                source=source,
+                sample_rate_hz=signals.sample_rate_hz,
+                effort_provenance="simulated joint torque",
+                notes={"simulated": "true", **(notes or {})},
+            ),
         ) as writer,
     ):
         writer.samples(samples)

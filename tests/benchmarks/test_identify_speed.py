@@ -16,8 +16,8 @@ import pinocchio as pin
 import pytest
 from conftest import robot_named
 
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.rows import sample_dtype
-from acquisition.recording.writer import RecordingWriter
 from acquisition.trajectory.reference import fourier_reference
 from identification.data.signals import load_signals
 from identification.methods.idim import identify_iv, identify_ls
@@ -110,7 +110,7 @@ def hour_long_recording(path: Path, seconds: int = 3600) -> None:
     reference = fourier_reference(robot, period_s=20.0, seed=1)
     rng = np.random.default_rng(0)
     with RecordingWriter(
-        path, robot, source="simulated", sample_rate_hz=1000.0, effort_provenance="simulated"
+        path, Header(robot=robot, source="simulated", sample_rate_hz=1000.0, effort_provenance="simulated")
     ) as writer:
         for second in range(0, seconds, 5):
             k = np.arange(second * 1000, (second + 5) * 1000)
