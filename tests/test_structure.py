@@ -83,9 +83,6 @@ def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
 
 MOST_PARAMETERS = 6
 MANY_PARAMETERS = {  # to be emptied
-    "acquisition/session/recording_session.py record",
-    "acquisition/simulated/lock_step.py dry_run",
-    "acquisition/simulated/lock_step.py serve",
     "identification/simulation/closed_loop.py simulate",
     "identification/simulation/control_law.py __init__",
     "identification/view/charts.py _value",
