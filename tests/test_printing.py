@@ -73,7 +73,7 @@ def test_names_are_printed_as_they_are(name, capsys, tmp_path):
     assert main(["validate", str(REPLAY / "scara" / "fit.json"), str(path)]) == 0
     out = capsys.readouterr().out
     assert f"{path.name}: 1000 Hz" in out
-    assert "judged on: " in out, "nothing is fitted"
+    assert "evaluated on: " in out, "nothing is fitted"
     assert "fitted: " not in out
     section = Section(title=name, table=Table(columns=columns(name), rows=((name,),)), lines=(name,), warnings=(name,))
     print_whole(Document(title=f"{name}: fit", sections=(section,)))

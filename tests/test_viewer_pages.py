@@ -13,13 +13,13 @@ from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot.robot import robot_from_files
 from identification.commands.program import main
-from identification.data.signals import Happening, load_signals
+from identification.data.signals import SignalEvent, load_signals
 from identification.errors import IdentificationError
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.report.comparison import Parameter, ParameterSet, difference_lines, differences, fitted_parameters
 from identification.study.study import Run
-from identification.view.charts import BESIDE, parameter_drawing, study_drawing, trust_drawing
+from identification.view.charts import COMPARED, parameter_drawing, study_drawing, trust_drawing
 from identification.view.panels import (
     GREEN,
     GREY,
@@ -176,11 +176,11 @@ def eventful(signals):
     return replace(
         signals,
         events=(
-            Happening(t_s=-3.0, kind="phase", text="configure"),
-            Happening(t_s=-1.0, kind="phase", text="settle"),
-            Happening(t_s=0.5, kind="phase", text="track"),
-            Happening(t_s=1.0, kind="fault", text="drive 2: following error"),
-            Happening(t_s=99.0, kind="phase", text="stop"),
+            SignalEvent(t_s=-3.0, kind="phase", text="configure"),
+            SignalEvent(t_s=-1.0, kind="phase", text="settle"),
+            SignalEvent(t_s=0.5, kind="phase", text="track"),
+            SignalEvent(t_s=1.0, kind="fault", text="drive 2: following error"),
+            SignalEvent(t_s=99.0, kind="phase", text="stop"),
         ),
         health={"frames": (t_s, 100 * t_s), "late": (t_s, np.array([0, 0, 2, 2, 3.0])), "lost": (t_s, t_s * np.nan)},
     )
@@ -220,7 +220,7 @@ def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
         writer.samples(samples)
         writer.health(6_000_000_000, {"late": 2.0})
     signals = load_signals(path)
-    assert signals.events == (Happening(t_s=-1.0, kind="phase", text="track"),)
+    assert signals.events == (SignalEvent(t_s=-1.0, kind="phase", text="track"),)
     np.testing.assert_allclose(signals.health["late"], [[1.0], [2.0]])
 
 
@@ -385,8 +385,8 @@ def test_text_has_only_characters_of_the_viewers_font(tmp_path):
 def test_colors_are_those_of_okabe_and_ito():
     published = "E69F00 56B4E9 009E73 F0E442 0072B2 D55E00 CC79A7"
     own = {tuple(bytes.fromhex(code)) for code in published.split()}
-    told = [*JOINTS, *BESIDE, REFERENCE, SIMULATED, PREDICTED, RESIDUAL]
-    assert {color for color in told if len(set(color)) > 1} <= own
+    used = [*JOINTS, *COMPARED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL]
+    assert {color for color in used if len(set(color)) > 1} <= own
     assert len({MEASURED, REFERENCE, SIMULATED, PREDICTED, RESIDUAL}) == 5
     assert len(set(JOINTS)) == len(JOINTS)
 

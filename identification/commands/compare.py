@@ -28,9 +28,9 @@ def run(options: argparse.Namespace) -> None:
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
     a, b = (fit.parameter_set(label) for fit, label in zip(fits, labels, strict=True))
-    told = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
-    told += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
-    document = comparison_document(a, b, tuple(told))
+    warnings = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
+    warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
+    document = comparison_document(a, b, tuple(warnings))
     if options.json:
         write_json(options.json, comparison_file(a, b, document))
     if options.rrd:

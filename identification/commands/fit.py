@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; its settings bear the names of `Overrides` and `Iteration`."""
+    """Declare the command; its settings have the names of the fields of `Overrides` and `Iteration`."""
     parser = commands.add_parser("fit", help="base parameters from a recording")
     add_recording(parser)
     settings = add_settings(parser)
@@ -29,7 +29,7 @@ def add(commands: Commands) -> None:
         "--method",
         choices=["ols", "wls", "iv"],
         default="wls",
-        help="least squares with rows alike, or weighted joint by joint (default); or instrumental variables",
+        help="least squares, ordinary or weighted joint by joint (default); or instrumental variables",
     )
     settings.add_argument(
         "--low-speed-percent",
@@ -44,12 +44,12 @@ def add(commands: Commands) -> None:
     iv.add_argument(
         "--start",
         metavar="regular|ls|FIT.json",
-        help="nothing known but regular inertias (default), least squares, or a fit's JSON file",
+        help="first parameters: unit inertias (default), least squares, or those of a fit's JSON file",
     )
     iv.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="default 2.5")
     iv.add_argument("--max-iterations", type=positive, metavar="N", help="default 10")
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--all", action="store_true", help="print all parameters, not the essential ones alone")
+    outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
     outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
     parser.set_defaults(run=run)
@@ -80,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
         if options.rrd:
             with Progress("writing the Rerun file"):
                 _write_rrd(options, signals, fit)
-    finally:  # a file that cannot be written must not cost its fit
+    finally:  # print the fit even if a file cannot be written
         print_results(document)
     return untrusted(fit.distrust)
 

@@ -1,6 +1,6 @@
 """Options that commands share, and their values: text in, a number in its range out, `ValueError` otherwise.
 
-Options bear the names of the fields that they set, of `Overrides` and `Noise`: `acquisition.commands.from_options`.
+Options have the names of the fields that they set, of `Overrides` and `Noise`: `acquisition.commands.from_options`.
 """
 
 import argparse
@@ -55,13 +55,13 @@ def add_simulation_options(
 
 
 def add_recording(parser: argparse.ArgumentParser, *before: str) -> None:
-    """The group of inputs: files that come before, the recording, and a description in place of its own."""
+    """The group of inputs: files that come before, the recording, and a description used instead of its own."""
     inputs = parser.add_argument_group("inputs")
     for name in before:
         inputs.add_argument(name, type=Path, metavar=f"{name.upper()}.json")
     inputs.add_argument("recording", type=Path, metavar="LOG.mcap")
     inputs.add_argument(
-        "--robot", type=Path, metavar="ROBOT.toml", help="use this description, not the recording's own"
+        "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recording's own"
     )
 
 
@@ -80,7 +80,7 @@ def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
         dest="span",
         action="store_const",
         const="all",
-        help="use standstill before and after the motion as well",
+        help="also use the standstill before and after the motion",
     )
     return group
 
@@ -95,7 +95,7 @@ def load(options: argparse.Namespace) -> "Signals":
 
 
 def make_folder(out: Path) -> None:
-    """A folder for results, if it is not there."""
+    """Make a folder for results where there is none."""
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -105,7 +105,7 @@ def make_folder(out: Path) -> None:
 def refuse_outputs(inputs: Sequence[Path | None], *outputs: Path | None, picture: Path | None = None) -> None:
     """Before any work: no output may replace an input or another output, or name a folder that is not there.
 
-    The folder of a `picture` is not looked for: a picture that cannot be written must not cost its fit.
+    The folder of a `picture` is not checked: the fit is printed even if its picture cannot be written.
     """
     from acquisition.files import refuse_clash
 

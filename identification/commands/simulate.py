@@ -10,7 +10,7 @@ from .results import print_results
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; noise bears the names of `Noise`."""
+    """Declare the command; options of the noise have the names of the fields of `Noise`."""
     parser = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")

@@ -1,4 +1,4 @@
-"""`robot-identify study`: Monte-Carlo on a simulated robot, what to trust of least squares and iv."""
+"""`robot-identify study`: Monte-Carlo on a simulated robot, how far to trust least squares and iv."""
 
 import argparse
 from pathlib import Path
@@ -11,9 +11,9 @@ from .results import print_results
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; options bear the names of `Study` and `Noise`."""
+    """Declare the command; options have the names of the fields of `Study` and `Noise`."""
     parser = commands.add_parser(
-        "study", help="Monte-Carlo on a simulated robot: what to trust of least squares and iv"
+        "study", help="Monte-Carlo on a simulated robot: how far to trust least squares and iv"
     )
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
     varied.add_argument("--cutoffs", type=cutoffs, metavar="A,B,none", help="x bandwidth (default 5,10,none)")
     varied.add_argument("--starts", type=factors, metavar="A,B", help="x each joint's true inertia (default 0.05,1,20)")
     varied.add_argument("--gain-errors", type=factors, metavar="A,B", help="x true gains (default 0.7,1,1.3)")
-    varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as of fit")
+    varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
     add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
@@ -57,5 +57,5 @@ def run(options: argparse.Namespace) -> None:
             from ..view import write_study_rrd
 
             write_study_rrd(options.rrd, robot.name, runs, true, document)
-    finally:  # a file that cannot be written must not cost an hour of runs
+    finally:  # print the result of a long study even if a file cannot be written
         print_results(document)

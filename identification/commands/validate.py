@@ -22,7 +22,10 @@ def add(commands: Commands) -> None:
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
     outputs.add_argument(
-        "--max-error-percent", type=above_zero, metavar="P", help="above it, of all rows, the exit status is 3"
+        "--max-error-percent",
+        type=above_zero,
+        metavar="P",
+        help="exit status 3 if the torque error of all rows is larger",
     )
     parser.set_defaults(run=run)
 
@@ -36,14 +39,16 @@ def run(options: argparse.Namespace) -> int:
         from ..report import doubts, read_fit, validation_document, validation_file, write_json
 
         stored, signals = read_fit(options.fit), load(options)
-        signals, told = as_fitted(signals, options.recording, stored, str(options.fit), kept=options.robot is not None)
+        signals, notes = as_fitted(
+            signals, options.recording, stored, str(options.fit), chosen=options.robot is not None
+        )
         progress.say("predicting")
         overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
-        plan, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
-    warnings = (*plan.warnings, *told, *doubts(stored, str(options.fit)))
-    document = validation_document(signals, plan, options.fit.name, errors, warnings)
+        settings, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
+    warnings = (*settings.warnings, *notes, *doubts(stored, str(options.fit)))
+    document = validation_document(signals, settings, options.fit.name, errors, warnings)
     if options.json:
-        write_json(options.json, validation_file(signals, plan, options.fit.name, errors, document, warnings))
+        write_json(options.json, validation_file(signals, settings, options.fit.name, errors, document, warnings))
     print_results(document)
     error, most = errors[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
@@ -53,11 +58,11 @@ def run(options: argparse.Namespace) -> int:
 
 
 def as_fitted(
-    signals: "Signals", recording: Path, stored: "StoredFit", place: str, *, kept: bool
+    signals: "Signals", recording: Path, stored: "StoredFit", place: str, *, chosen: bool
 ) -> tuple["Signals", list[str]]:
     """The signals of a recording, by the fit's own description where the parameters are not those of the recording's.
 
-    `kept`: the user chose the description. The lines say what a reader must know; `place` names the fit in them.
+    `chosen`: the user gave the description. The lines say what a reader must know; `place` names the fit in them.
     """
     from ..data import load_signals
     from ..model import InverseModel, base_parameters
@@ -66,10 +71,10 @@ def as_fitted(
     if not other:
         return signals, []
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
-    robot = None if kept else stored.robot(place)
+    robot = None if chosen else stored.robot(place)
     if robot is None:
         return signals, [
             f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"
         ]
-    told = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
-    return load_signals(recording, robot), [told]
+    note = f"{signals.recording}: its description does not have the parameters of the fit ({names}): that of {place} is used"
+    return load_signals(recording, robot), [note]

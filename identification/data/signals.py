@@ -19,7 +19,7 @@ LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
 @dataclass(frozen=True, kw_only=True)
-class Happening:
+class SignalEvent:
     """An event of the recording, `t_s` seconds from the first sample: a phase of the session, a warning, a mark."""
 
     t_s: float
@@ -55,7 +55,7 @@ class Signals:
     robot: Robot
     recording: str
     sha256: str
-    events: tuple[Happening, ...] = ()
+    events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     off_grid: float = 0.0
 
@@ -143,7 +143,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         recording=path.name,
         sha256=recording.sha256,
         events=tuple(
-            Happening(t_s=1e-9 * (event.stamp_ns - int(stamps[0])), kind=event.kind, text=event.text)
+            SignalEvent(t_s=1e-9 * (event.stamp_ns - int(stamps[0])), kind=event.kind, text=event.text)
             for event in recording.events
         ),
         health=_health(recording, int(stamps[0])),

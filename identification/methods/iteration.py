@@ -52,7 +52,7 @@ class Trial:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Outcome:
+class IterationResult:
     """How the iteration ended.
 
     Attributes:
@@ -105,7 +105,7 @@ def conclude(
     trials: Sequence[Trial],
     failure: str | None,
     solve: Callable[[Instruments, Array], Estimate],
-) -> Outcome:
+) -> IterationResult:
     """The last pass where it settled; otherwise the pass whose simulated robot tracks best.
 
     Raises `IdentificationError` where there was no pass.
@@ -119,7 +119,7 @@ def conclude(
     if found is None:
         found = len(trials), last.estimate, simulated_motion(e, last.estimate.among(names))
     returned, estimate, final = found
-    return Outcome(
+    return IterationResult(
         estimate=estimate,
         used=last.used,
         final=final,

@@ -9,19 +9,19 @@ from .assess import Verdict, assess_estimate
 from .experiment import Experiment
 from .fit import DirectModelError, Fit, InstrumentEvidence, LeastSquares, Pass, Status
 from .instruments import Instruments, SimulatedMotion, joint_tracking_percent
-from .iteration import Outcome
+from .iteration import IterationResult
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Experiment, outcome: Outcome) -> Fit:
+def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Experiment, outcome: IterationResult) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
     estimate, final, passes = outcome.estimate, outcome.final, outcome.passes
     tests = _tests(observed, estimate, outcome.used)
     direct = _direct_errors(problem, observed, e, final)
-    status, reason = _verdict(passes, final.reason, final.tracking_percent, outcome.failure, direct, tests)
+    status, reason = _status(passes, final.reason, final.tracking_percent, outcome.failure, direct, tests)
     if reason is not None and outcome.returned != len(passes):
         reason += f"; pass {outcome.returned} is returned, which tracks best"
     evidence = InstrumentEvidence(
@@ -103,7 +103,7 @@ def _direct_errors(
     )
 
 
-def _verdict(
+def _status(
     passes: tuple[Pass, ...],
     final_reason: str | None,
     tracking_percent: float | None,

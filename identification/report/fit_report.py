@@ -1,4 +1,4 @@
-"""What is told of a fit: the verdict, its parameters, its errors, and what they rest on."""
+"""The report of a fit: the verdict, its parameters, its errors, settings and tests."""
 
 import math
 
@@ -30,7 +30,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
     return Document(
         title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {headline(fit.errors)}",
         sections=(
-            _verdict(fit),
+            _verdict_section(fit),
             _parameters(fit, everything=everything),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
@@ -40,7 +40,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
     )
 
 
-def _verdict(fit: Fit) -> Section:
+def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
     return Section(
         lines=(f"status: {fit.status}{reason}", error_line(fit.errors), _essential_line(fit)), warnings=fit.warnings

@@ -1,4 +1,4 @@
-"""What is told of a recording: its settings and ranges before a fit, the torque errors of a fit on it."""
+"""The reports of a recording: settings and ranges before a fit, the torque errors of a fit on another recording."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ def validation_document(
             errors_section(errors, signals.robot.effort_units),
             Section(
                 title="settings",
-                lines=(*settings_lines(signals, settings, used="judged on"), *recording_lines(signals)),
+                lines=(*settings_lines(signals, settings, used="evaluated on"), *recording_lines(signals)),
             ),
         ),
     )

@@ -85,8 +85,8 @@ class StoredFit(msgspec.Struct, frozen=True):
 def doubts(stored: StoredFit, place: str) -> list[str]:
     """Warnings about a stored fit, each led by `place`, its file: a status without a fixed point, values that no robot has."""
     unsettled = stored.status in (*NO_FIXED_POINT, "not_confirmed")
-    told = [f"its status is {stored.status}"] if unsettled else []
-    return [f"{place}: {text}" for text in (*told, *(doubt.text for doubt in stored.doubts if doubt.severe))]
+    status = [f"its status is {stored.status}"] if unsettled else []
+    return [f"{place}: {text}" for text in (*status, *(doubt.text for doubt in stored.doubts if doubt.severe))]
 
 
 def read_fit(path: Path) -> StoredFit:
@@ -121,12 +121,14 @@ def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str
     robots = [fit.robot(label) for fit, label in zip((a, b), labels, strict=True)]
     if any(robot is None for robot in robots):
         return []
-    told = ["a URDF" if robot and robot.urdf is not None else "DH rows" for robot in robots]
+    kinds = ["a URDF" if robot and robot.urdf is not None else "DH rows" for robot in robots]
     frames = [(robot.urdf, tuple(joint.dh for joint in robot.joints)) for robot in robots if robot]
     if frames[0] == frames[1]:
         return []
-    which = f"{labels[0]} has {told[0]}, {labels[1]} {told[1]}" if told[0] != told[1] else f"two different {told[0]}"
-    if told[0] == told[1] == "a URDF":
+    which = (
+        f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}" if kinds[0] != kinds[1] else f"two different {kinds[0]}"
+    )
+    if kinds[0] == kinds[1] == "a URDF":
         which = "two different URDFs"
     return [
         f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"

@@ -1,4 +1,4 @@
-"""What is told of robots whose parameters are known: base parameters, estimates against the truth, studies."""
+"""The reports of robots with known parameters: base parameters, estimates against the true values, studies."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -35,7 +35,7 @@ class Rehearsal:
     noise_percent: float = 3.0
 
 
-def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callable[[str], None]) -> None:
+def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Callable[[str], None]) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
     Parameters
@@ -43,7 +43,7 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     robot : described with `[bus]` and `[parameters]`.
     place : its description, as errors name it.
     out : the recording to write.
-    wanted : length, seed and noise.
+    rehearsal : length, seed and noise.
     say : called with a line of text for each step.
 
     Raises
@@ -60,23 +60,23 @@ def rehearse(robot: Robot, place: str, out: Path, wanted: Rehearsal, say: Callab
     base = base_parameters(idm)
     model = direct_model(idm, base.standard_parameters(truth(idm, base)))
     period_s = robot.bus.sync_period_s
-    t_s: Array = np.arange(round(wanted.duration_s / period_s) + 1, dtype=np.float64) * period_s
-    q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=wanted.duration_s, seed=wanted.seed).at(t_s)
+    t_s: Array = np.arange(round(rehearsal.duration_s / period_s) + 1, dtype=np.float64) * period_s
+    q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=rehearsal.duration_s, seed=rehearsal.seed).at(t_s)
     tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
     plant = RigidBodyPlant(
         model,
         q_ref[0],
         speed_scale=np.abs(dq_ref).max(axis=0),
         step_s=period_s / SUBSTEPS,
-        disturbance=0.01 * wanted.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
-        seed=wanted.seed,
+        disturbance=0.01 * rehearsal.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
+        seed=rehearsal.seed,
     )
     mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
     log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
     simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
-        say(f"simulated drives: {wanted.duration_s:g} s on the bus")
+        say(f"simulated drives: {rehearsal.duration_s:g} s on the bus")
         outcome = run_active(robot, Master(simulated.link, bus), log, Task(reference=q_ref, place="reference"), Stop())
         log.finish(simulated.link.now_ns())
     finally:

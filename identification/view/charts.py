@@ -6,19 +6,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..methods import Fit, Pass
 from ..report import ParameterSet, differences
 from ..study import Run, summaries
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing
 
-Vector = NDArray[np.float64]
-
-BESIDE = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
+COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
 FAR = 6.0  # deviations at which a difference runs off its chart
 SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
-STUDY_SHEET = (1140.0, 960.0)  # what a study has beside its report
+STUDY_SHEET = (1140.0, 960.0)  # what its report leaves of the screen to a study
 TRUSTED = 3.0  # deviations that a difference should stay within
 
 
@@ -75,7 +73,7 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
 
 
 def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
-    """Beside each value its deviation in percent of it and, in deviations, how far the others are from it."""
+    """Every parameter's value, its deviation in percent and, in deviations, the difference to the other sets."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
@@ -99,8 +97,8 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
             sheet.labels.append((percent(tick), 54, f"{tick:g}", GREY))
         far = _Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
         if others:
-            told = " and ".join(values.label for values in others)
-            sheet.labels.append((0.5 * (far.left + far.right), 2, f"{own.label} less {told}, in σ", LIGHT))
+            labels = " and ".join(values.label for values in others)
+            sheet.labels.append((0.5 * (far.left + far.right), 2, f"{own.label} minus {labels}, in σ", LIGHT))
             for tick in (-FAR, -TRUSTED, 0.0, TRUSTED, FAR):
                 sheet.line(far(tick), 78, far(tick), height, GREY, 0.75 if abs(tick) == TRUSTED else 0.25)
                 sheet.labels.append((far(tick), 54, f"{tick:+g}" if tick else "0", GREY))
@@ -116,9 +114,9 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
             for k, off in enumerate(apart):
                 if (x := off.get(name)) is not None:
                     level = y + (k - 0.5 * (len(apart) - 1)) * 0.3 * pitch
-                    sheet.line(far(0.0), level, far(x), level, BESIDE[k], 1.0)
+                    sheet.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
                     ends = sheet.dots if _is_exact(others[k], name) else sheet.crosses
-                    ends.append((far(x), level, BESIDE[k] if abs(x) <= TRUSTED else VERMILLION))
+                    ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
     title = f"{own.label}: orange essential, grey not; thin line σ HAC{_marks(others)}"
     title += ", vermillion beyond 3 σ" if others else ""
     return sheet.drawing(("trust",), title, (SHEET[0], height + 10))
@@ -162,11 +160,11 @@ def _value(
             continue
         x, level = place(other.value), y + 0.3 * pitch
         if _is_exact(values, name):
-            sheet.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, BESIDE[k], 1.0)
+            sheet.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
         else:
-            sheet.crosses.append((x, level, BESIDE[k]))
+            sheet.crosses.append((x, level, COMPARED[k]))
             spread = 2 * other.sigma
-            sheet.line(place(other.value - spread), level, place(other.value + spread), level, BESIDE[k], 0.75)
+            sheet.line(place(other.value - spread), level, place(other.value + spread), level, COMPARED[k], 0.75)
 
 
 def _is_exact(values: ParameterSet, name: str) -> bool:
@@ -174,10 +172,10 @@ def _is_exact(values: ParameterSet, name: str) -> bool:
 
 
 def _marks(others: Sequence[ParameterSet]) -> str:
-    """What the sets beside a fit are told by: marker and color."""
+    """The marker and color of each set that a fit is compared with."""
     names = {PURPLE: "purple", GREEN: "green"}
     marks = ["|" if all(_is_exact(values, name) for name in values.parameters) else "×" for values in others]
-    return "".join(f", {mark} {names[BESIDE[k]]} {others[k].label}" for k, mark in enumerate(marks))
+    return "".join(f", {mark} {names[COMPARED[k]]} {others[k].label}" for k, mark in enumerate(marks))
 
 
 def _color(own: ParameterSet, name: str) -> Color:
@@ -224,13 +222,13 @@ def passes_drawing(fit: Fit) -> Drawing:
             sheet.dots.append((x, y, color))
             sheet.labels.append((x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color))
     for k, p in enumerate(passes, 1):
-        told = f"{k}" if p.instruments == "simulated" else f"{k}: {p.instruments}"
-        sheet.labels.append((across(k), each * len(strips) - 10, told, GREEN if p.settled else GREY))
+        label = f"{k}" if p.instruments == "simulated" else f"{k}: {p.instruments}"
+        sheet.labels.append((across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY))
     settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
     return sheet.drawing(("passes",), f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30))
 
 
-def study_drawing(runs: Sequence[Run], true: Vector) -> Drawing:
+def study_drawing(runs: Sequence[Run], true: Array) -> Drawing:
     """Error of every run over its cut-off, least squares and instrumental variables of a run joined, and their medians."""
     sheet, (width, height) = _Sheet(), STUDY_SHEET
     cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
@@ -244,8 +242,8 @@ def study_drawing(runs: Sequence[Run], true: Vector) -> Drawing:
         sheet.labels.append((40, y - 10, f"{10.0**power:g} %", GREY))
     for column, cutoff in enumerate(cutoffs):
         here = [run for run in runs if run.cutoff == cutoff]
-        told = f"{cutoff:g} x bandwidth" if cutoff else "no filter"
-        sheet.labels.append((across(column + 0.5), height - 70, told, LIGHT))
+        label = f"{cutoff:g} x bandwidth" if cutoff else "no filter"
+        sheet.labels.append((across(column + 0.5), height - 70, label, LIGHT))
         for k, run in enumerate(here):
             aside = 0.2 * ((k + 0.5) / len(here) - 0.5)
             x_ls, x_iv = across(column + 0.3 + aside), across(column + 0.7 + aside)

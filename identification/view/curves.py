@@ -6,13 +6,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Array
 from ..data import Signals
 from ..estimation import are_moving
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
-
-Vector = NDArray[np.float64]
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
 MODEL_PER_CUTOFF = (
@@ -29,7 +28,7 @@ class Observed:
 
     Attributes:
         measured: all of the recording, with differences of the raw position.
-        filtered: the span fitted, through the low-pass; its tau is the model's prediction. Empty without a plan; without
+        filtered: the span fitted, through the low-pass; its tau is the model's prediction. Empty without settings; without
             a fit it has no tau.
         simulated: the robot simulated with the estimate; empty where there is none.
         rows_t_s, residual: (rows,), (rows, n) the decimated rows that the estimator saw, all of them.
@@ -39,13 +38,13 @@ class Observed:
     measured: dict[str, list[Line]]
     filtered: dict[str, list[Line]]
     simulated: dict[str, list[Line]]
-    rows_t_s: Vector
-    residual: Vector
+    rows_t_s: Array
+    residual: Array
     moving: NDArray[np.bool_]
 
 
-def observed(signals: Signals, plan: Settings | None, fit: Fit | None) -> Observed:
-    """What the plots of a recording show; `plan` says how it is, or would be, filtered."""
+def observed(signals: Signals, settings: Settings | None, fit: Fit | None) -> Observed:
+    """What the plots of a recording show; `settings` says how it is, or would be, filtered."""
     n, N, fs = signals.robot.n, len(signals.q), signals.sample_rate_hz
     measured = _thinned(signals, None, 0, N, step=thinning(N))
     only = Observed(
@@ -56,11 +55,11 @@ def observed(signals: Signals, plan: Settings | None, fit: Fit | None) -> Observ
         residual=np.zeros((0, n)),
         moving=np.zeros((0, n), bool),
     )
-    if plan is None:
+    if settings is None:
         return only
-    stride = model_stride(signals, plan)
-    step = thinning(-(-(plan.stop - plan.start) // stride))
-    filtered = _thinned(signals, plan, plan.start, plan.stop, step=step, stride=stride, fit=fit)
+    stride = model_stride(signals, settings)
+    step = thinning(-(-(settings.stop - settings.start) // stride))
+    filtered = _thinned(signals, settings, settings.start, settings.stop, step=step, stride=stride, fit=fit)
     if fit is None:
         return replace(only, filtered=filtered)
     simulated: dict[str, list[Line]] = {}
@@ -84,7 +83,7 @@ def observed(signals: Signals, plan: Settings | None, fit: Fit | None) -> Observ
 
 def _thinned(
     signals: Signals,
-    plan: Settings | None,
+    settings: Settings | None,
     start: int,
     stop: int,
     *,
@@ -99,13 +98,13 @@ def _thinned(
     size = max(1, _BLOCK // (step * stride)) * step * stride
     for a in range(start, stop, size):
         b = min(stop, a + size)
-        m = motion.between(a, b, plan.cutoff_hz if plan else None)
+        m = motion.between(a, b, settings.cutoff_hz if settings else None)
         if stride > 1:
             m = Motion(**{name: x[::stride] for name, x in vars(m).items()})
         series = {"q": m.q, "dq": m.dq, "ddq": m.ddq}
         if idm is not None and fit is not None:
             series["tau"] = predicted_torque(m, idm, fit.base, fit.beta)
-        elif plan is None:
+        elif settings is None:
             series["tau"] = m.tau
         for quantity, x in series.items():
             for j, parts in enumerate(pieces[quantity]):
@@ -122,14 +121,14 @@ def thinning(N: int) -> int:
     return 1 if N <= 2 * BUCKETS else -(-N // BUCKETS)
 
 
-def model_stride(signals: Signals, plan: Settings) -> int:
+def model_stride(signals: Signals, settings: Settings) -> int:
     """Of how many filtered samples one is drawn: all of a short recording, 20 a period of the cut-off of a long one."""
-    if thinning(len(signals.q)) == 1 or plan.cutoff_hz is None:
+    if thinning(len(signals.q)) == 1 or settings.cutoff_hz is None:
         return 1
-    return max(1, int(signals.sample_rate_hz / (MODEL_PER_CUTOFF * plan.cutoff_hz)))
+    return max(1, int(signals.sample_rate_hz / (MODEL_PER_CUTOFF * settings.cutoff_hz)))
 
 
-def extremes(x: Vector, step: int) -> NDArray[np.intp]:
+def extremes(x: Array, step: int) -> NDArray[np.intp]:
     """Indices of the lowest and the highest of every `step` samples of x (N,); of all samples where `step` is 1."""
     if step == 1:
         return np.arange(len(x))

@@ -37,7 +37,7 @@ def numbers_of_plots(signals: Signals, fit: Fit | None, seen: Observed) -> Secti
     if signals.q_ref is not None:
         heads.append("reference − measured, rms, rad or m")
         each = zip(signals.q_ref.T, signals.q.T, strict=True)
-        cells.append([Number(float(np.sqrt(np.mean((wanted - q) ** 2))), ".2g") for wanted, q in each])
+        cells.append([Number(float(np.sqrt(np.mean((reference - q) ** 2))), ".2g") for reference, q in each])
     if fit is not None:
         rows = [residual_of_moving(seen, j) for j in range(robot.n)]
         sigmas = [middle_deviation(rho) for rho in rows]
@@ -54,20 +54,20 @@ def numbers_of_plots(signals: Signals, fit: Fit | None, seen: Observed) -> Secti
     return Section(title="numbers of the plots", table=table)
 
 
-def recording_legend(signals: Signals, plan: Settings | None) -> Section:
+def recording_legend(signals: Signals, settings: Settings | None) -> Section:
     """What is drawn of a recording that is not fitted."""
-    return Section(title="what is drawn", lines=_curves(signals, plan, "Filtered curves"))
+    return Section(title="what is drawn", lines=_curves(signals, settings, "Filtered curves"))
 
 
-def _curves(signals: Signals, plan: Settings | None, filtered: str) -> tuple[str, ...]:
+def _curves(signals: Signals, settings: Settings | None, filtered: str) -> tuple[str, ...]:
     """How the curves come from the samples, and what of them is shown."""
     N, fs = len(signals.q), signals.sample_rate_hz
-    step, stride = thinning(N), model_stride(signals, plan) if plan else 1
+    step, stride = thinning(N), model_stride(signals, settings) if settings else 1
     lines = [
         "Measured, in grey: the recording as it is, all of it; dq and ddq are central differences of the raw position, and "
         "off where noise would drown the rest: a click in the legend shows them."
     ]
-    if plan is not None and plan.cutoff_hz is not None:
+    if settings is not None and settings.cutoff_hz is not None:
         lines.append("Filtered, in orange: the measured motion through the low-pass, over the span to fit.")
     if step == 1:
         lines.append("Curves show every sample.")

@@ -4,14 +4,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
-from numpy.typing import NDArray
+from ..arrays import Array
 
-Vector = NDArray[np.float64]
 Color = tuple[int, int, int]
-Line = tuple[Vector, Vector]  # t_s (k,), values (k,)
+Line = tuple[Array, Array]  # t_s (k,), values (k,)
 Part = Literal["base", "link", "joint", "tool"]
-Steps = tuple[Vector, float, Vector]  # left edges (k,), width, heights (k,)
+Steps = tuple[Array, float, Array]  # left edges (k,), width, heights (k,)
 
 # Okabe and Ito's colors, told apart by the color-blind too (Color Universal Design, 2008), on a dark ground and a light one.
 ORANGE, SKY, GREEN, YELLOW = (230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66)
@@ -107,8 +105,8 @@ class Solid:
     link: int
     kind: Literal["cylinder", "capsule", "box"]
     size: tuple[float, ...]
-    center: Vector
-    turn: Vector
+    center: Array
+    turn: Array
     part: Part
 
 
@@ -117,10 +115,10 @@ class Moving:
     """A robot in motion: at t_s (K,) its joints' positions q (K, n), its links' places (K, n, 3) and turns (K, n, 4)."""
 
     key: str
-    t_s: Vector
-    q: Vector
-    places: Vector
-    turns: Vector
+    t_s: Array
+    q: Array
+    places: Array
+    turns: Array
     ghost: bool = False
 
 
@@ -138,10 +136,10 @@ class Scene:
     solids: tuple[Solid, ...]
     urdf: str | None
     joints: tuple[str, ...]
-    up: Vector
+    up: Array
     floor: float
-    eye: Vector
-    target: Vector
+    eye: Array
+    target: Array
 
 
 Panel = Plot | Bars | Drawing | Lanes | Log | Note | Scene

@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 from rerun.urdf import UrdfTree
 
+from ..arrays import Array
 from .panels import GREY, RESIDUAL, SKY, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
-
-Vector = NDArray[np.float64]
 
 _SOLID_COLORS = {"base": (95, 100, 110), "link": (215, 218, 224), "joint": (70, 78, 92), "tool": (235, 160, 60)}
 _GHOST, _HALO = (*SKY, 70), 1.07  # a ghost's color, and its size, so that it shows around the robot it covers
@@ -96,8 +94,8 @@ def show(recording: Any, panel: Panel) -> Any:
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
             return rrb.Spatial2DView(origin=origin, name=shown_text(panel.title), visual_bounds=bounds)
         case Lanes():
-            for name, told in panel.lanes.items():
-                states = [(t_s, shown_text(text), color) for t_s, text, color in told]
+            for name, bands in panel.lanes.items():
+                states = [(t_s, shown_text(text), color) for t_s, text, color in bands]
                 key = rr.new_entity_path([name]).lstrip("/")
                 changes = [text for _, text, _ in states]
                 known = {text: color for _, text, color in states}
@@ -122,7 +120,7 @@ def show(recording: Any, panel: Panel) -> Any:
             return _show_robot(recording, origin, panel)
 
 
-def _time(t_s: Vector) -> Any:
+def _time(t_s: Array) -> Any:
     return rr.TimeColumn("time", duration=np.rint(1e9 * t_s).astype("timedelta64[ns]"))
 
 

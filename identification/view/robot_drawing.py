@@ -10,15 +10,13 @@ import xml.etree.ElementTree as ET
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from ..arrays import Array
 from ..data import Signals
 from ..methods import Fit
 from ..model import InverseModel
 from .panels import Moving, Part, Scene, Solid
-
-Vector = NDArray[np.float64]
 
 POSES_PER_S = 50.0  # as smooth as a screen shows it
 MOST_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
@@ -62,7 +60,7 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     )
 
 
-def _reached(solids: tuple[Solid, ...], robot: Moving) -> Vector:
+def _reached(solids: tuple[Solid, ...], robot: Moving) -> Array:
     """Points (m, 3) that the ends of the solids come to: what a picture must hold."""
     points = []
     for k in range(0, len(robot.t_s), max(1, len(robot.t_s) // 100)):
@@ -82,7 +80,7 @@ def pose_stride(N: int, rate_hz: float) -> int:
     return max(1, round(rate_hz / POSES_PER_S), -(-N // MOST_POSES))
 
 
-def _moving(dynamics: InverseModel, key: str, t_s: Vector, q: Vector, *, ghost: bool = False) -> Moving:
+def _moving(dynamics: InverseModel, key: str, t_s: Array, q: Array, *, ghost: bool = False) -> Moving:
     places, turns = dynamics.placements(q)
     quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(*places.shape[:2], 4)
     return Moving(key=key, t_s=t_s, q=q, places=places, turns=quaternions, ghost=ghost)
@@ -124,14 +122,14 @@ def _mesh_file(name: str) -> Path | None:
     return next(found, None)
 
 
-def _up(dynamics: InverseModel) -> Vector:
+def _up(dynamics: InverseModel) -> Array:
     """Against gravity; the base's z where there is none."""
     g = dynamics.robot.gravity
     size = float(np.linalg.norm(g))
     return -g / size if size > 0 else np.array([0.0, 0.0, 1.0])
 
 
-def _scale(dynamics: InverseModel, q: Vector) -> float:
+def _scale(dynamics: InverseModel, q: Array) -> float:
     """A length that the robot's parts are drawn in proportion to: its links put end to end, and its slides' travel."""
     places, _ = dynamics.placements(np.zeros((1, dynamics.robot.n)))
     before = [np.zeros(3) if k == 0 else places[0, k - 1] for k in dynamics.parents]
@@ -141,7 +139,7 @@ def _scale(dynamics: InverseModel, q: Vector) -> float:
     return length if length > _SMALL else 1.0
 
 
-def _solids(dynamics: InverseModel, q: Vector) -> tuple[tuple[Solid, ...], float]:
+def _solids(dynamics: InverseModel, q: Array) -> tuple[tuple[Solid, ...], float]:
     """Solids of base and links, each in the frame of its link, and the height of the floor along `up`."""
     robot, n, L = dynamics.robot, dynamics.robot.n, _scale(dynamics, q)
     places, turns = (x[0] for x in dynamics.placements(np.zeros((1, n))))
@@ -186,7 +184,7 @@ def _solids(dynamics: InverseModel, q: Vector) -> tuple[tuple[Solid, ...], float
     return tuple(out), floor
 
 
-def _tool(dynamics: InverseModel, j: int, axes: Vector, rho: float, L: float, turns: Vector) -> list[Solid]:
+def _tool(dynamics: InverseModel, j: int, axes: Array, rho: float, L: float, turns: Array) -> list[Solid]:
     """What the last link j ends in: an arm to the side of parallel axes, else a flange with two fingers that show turns."""
     joints, parent = dynamics.robot.joints, dynamics.parents[j]
     if joints[j].type == "prismatic":
@@ -210,7 +208,7 @@ def _tool(dynamics: InverseModel, j: int, axes: Vector, rho: float, L: float, tu
     return [flange, *fingers]
 
 
-def _axes(dynamics: InverseModel) -> Vector:
+def _axes(dynamics: InverseModel) -> Array:
     """(n, 3) the joints' axes in the frames of their links."""
     n = dynamics.robot.n
     places, turns = dynamics.placements(np.concatenate([np.zeros((1, n)), np.eye(n)]))
@@ -223,26 +221,26 @@ def _axes(dynamics: InverseModel) -> Vector:
     return np.asarray(axes / np.linalg.norm(axes, axis=1, keepdims=True))
 
 
-def _from_z(direction: Vector) -> Vector:
+def _from_z(direction: Array) -> Array:
     """Quaternion (4,) that turns z into a direction."""
     z = direction / np.linalg.norm(direction)
     return np.asarray(Rotation.align_vectors([z], [[0.0, 0.0, 1.0]])[0].as_quat())
 
 
-def _rod(link: int, a: Vector, b: Vector, radius: float) -> Solid:
+def _rod(link: int, a: Array, b: Array, radius: float) -> Solid:
     size = (float(np.linalg.norm(b - a)), radius)
     return Solid(link=link, kind="capsule", size=size, center=a, turn=_from_z(b - a), part="link" if link else "base")
 
 
-def _cylinder(link: int, a: Vector, b: Vector, radius: float, part: Part) -> Solid:
+def _cylinder(link: int, a: Array, b: Array, radius: float, part: Part) -> Solid:
     size = (float(np.linalg.norm(b - a)), radius)
     return Solid(link=link, kind="cylinder", size=size, center=0.5 * (a + b), turn=_from_z(b - a), part=part)
 
 
-def _bar(link: int, a: Vector, b: Vector, width: float, part: Part) -> Solid:
+def _bar(link: int, a: Array, b: Array, width: float, part: Part) -> Solid:
     size = (width, width, float(np.linalg.norm(b - a)))
     return Solid(link=link, kind="box", size=size, center=0.5 * (a + b), turn=_from_z(b - a), part=part)
 
 
-def _box(link: int, axis: Vector, size: Vector, part: Part) -> Solid:
+def _box(link: int, axis: Array, size: Array, part: Part) -> Solid:
     return Solid(link=link, kind="box", size=tuple(size), center=np.zeros(3), turn=_from_z(axis), part=part)

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import signal
 
+from ..arrays import Array
 from ..data import Signals
 from ..estimation import autocorrelation
 from ..methods import Fit
@@ -15,9 +15,7 @@ from ..regression import Settings
 from .curves import Observed
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot
 
-Vector = NDArray[np.float64]
-
-FOLLOWS = "track"  # the phase that a fit uses
+TRACKING = "track"  # the phase that a fit uses
 MOST_LINES = 2000  # of the log
 EXPECTED = ("phase", "mark", "disabled", "end")  # kinds of events that need no attention
 LAGS = 60  # of the autocorrelation, in decimated samples
@@ -27,23 +25,23 @@ TO_DEVIATION = 1.4826  # from the median of |x| to the standard deviation of nor
 TOTALS = ("frames", "syncs")  # counters of what went right: they would dwarf the others
 
 
-def span_lanes(signals: Signals, plan: Settings | None, *, fitted: bool) -> Lanes | None:
+def span_lanes(signals: Signals, settings: Settings | None, *, fitted: bool) -> Lanes | None:
     """The session's phases and what of the recording the fit uses, or would use; None where neither is known."""
     end_s = float(signals.t_s[-1])
     lanes: dict[str, list[tuple[float, str, Color]]] = {}
     phases = [event for event in signals.events if event.kind == "phase"]
     if phases:
-        colors: dict[str, Color] = {FOLLOWS: GREEN}
+        colors: dict[str, Color] = {TRACKING: GREEN}
         states: dict[float, tuple[float, str, Color]] = {}
         for event in phases:
             color = colors.setdefault(event.text, (GREY, SKY, *JOINTS[3:7])[len(colors) % 6])
             at = within(event.t_s, end_s)
             states[at] = (at, event.text, color)  # of those before the first sample, the last
         lanes["phase"] = list(states.values())
-    if plan is not None:
-        start, stop = (float(signals.t_s[k]) for k in (plan.start, plan.stop - 1))
+    if settings is not None:
+        start, stop = (float(signals.t_s[k]) for k in (settings.start, settings.stop - 1))
         name = "fitted" if fitted else "to_be_fitted"
-        lanes[name] = [(start, plan.span, ORANGE), (stop, "", GREY)]
+        lanes[name] = [(start, settings.span, ORANGE), (stop, "", GREY)]
         if start > 0:
             lanes[name].insert(0, (0.0, "", GREY))
     if not lanes:
@@ -61,8 +59,8 @@ def event_log(signals: Signals) -> Log | None:
     end_s, lines = float(signals.t_s[-1]), []
     for event in signals.events[:MOST_LINES]:
         at = within(event.t_s, end_s)
-        told = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
-        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{told}"))
+        where = "" if at == event.t_s else f" ({'before' if at == 0 else 'after'} the samples)"
+        lines.append((at, event.kind not in EXPECTED, f"{event.t_s:.3f} s  {event.kind}: {event.text}{where}"))
     return Log(path=("events",), title=f"events: {len(signals.events)}", lines=lines) if lines else None
 
 
@@ -95,13 +93,13 @@ def within(t_s: float, end_s: float) -> float:
     return min(max(t_s, 0.0), end_s)
 
 
-def spectrum_drawings(signals: Signals, plan: Settings | None) -> list[Drawing]:
-    """Spectra of position and effort of all joints over the span of the plan, with its cut-offs."""
+def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Drawing]:
+    """Spectra of position and effort of all joints over the span of the settings, with their cut-offs."""
     robot, fs = signals.robot, signals.sample_rate_hz
-    start, stop = (plan.start, plan.stop) if plan else (0, len(signals.q))
+    start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
     bandwidth = (robot.controller.bandwidth_hz, "bandwidth")
-    lowpass = [(plan.cutoff_hz, "low-pass")] if plan and plan.cutoff_hz is not None else []
-    decimation = [(0.4 * fs / plan.decimation, "decimation")] if plan and plan.decimation > 1 else []
+    lowpass = [(settings.cutoff_hz, "low-pass")] if settings and settings.cutoff_hz is not None else []
+    decimation = [(0.4 * fs / settings.decimation, "decimation")] if settings and settings.decimation > 1 else []
     drawings = []
     for key, x, units, marks in (
         ("position", signals.q, [joint.position_unit for joint in robot.joints], [bandwidth, *lowpass]),
@@ -115,7 +113,7 @@ def spectrum_drawings(signals: Signals, plan: Settings | None) -> list[Drawing]:
     return drawings
 
 
-def _spectrum(x: Vector, sample_rate_hz: float) -> tuple[Vector, Vector]:
+def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
     """Frequencies in Hz and amplitude density of x (N,) by Welch's method, averaged within 40 bands a decade."""
     if len(x) < SPECTRUM_SAMPLES:
         return np.zeros(0), np.zeros(0)
@@ -132,7 +130,7 @@ def _spectrum(x: Vector, sample_rate_hz: float) -> tuple[Vector, Vector]:
 def _log_log(
     path: tuple[str, ...],
     title: str,
-    curves: Sequence[tuple[str, Vector, Vector]],
+    curves: Sequence[tuple[str, Array, Array]],
     marks: Sequence[tuple[float, str]],
 ) -> Drawing:
     """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
@@ -142,7 +140,7 @@ def _log_log(
     high = np.array([all_x.max(), math.ceil(all_y.max())])
     frame = np.array([[70.0, 20.0], [sheet[0] - 20, sheet[1] - 50]])  # left, top; right, bottom
 
-    def place(x: Any, y: Any) -> Vector:
+    def place(x: Any, y: Any) -> Array:
         u = (np.column_stack([x, y]) - low) / np.maximum(high - low, 1e-9)
         u[:, 1] = 1.0 - u[:, 1]
         return np.asarray(frame[0] + np.clip(u, 0, 1) * (frame[1] - frame[0]))
@@ -166,13 +164,13 @@ def _log_log(
     return Drawing(path=path, title=title, size=(sheet[0], sheet[1]), strokes=strokes, dots=[], labels=labels)
 
 
-def residual_of_moving(seen: Observed, j: int) -> Vector:
+def residual_of_moving(seen: Observed, j: int) -> Array:
     """Residual of joint j where it moves; all of it where it never does."""
     rho = seen.residual[:, j]
     return moving if len(moving := rho[seen.moving[:, j]]) else rho
 
 
-def middle_deviation(rho: Vector) -> float:
+def middle_deviation(rho: Array) -> float:
     """Standard deviation, of the middle of the rows, so that a few far ones do not make it."""
     return float(TO_DEVIATION * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
 

@@ -10,13 +10,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
-from numpy.typing import NDArray
 
 from acquisition.files import atomic_write
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..methods import Fit
@@ -42,10 +41,8 @@ from .rerun_panels import show, shown_text
 from .robot_drawing import robot_scene
 from .signal_panels import event_log, health_plot, residual_bars, span_lanes, spectrum_drawings
 
-Vector = NDArray[np.float64]
 
-
-def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Vector | None = None) -> None:
+def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None = None) -> None:
     """Write a fit as a Rerun file that opens with its own layout (`rerun fit.rrd`).
 
     A fit by instruments is shown with its least squares. Times are seconds from the recording's first sample, on the
@@ -68,13 +65,13 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Vector | Non
     """
     # A viewer holds one layout per application, and a layout is of its data: each fit is an application of its own.
     compared = truth.tobytes() if truth is not None else b""
-    told = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
+    identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
 
     def pages(show: "_Show") -> list[Any]:
         return _fit_pages(show, signals, fit, truth)
 
-    _write(path, signals.robot.name, told, name, pages)
+    _write(path, signals.robot.name, identity, name, pages)
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
@@ -92,16 +89,16 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
     ------
     AcquisitionError : where the file cannot be written.
     """
-    refusal, plan = None, None
+    refusal, settings = None, None
     try:
-        plan = make_settings(signals, overrides)
+        settings = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = str(error)
 
     def pages(show: "_Show") -> list[Any]:
-        return _recording_pages(show, signals, plan, refusal)
+        return _recording_pages(show, signals, settings, refusal)
 
-    _write(path, signals.robot.name, f"{signals.sha256} {plan}", signals.recording, pages)
+    _write(path, signals.robot.name, f"{signals.sha256} {settings}", signals.recording, pages)
 
 
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
@@ -125,7 +122,7 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
     _write(path, name, repr((own, other)), name, pages)
 
 
-def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector, document: Document) -> None:
+def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, document: Document) -> None:
     """Write a study as a Rerun file: entities `study`, every run's error and their medians, and `report`.
 
     Parameters
@@ -157,9 +154,9 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Vector, d
 _Show = Callable[[Panel], Any]
 
 
-def _write(path: Path, application: str, told: str, name: str, pages: Callable[[_Show], list[Any]]) -> None:
+def _write(path: Path, application: str, identity: str, name: str, pages: Callable[[_Show], list[Any]]) -> None:
     named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # Rerun renames an application of another name, and warns
-    recording = rr.RecordingStream(f"{named} {hashlib.sha256(told.encode()).hexdigest()[:8]}")
+    recording = rr.RecordingStream(f"{named} {hashlib.sha256(identity.encode()).hexdigest()[:8]}")
     stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
     try:
         recording.send_recording_name(shown_text(name))
@@ -179,7 +176,7 @@ def _write(path: Path, application: str, told: str, name: str, pages: Callable[[
         partial.write_bytes(content)
 
 
-def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Vector | None) -> list[Any]:
+def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
     n, seen = signals.robot.n, observed(signals, fit.settings, fit)
     own = fitted_parameters(fit)
@@ -188,8 +185,8 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Vector | None) ->
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)
-    told = (numbers_of_plots(signals, fit, seen), *compared, fit_legend(signals, fit))
-    report = _note(fit_document(signals, fit, everything=True).followed_by(*told))
+    sections = (numbers_of_plots(signals, fit, seen), *compared, fit_legend(signals, fit))
+    report = _note(fit_document(signals, fit, everything=True).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     curves = position_plots(signals, fit, seen), torque_plots(signals, fit, seen)
     trust = [show(trust_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
@@ -205,14 +202,14 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Vector | None) ->
     ]
 
 
-def _recording_pages(show: _Show, signals: Signals, plan: Settings | None, refusal: str | None) -> list[Any]:
-    n, seen = signals.robot.n, observed(signals, plan, None)
-    told = numbers_of_plots(signals, None, seen), recording_legend(signals, plan)
-    report = _note(recording_document(signals, plan, refusal).followed_by(*told))
+def _recording_pages(show: _Show, signals: Signals, settings: Settings | None, refusal: str | None) -> list[Any]:
+    n, seen = signals.robot.n, observed(signals, settings, None)
+    sections = numbers_of_plots(signals, None, seen), recording_legend(signals, settings)
+    report = _note(recording_document(signals, settings, refusal).followed_by(*sections))
     curves = position_plots(signals, None, seen), torque_plots(signals, None, seen)
     return [
         _answer(show, signals, None, *curves, show(report)),
-        *_signal_pages(show, signals, plan, fitted=False),
+        *_signal_pages(show, signals, settings, fitted=False),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, None, seen, j)] for j in range(n)]),
     ]
 
@@ -237,10 +234,10 @@ def _answer(
     return rrb.Horizontal(rrb.Vertical(follow, explained, row_shares=[4, 5]), side, column_shares=[5, 2], name=name)
 
 
-def _signal_pages(show: _Show, signals: Signals, plan: Settings | None, *, fitted: bool) -> list[Any]:
+def _signal_pages(show: _Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
     """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; what there is of it."""
-    spectra = [show(drawing) for drawing in spectrum_drawings(signals, plan)]
-    lanes = span_lanes(signals, plan, fitted=fitted)
+    spectra = [show(drawing) for drawing in spectrum_drawings(signals, settings)]
+    lanes = span_lanes(signals, settings, fitted=fitted)
     below = [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]
     rows = [(rrb.Horizontal(*spectra), 5.0)] if spectra else []
     rows += [(show(lanes), 0.6 + 0.4 * len(lanes.lanes))] if lanes else []
