@@ -10,7 +10,7 @@ from identification.estimation.diagnostics import InstrumentTests
 from identification.methods.fit import DirectModelError, Pass
 from identification.methods.idim import identify_iv
 from identification.methods.iteration import Iteration
-from identification.methods.verdict import _verdict
+from identification.methods.verdict import _status
 from identification.regression.settings import Overrides
 
 GOOD = InstrumentTests(
@@ -27,7 +27,7 @@ def verdict(tracking, errors, tests=GOOD):
     direct = [
         DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
     ]
-    return _verdict((settled,), None, tracking, None, direct, tests)
+    return _status((settled,), None, tracking, None, direct, tests)
 
 
 def test_every_joint_has_to_track():
