@@ -8,11 +8,12 @@ from identification.errors import IdentificationError
 from identification.regression.filtering import (
     decimate,
     decimation_passes,
-    differentiate,
+    decimation_reach,
     forward_backward_3db_hz,
     lowpass,
-    motion_between,
+    lowpass_reach,
 )
+from identification.regression.motion import differentiate, motion_between
 
 FS = 1000.0
 T = np.arange(8000) / FS
@@ -119,3 +120,40 @@ def test_smooth_ends_keep_a_single_sample_small_in_the_end_rows(factor):
     rows = decimate(np.random.default_rng(0).standard_normal((400, 50 * factor)), factor, smooth_ends=True)
     spread = rows.std(axis=0)
     assert (spread[[0, -1]] < 2 * spread[10:-10].mean()).all()  # MATLAB's: 3 times and more
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(7366, 2), (4001, 3), (9001, 10), (9009, 7), (6001, 13), (5003, 17)])
+def test_decimation_is_the_recursive_filter_run_forward_and_backward(samples, factor):
+    """By scipy's filters, over the ends extended here as far as their ringing reaches."""
+    x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
+    near = 6 * factor
+    found = decimate(x, factor)
+    # The value of the line at the end sample.
+    first, last = (np.polyfit(np.arange(near), y.T, 1)[1][:, None] for y in (x[:, :near], x[:, : -near - 1 : -1]))
+    extended = np.concatenate([2 * first - x[:, :0:-1], x, 2 * last - x[:, -2::-1]], axis=1)
+    sos = signal.cheby1(8, 0.05, 0.8 / factor, output="sos")
+    expected = signal.sosfiltfilt(sos, extended, axis=-1)[:, samples - 1 : 2 * samples - 1]
+    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-10 * np.abs(x).max())
+
+
+@pytest.mark.parametrize("cutoff_hz", [10.0, 50.0, 400.0])
+def test_the_low_pass_is_the_recursive_filter_run_forward_and_backward(cutoff_hz):
+    x = np.random.default_rng(0).standard_normal((9000, 3)).cumsum(axis=0)
+    expected = signal.sosfiltfilt(signal.butter(4, cutoff_hz, fs=FS, output="sos"), x, axis=0, padlen=12)
+    np.testing.assert_allclose(lowpass(x, cutoff_hz, FS), expected, atol=1e-11 * np.abs(x).max())
+
+
+@pytest.mark.parametrize(("samples", "factor"), [(400, 2), (1003, 10), (2000, 13)])
+def test_decimation_with_edges_of_matlab_is_filtfilt(samples, factor):
+    x = np.random.default_rng(0).standard_normal((3, samples)).cumsum(axis=1)
+    expected = signal.sosfiltfilt(signal.cheby1(8, 0.05, 0.8 / factor, output="sos"), x, padlen=24)
+    found = decimate(x, factor, smooth_ends=False)
+    np.testing.assert_allclose(found, expected[:, (samples - 1) % factor :: factor], atol=1e-11 * np.abs(x).max())
+
+
+def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
+    for found, zpk in (
+        (lowpass_reach(50.0, FS), signal.butter(4, 50.0, fs=FS, output="zpk")),
+        (decimation_reach(10), signal.cheby1(8, 0.05, 0.08, output="zpk")),
+    ):
+        assert np.abs(zpk[1]).max() ** found <= 1e-14 < np.abs(zpk[1]).max() ** (found - 2)

@@ -22,7 +22,7 @@ from identification.estimation.system import System
 from identification.methods.idim import identify_ls
 from identification.model.base import BaseParameters, base_parameters
 from identification.model.inverse import InverseModel
-from identification.regression.filtering import Motion
+from identification.regression.motion import Motion
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides, decimation_rule, make_settings
 from identification.regression.system import regression_of_recording

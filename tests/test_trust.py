@@ -21,8 +21,8 @@ from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.model.inverse import InverseModel
-from identification.regression.filtered import FilteredMotion
 from identification.regression.low_speed import fast_rows, measured_slip
+from identification.regression.motion import FilteredMotion
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
 from identification.regression.system import regression_of_recording

@@ -18,7 +18,8 @@ from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
-from identification.regression.filtering import Motion, decimate, differentiate, lowpass, motion_between
+from identification.regression.filtering import decimate, lowpass
+from identification.regression.motion import Motion, differentiate, motion_between
 from identification.regression.settings import Overrides
 from identification.regression.system import predicted_torque
 from identification.study.synthetic import Noise, closed_loop, random_reference

@@ -5,8 +5,7 @@ from conftest import REPLAY
 
 import identification.methods.idim as idim
 import identification.methods.iteration as iteration
-import identification.regression.filtered as filtered
-import identification.regression.filtering as filtering
+import identification.regression.motion as motion
 from identification.commands import main
 from identification.model.inverse import InverseModel
 
@@ -31,8 +30,7 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
         return count
 
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
-    for module in (filtered, filtering):
-        monkeypatch.setattr(module, "lowpass", counted("filter", module.lowpass))
+    monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
     for module in (idim, iteration):
         monkeypatch.setattr(module, "weighted_least_squares", counted("least squares", module.weighted_least_squares))
     files = ["--json", str(tmp_path / "fit.json"), "--rrd", str(tmp_path / "fit.rrd")]

@@ -1,8 +1,8 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
-from .filtered import FilteredMotion
-from .filtering import Decimation, Motion, differentiate, forward_backward_3db_hz, motion_between
+from .filtering import Decimation, forward_backward_3db_hz
 from .low_speed import fast_rows, measured_slip
+from .motion import FilteredMotion, Motion, differentiate, motion_between
 from .problem import Problem, make_problem
 from .settings import (
     CUTOFF_PER_BANDWIDTH,

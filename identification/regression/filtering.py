@@ -1,14 +1,15 @@
-"""Zero-phase low-pass, central differences, parallel decimation.
+"""Zero-phase filters: the low-pass of the position, and the parallel decimation of torque and regressor.
 
-The low-pass pads by three times the filter's order, as MATLAB's filtfilt does, and decimation keeps the last sample, as its
-decimate does. Decimation smooths the ends; MATLAB's own edge rule, on which published digits rest, is there on request.
-`scipy.signal` takes half a second to import: it is imported where a filter is designed or run.
+Filters are applied to the spectrum, by the responses that Butterworth's and Chebyshev's poles give. Forward and backward
+together they have the real gain |H|². The low-pass has the ends of MATLAB's `filtfilt`; decimation keeps the last sample, as
+its `decimate` does. Decimation smooths the ends; MATLAB's own edge rule, on which published digits rest, is there on request.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -16,26 +17,8 @@ from ..errors import IdentificationError
 BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
-END_REACH = 150  # samples per unit of the factor in which the decimation filter's ringing dies away
 LARGEST_PASS = 13  # a decimation by more goes in several passes
-_DIFFERENCES = 2  # samples to each side that two central differences reach
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n); rad or m, s, N m or N."""
-
-    t_s: Array
-    q: Array
-    dq: Array
-    ddq: Array
-    tau: Array
-
-    def __post_init__(self) -> None:
-        for array in (self.q, self.dq, self.ddq, self.tau):
-            if array.shape != self.q.shape or len(array) != len(self.t_s):
-                raise ValueError(f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}")
-            array.flags.writeable = False
+NOTHING = 1e-14  # of an input: less than rounding leaves of it
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
@@ -51,24 +34,15 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
         raise IdentificationError(f"{len(x)} samples are too few for the filter; expected more than {padding}")
-    from scipy import signal
-
-    sos = signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=sample_rate_hz, output="sos")
     # Counted from the first sample, a joint that stands still stays at exactly zero: rounding is no motion.
-    filtered = signal.sosfiltfilt(sos, np.ascontiguousarray((x - x[0]).T), axis=-1, padlen=padding)
+    filtered = _butterworth(cutoff_hz, sample_rate_hz).forward_backward((x - x[0]).T, padding)
     return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
 
 
 def forward_backward_3db_hz(cutoff_hz: float, sample_rate_hz: float) -> float:
     """Frequency at which the filter, forward and backward, is down by 3 dB (a factor of sqrt(1/2))."""
-    # |H|² of one direction is 1 / (1 + x^2n) with x = tan(pi f / fs) / tan(pi fc / fs); both directions give |H|² as gain.
     x = (np.sqrt(2.0) - 1.0) ** (1 / (2 * BUTTERWORTH_ORDER))
     return float(sample_rate_hz / np.pi * np.arctan(x * np.tan(np.pi * cutoff_hz / sample_rate_hz)))
-
-
-def differentiate(x: Array, sample_rate_hz: float) -> Array:
-    """Central differences along axis 0 (no phase shift), one-sided at the two ends."""
-    return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,90 +88,139 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     The ends are reflected at a line through the last samples, as far as the filter reaches. Without `smooth_ends` they are
     reflected at the end samples themselves, as MATLAB does: the noise of these two stands at full size in the rows beside.
     """
-    from scipy import signal
-
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
             raise IdentificationError(
                 f"{x.shape[-1]} samples are too few to decimate by {r}; expected more than {padding}"
             )
-        sos = _chebyshev(r)
-        if smooth_ends:
-            extended, reach = _extended(x, r)
-            filtered = signal.sosfiltfilt(sos, extended, axis=-1, padtype=None, padlen=0)[..., reach:-reach]
-        else:
-            filtered = signal.sosfiltfilt(sos, x, axis=-1, padlen=padding)
-        x = filtered[..., (x.shape[-1] - 1) % r :: r]
+        x = _decimated(x, r) if smooth_ends else _decimated_by_matlab(x, r, padding)
     return np.ascontiguousarray(x)
 
 
+def _decimated(x: Array, r: int) -> Array:
+    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length."""
+    N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
+    first_kept = (N - 1) % r
+    lead = reach + (-(reach + first_kept)) % r  # a multiple of r before the first sample that is kept
+    rows = _fast_size(-(-(lead + N + reach) // r))
+    extended = np.empty((*x.shape[:-1], rows * r))
+    extended[..., lead : lead + N] = x
+    # Odd reflection at the end of a line through the last samples: the weights give its value there.
+    line = np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0]
+    first, last = x[..., :near] @ line, x[..., : -near - 1 : -1] @ line
+    begin, end = lead - min(reach, N - 1), lead + N + min(reach, N - 1)
+    extended[..., begin:lead] = 2 * first[..., None] - x[..., lead - begin : 0 : -1]
+    extended[..., lead + N : end] = 2 * last[..., None] - x[..., -2 : N - 2 - end + lead : -1]
+    extended[..., :begin], extended[..., end:] = extended[..., begin, None], extended[..., end - 1, None]
+    gain = _gain(r, rows)
+    spectrum = np.fft.rfft(extended)[..., : len(gain)] * gain
+    folded = np.zeros((*x.shape[:-1], rows // 2 + 1), dtype=complex)
+    for start in range(0, len(gain), rows):
+        above, below = spectrum[..., start:][..., : rows // 2 + 1], spectrum[..., max(0, start - rows // 2) : start]
+        folded[..., : above.shape[-1]] += above
+        folded[..., 1 : below.shape[-1] + 1] += below[..., ::-1].conj()
+        folded[..., 0] += above[..., 0].conj() * (start > 0)
+    kept = (lead + first_kept) // r
+    return np.asarray(np.fft.irfft(folded, rows)[..., kept : kept + -(-N // r)] / r)
+
+
+def _decimated_by_matlab(x: Array, r: int, padding: int) -> Array:
+    return _chebyshev(r).forward_backward(x, padding)[..., (x.shape[-1] - 1) % r :: r]
+
+
 @lru_cache
-def _chebyshev(r: int) -> Array:
-    """Second order sections of the filter before every r-th sample is kept; its design costs as much as its use."""
-    from scipy import signal
-
-    return np.asarray(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="sos"))
-
-
-def _extended(x: Array, r: int) -> tuple[Array, int]:
-    """x with both ends extended by odd reflection at the end of a line fitted to its last 6 r samples; by how many."""
-    reach, near = min(END_REACH * r, x.shape[-1] - 1), min(6 * r, x.shape[-1])
-    # Weights that give the value at the end of the line through `near` samples.
-    weights = np.linalg.pinv(np.c_[np.ones(near), np.arange(near)])[0]
-    first = (x[..., :near] @ weights)[..., None]
-    last = (x[..., : -near - 1 : -1] @ weights)[..., None]
-    before, after = 2 * first - x[..., reach:0:-1], 2 * last - x[..., -2 : -reach - 2 : -1]
-    return np.concatenate([before, x, after], axis=-1), reach
+def _gain(r: int, rows: int) -> Array:
+    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing."""
+    gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
+    last = int(np.flatnonzero(gain > 1e-3 * NOTHING)[-1])
+    above = -(-last // rows) * rows  # the part that ends here is folded back whole
+    return np.asarray(gain[: above + 1 if above - rows // 2 <= last else last + 1])
 
 
 def decimation_reach(factor: int) -> int:
-    """Samples to each side beyond which an input no longer shows in a decimated output (below 1e-12 of it)."""
-    from scipy import signal
-
+    """Samples to each side beyond which an input no longer shows in a decimated output."""
     reach, stride = 0, 1
     for r in decimation_passes(factor):
-        pole = np.abs(signal.cheby1(CHEBYSHEV_ORDER, CHEBYSHEV_RIPPLE_DB, 0.8 / r, output="zpk")[1]).max()
-        reach += stride * int(np.ceil(np.log(1e-14) / np.log(pole)))
+        reach += stride * _chebyshev(r).reach
         stride *= r
     return reach
 
 
 def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
-    """Samples to each side beyond which an input no longer shows in the filtered signal (below 1e-12 of it)."""
-    from scipy import signal
-
-    pole = np.abs(signal.butter(BUTTERWORTH_ORDER, cutoff_hz, fs=sample_rate_hz, output="zpk")[1]).max()
-    return int(np.ceil(np.log(1e-14) / np.log(pole)))
+    """Samples to each side beyond which an input no longer shows in the filtered signal."""
+    return _butterworth(cutoff_hz, sample_rate_hz).reach
 
 
-def motion_between(
-    q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
-) -> Motion:
-    """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
+@dataclass(frozen=True, eq=False)
+class _Filter:
+    """A low-pass in discrete time: an analogue one with cut-off 1 and these poles (n,), its frequencies warped.
 
-    `cutoff_hz` None leaves q as it is. Only as much of q beyond the range is filtered as can show in it, so long
-    recordings pass through in blocks and give what one pass over the whole gives.
+    `cutoff` is a share of half the rate, `dc` the gain at frequency 0.
     """
-    if not cutoff_hz:
-        return motion_of_filtered(q, tau, sample_rate_hz=sample_rate_hz, start=start, stop=stop)
-    margin = _DIFFERENCES + lowpass_reach(cutoff_hz, sample_rate_hz)
-    low, high = max(0, start - margin), min(len(q), stop + margin)
-    part = lowpass(q[low:high], cutoff_hz, sample_rate_hz)
-    motion = motion_of_filtered(part, tau[low:high], sample_rate_hz=sample_rate_hz, start=start - low, stop=stop - low)
-    return replace(motion, t_s=np.arange(start, stop) / sample_rate_hz)
+
+    poles: NDArray[np.complexfloating]
+    cutoff: float
+    dc: float = 1.0
+
+    @property
+    def warp(self) -> float:
+        return float(np.tan(0.5 * np.pi * self.cutoff))
+
+    @property
+    def reach(self) -> int:
+        """Samples in which the slowest pole dies away."""
+        p = self.poles * self.warp
+        return int(np.ceil(np.log(NOTHING) / np.log(np.abs((1 + p) / (1 - p)).max())))
+
+    def response(self, size: int) -> NDArray[np.complexfloating]:
+        """H at the frequencies of the spectrum of `size` samples."""
+        s = 1j * np.minimum(np.tan(np.pi * np.arange(size // 2 + 1) / size) / self.warp, 1e9)
+        return np.asarray(self.dc * np.prod([p / (p - s) for p in self.poles], axis=0))
+
+    def forward_backward(self, x: Array, padding: int) -> Array:
+        """x (..., N) filtered forward and backward as by MATLAB's `filtfilt`.
+
+        The ends are reflected at the end samples for `padding` samples. Each direction starts in the steady state of the
+        first sample that it sees, as if that had always been there.
+        """
+        N, lead = x.shape[-1], self.reach + padding
+        size = _fast_size(lead + N + lead)
+        H, end = self.response(size), lead + N + padding
+        extended = np.empty((*x.shape[:-1], size))
+        extended[..., lead - padding : lead] = 2 * x[..., :1] - x[..., padding:0:-1]
+        extended[..., lead : lead + N] = x
+        extended[..., lead + N : end] = 2 * x[..., -1:] - x[..., -2 : -padding - 2 : -1]
+        extended[..., : self.reach] = extended[..., self.reach, None]
+        extended[..., end:] = extended[..., self.reach, None]  # a spectrum's signal is periodic
+        forward = np.fft.irfft(np.fft.rfft(extended) * H, size)
+        forward[..., end:] = forward[..., end - 1, None]
+        return np.asarray(np.fft.irfft(np.fft.rfft(forward) * H.conj(), size)[..., lead : lead + N])
 
 
-def motion_of_filtered(q: Array, tau: Array, *, sample_rate_hz: float, start: int, stop: int) -> Motion:
-    """Motion of the samples `start` to `stop` of q, tau (N, n), with q as it is, such as filtered."""
-    low, high = max(0, start - _DIFFERENCES), min(len(q), stop + _DIFFERENCES)
-    dq = differentiate(q[low:high], sample_rate_hz)
-    ddq = differentiate(dq, sample_rate_hz)
-    inside = slice(start - low, stop - low)
-    return Motion(
-        t_s=np.arange(start, stop) / sample_rate_hz,
-        q=np.array(q[start:stop]),
-        dq=dq[inside],
-        ddq=ddq[inside],
-        tau=np.array(tau[start:stop]),
-    )
+def _butterworth(cutoff_hz: float, sample_rate_hz: float) -> _Filter:
+    n = BUTTERWORTH_ORDER
+    poles = np.exp(1j * np.pi * (2 * np.arange(1, n + 1) + n - 1) / (2 * n))
+    return _Filter(poles, 2 * cutoff_hz / sample_rate_hz)
+
+
+@lru_cache
+def _chebyshev(r: int) -> _Filter:
+    """The filter before every r-th sample is kept; of even order, it is at the foot of its ripple at frequency 0."""
+    n, floor = CHEBYSHEV_ORDER, 10 ** (-CHEBYSHEV_RIPPLE_DB / 20)
+    a = np.arctanh(floor) / n  # sinh(n a) = 1/eps, eps² = 1/floor² - 1
+    angles = np.pi * (2 * np.arange(1, n + 1) - 1) / (2 * n)
+    return _Filter(-np.sinh(a) * np.sin(angles) + 1j * np.cosh(a) * np.cos(angles), 0.8 / r, floor)
+
+
+def _fast_size(least: int) -> int:
+    """The smallest number from `least` on whose factors are 2, 3 and 5: its transform is quick."""
+    size = least
+    while True:
+        left = size
+        for factor in (2, 3, 5):
+            while left % factor == 0:
+                left //= factor
+        if left == 1:
+            return size
+        size += 1

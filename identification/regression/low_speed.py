@@ -39,8 +39,6 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     that leaves out, zero behind the rule's filter. The low-pass blurs a speed by half a period of its cut-off, so that a joint
     that sticks for a moment seems to creep: a row has the lowest speed within that time of its instant.
     """
-    from scipy.ndimage import minimum_filter1d
-
     signals, settings = problem.signals, problem.settings
     fs, n_d, start, stop = signals.sample_rate_hz, settings.decimation, settings.start, settings.stop
     cutoff_hz = settings.cutoff_hz if settings.filtered else rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
@@ -52,9 +50,10 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
         b = min(stop, a + _BLOCK)
         low, high = max(start, a - blur), min(stop, b + blur)
         wide = problem.motion.between(low, high, cutoff_hz).dq
-        lowest = minimum_filter1d(np.abs(wide @ directions.T), 2 * blur + 1, axis=0, mode="nearest")
         here = (kept >= a) & (kept < b)
-        slip[here] = lowest[kept[here] - low]
+        windows = np.stack([kept[here] - blur, kept[here] + blur + 1], axis=1).clip(low, high) - low
+        speed = np.abs(wide @ directions.T)
+        slip[here] = np.minimum.reduceat(np.concatenate([speed, speed[-1:]]), windows.ravel())[::2]
         if not settings.filtered:
             off = problem.motion.between(a, b, settings.cutoff_hz).dq - wide[a - low : b - low]
             total += off.sum(axis=0)

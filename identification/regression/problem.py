@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from ..data import Signals
 from ..model import BaseParameters, InverseModel, base_parameters
-from .filtered import FilteredMotion
+from .motion import FilteredMotion
 from .settings import Overrides, Settings, make_settings
 
 

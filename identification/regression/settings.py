@@ -12,8 +12,8 @@ from acquisition.robot import Edges, LowSpeed, check_recorded_positions, low_spe
 from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import MOVING
-from .filtered import FilteredMotion
 from .filtering import LARGEST_PASS, Decimation, decimation_passes
+from .motion import FilteredMotion
 
 Span = Literal["motion", "all"]
 

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import System
 from ..model import BaseParameters, InverseModel
-from .filtering import Decimation, Motion, decimation_reach
+from .filtering import Decimation, decimation_reach
 from .low_speed import measured_fast_rows
+from .motion import Motion
 from .problem import Problem
 
 _SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB

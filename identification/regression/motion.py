@@ -1,0 +1,87 @@
+"""Joint motion and torque on one time grid; that of a recording behind a low-pass, filtered once for all who need it."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import Array
+from ..data import Signals
+from .filtering import lowpass, lowpass_reach
+
+_DIFFERENCES = 2  # samples to each side that two central differences reach
+_NUMBERS_KEPT = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered anew by each pass over it
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Joint motion and torque on one uniform grid: t_s (N,), q, dq, ddq, tau (N, n); rad or m, s, N m or N."""
+
+    t_s: Array
+    q: Array
+    dq: Array
+    ddq: Array
+    tau: Array
+
+    def __post_init__(self) -> None:
+        for array in (self.q, self.dq, self.ddq, self.tau):
+            if array.shape != self.q.shape or len(array) != len(self.t_s):
+                raise ValueError(f"shapes do not agree: {array.shape}, {self.q.shape}, {self.t_s.shape}")
+            array.flags.writeable = False
+
+
+class FilteredMotion:
+    """Motion of a recording's samples at any cut-off; each cut-off is filtered once, unless the recording is long."""
+
+    def __init__(self, signals: Signals) -> None:
+        self._signals = signals
+        self._filtered: dict[float, Array] = {}
+
+    def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
+        """Motion of the samples `start` to `stop`; `cutoff_hz` None leaves the position as it is."""
+        s = self._signals
+        if cutoff_hz is None or s.q.size > _NUMBERS_KEPT:
+            return motion_between(
+                s.q, s.effort, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
+            )
+        if cutoff_hz not in self._filtered:
+            self._filtered[cutoff_hz] = lowpass(s.q, cutoff_hz, s.sample_rate_hz)
+        return motion_of_filtered(
+            self._filtered[cutoff_hz], s.effort, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
+        )
+
+
+def differentiate(x: Array, sample_rate_hz: float) -> Array:
+    """Central differences along axis 0 (no phase shift), one-sided at the two ends."""
+    return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
+
+
+def motion_between(
+    q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
+) -> Motion:
+    """Filtered motion of the samples `start` to `stop` of q, tau (N, n).
+
+    `cutoff_hz` None leaves q as it is. Only as much of q beyond the range is filtered as can show in it, so long
+    recordings pass through in blocks and give what one pass over the whole gives.
+    """
+    if not cutoff_hz:
+        return motion_of_filtered(q, tau, sample_rate_hz=sample_rate_hz, start=start, stop=stop)
+    margin = _DIFFERENCES + lowpass_reach(cutoff_hz, sample_rate_hz)
+    low, high = max(0, start - margin), min(len(q), stop + margin)
+    part = lowpass(q[low:high], cutoff_hz, sample_rate_hz)
+    motion = motion_of_filtered(part, tau[low:high], sample_rate_hz=sample_rate_hz, start=start - low, stop=stop - low)
+    return replace(motion, t_s=np.arange(start, stop) / sample_rate_hz)
+
+
+def motion_of_filtered(q: Array, tau: Array, *, sample_rate_hz: float, start: int, stop: int) -> Motion:
+    """Motion of the samples `start` to `stop` of q, tau (N, n), with q as it is, such as filtered."""
+    low, high = max(0, start - _DIFFERENCES), min(len(q), stop + _DIFFERENCES)
+    dq = differentiate(q[low:high], sample_rate_hz)
+    ddq = differentiate(dq, sample_rate_hz)
+    inside = slice(start - low, stop - low)
+    return Motion(
+        t_s=np.arange(start, stop) / sample_rate_hz,
+        q=np.array(q[start:stop]),
+        dq=dq[inside],
+        ddq=ddq[inside],
+        tau=np.array(tau[start:stop]),
+    )
