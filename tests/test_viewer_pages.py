@@ -8,10 +8,13 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from dry_sessions import dry_session, swing
 from fits_of_records import iv_of, signals_of
+from made_up_buses import bus_text, robot_of
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot.robot import robot_from_files
+from acquisition.session.task import Task
 from identification.commands.program import main
 from identification.data.signals import SignalEvent, load_signals
 from identification.errors import IdentificationError
@@ -34,7 +37,7 @@ from identification.view.panels import (
 )
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
-from identification.view.signal_panels import event_log, health_plot, span_lanes
+from identification.view.signal_panels import event_log, extra_plots, health_plot, span_lanes
 from identification.view.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 
 SESSION = REPLAY / "scara" / "session.mcap"
@@ -204,6 +207,25 @@ def test_phases_events_and_counters_of_a_session_are_shown(tmp_path):
     ((late, counts),) = [c.line for c in plot.curves]
     np.testing.assert_allclose(late, [0.0, 0.0, 1.0, 2.0, end_s])
     np.testing.assert_allclose(counts, [0, 0, 2, 2, 3])
+
+
+def test_extra_objects_of_a_recording_are_shown(tmp_path):
+    robot = robot_of(bus_text(2, drive='extra = ["606C", "2082"]\nobjects = { "2082" = "U8" }'))
+    run = dry_session(tmp_path / "log.mcap", Task(reference=swing(2, seconds=0.6, amplitude=0.05)), robot=robot)
+    samples, signals = run.recording.samples, load_signals(tmp_path / "log.mcap")
+    speed, raw = extra_plots(signals)
+    assert (speed.title, raw.title) == ("velocity [rad/s]", "2082:0 [raw]")
+    for c, curve in enumerate([*speed.curves, *raw.curves]):
+        t_s, values = curve.line
+        np.testing.assert_allclose(t_s, signals.t_s)
+        np.testing.assert_array_equal(values, samples["extra"][:, [0, 2, 1, 3][c]])
+    write_recording_rrd(tmp_path / "view.rrd", signals, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    assert [
+        len(file.curves[f"/extra/velocity\\ rad\\/s/{m.name.replace(' ', chr(92) + ' ')}"][1]) for m in robot.motors
+    ]
+    assert extra_plots(made_up()) == []
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.recording import Recording, read_recording
-from acquisition.robot import Robot
+from acquisition.robot import ExtraColumn, Robot, extra_columns
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -43,6 +43,7 @@ class Signals:
         sha256: digest of the recording.
         events: what happened, in the order of the recording.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
+        extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
@@ -57,6 +58,7 @@ class Signals:
     sha256: str
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
+    extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
@@ -147,6 +149,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             for event in recording.events
         ),
         health=_health(recording, int(stamps[0])),
+        extras=_extras(samples, recording.robot),
         off_grid=off_grid,
     )
 
@@ -221,6 +224,14 @@ def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array
         t_s, counts = np.array(rows).T
         found[name] = (t_s, counts)
     return found
+
+
+def _extras(samples: NDArray[np.void], robot: Robot) -> dict[ExtraColumn, tuple[Array, Array]]:
+    """The extra objects of the drives at the samples' own times."""
+    if "extra" not in (samples.dtype.names or ()):
+        return {}
+    t_s = 1e-9 * (samples["stamp_ns"] - samples["stamp_ns"][0])
+    return {column: (t_s, x) for column, x in zip(extra_columns(robot), samples["extra"].T, strict=True)}
 
 
 def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:

@@ -12,7 +12,7 @@ from ..data import Signals
 from ..estimation import autocorrelation
 from ..methods import Fit
 from ..regression import Settings
-from .curves import Observed
+from .curves import Observed, extremes, thinning
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot
 
 TRACKING = "track"  # the phase that a fit uses
@@ -86,6 +86,19 @@ def health_plot(signals: Signals) -> Plot | None:
     faults = [f"{c.key} {c.line[1][-1]:g}" for c in curves if c.line[1][-1]]
     title = f"counted: {', '.join(faults) or 'no fault'}"
     return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
+
+
+def extra_plots(signals: Signals) -> list[Plot]:
+    """The extra objects of the drives, as recorded, a plot per quantity with a curve per motor."""
+    quantities: dict[tuple[str, str], list[Curve]] = {}
+    for column, (t_s, values) in signals.extras.items():
+        curves = quantities.setdefault((column.name, column.unit), [])
+        k = extremes(values, thinning(len(values)))
+        curves.append(Curve(key=column.motor, color=JOINTS[len(curves) % len(JOINTS)], line=(t_s[k], values[k])))
+    return [
+        Plot(path=("extra", f"{name} {unit}"), title=f"{name} [{unit or 'raw'}]", curves=tuple(curves))
+        for (name, unit), curves in quantities.items()
+    ]
 
 
 def within(t_s: float, end_s: float) -> float:

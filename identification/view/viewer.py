@@ -39,7 +39,7 @@ from .legend import fit_legend, numbers_of_plots, recording_legend
 from .panels import Note, Panel, Plot
 from .rerun_panels import show, shown_text
 from .robot_drawing import robot_scene
-from .signal_panels import event_log, health_plot, residual_bars, span_lanes, spectrum_drawings
+from .signal_panels import event_log, extra_plots, health_plot, residual_bars, span_lanes, spectrum_drawings
 
 
 def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None = None) -> None:
@@ -50,7 +50,7 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
     `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the plot's title;
     `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `robot`, `parameters`, `trust`, `passes`,
-    `residual`, `spectrum`, `session`, `events`, `health`, `report`.
+    `residual`, `spectrum`, `session`, `events`, `health`, `extra/<object>/<motor>`, `report`.
 
     Parameters
     ----------
@@ -235,17 +235,20 @@ def _answer(
 
 
 def _signal_pages(show: _Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
-    """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; what there is of it."""
+    """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; extra objects of drives."""
     spectra = [show(drawing) for drawing in spectrum_drawings(signals, settings)]
     lanes = span_lanes(signals, settings, fitted=fitted)
     below = [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]
     rows = [(rrb.Horizontal(*spectra), 5.0)] if spectra else []
     rows += [(show(lanes), 0.6 + 0.4 * len(lanes.lanes))] if lanes else []
     rows += [(rrb.Horizontal(*below), 2.0)] if below else []
-    if not rows:
-        return []
-    views, shares = zip(*rows, strict=True)
-    return [rrb.Vertical(*views, row_shares=list(shares), name="signal")]
+    pages = []
+    if rows:
+        views, shares = zip(*rows, strict=True)
+        pages.append(rrb.Vertical(*views, row_shares=list(shares), name="signal"))
+    if extras := [show(plot) for plot in extra_plots(signals)]:
+        pages.append(rrb.Grid(*extras, grid_columns=1 if len(extras) < 4 else 2, name="extra objects"))
+    return pages
 
 
 def _motion_page(signals: Signals, rows: list[list[Any]]) -> Any:
