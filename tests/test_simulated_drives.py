@@ -178,7 +178,7 @@ def test_a_boot_up_counts_as_the_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
     robot = robot_of(bus_text(1))
     made = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    made.drives.tell_heartbeats(100)
+    made.drives.set_heartbeats(100)
     assert made.drives.boot() == [(0x701, b"\0")]
     assert made.drives.advance(1_000_000_000) == []
     assert made.drives.advance(1_099_000_000) == []

@@ -174,7 +174,7 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
         ({(0x1016, 0): 0}, (), "1016: none in use: no free sub-index: the drive does not notice when the master dies"),
         ({}, (0x1016,), "1016: not there: the drive does not notice when the master dies"),
         ({(0x1029, 1): 1}, (), "1029:1 = 1: no change of the NMT state"),
-        ({(0x1400, 5): 0}, (), "1400:5 = 0: a PDO to the drive that stays away has no effect"),
+        ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
         ({(0x1400, 5): 50}, (), "1400:5 = 50: an error after 50 ms without the PDO"),
         ({(0x605A, 0): 0}, (), "quick stop 605A = 0: voltage off at once, the motor coasts"),
         ({(0x605A, 0): 6}, (), "quick stop 605A = 6: quick-stop ramp, then held in quick stop active"),

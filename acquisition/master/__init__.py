@@ -1,7 +1,7 @@
 """The CANopen master: requests and answers, listening, heartbeat, supervision, the one stop of all drives."""
 
 from .heartbeat import HEARTBEAT_ID, MasterHeartbeat
-from .homing import Confirm, confirm_positions, homed, joint_positions, position_words
+from .homing import Confirm, confirm_positions, homed, joint_positions, joints_of, position_words
 from .listening import LISTEN_S, listen, other_master, refuse_enabled, refuse_other_master, service_of
 from .master import OPERATIONAL, Master, Wire
 from .orders import Orders, send_orders
@@ -25,6 +25,7 @@ __all__ = [
     "error_words",
     "homed",
     "joint_positions",
+    "joints_of",
     "leave_operational",
     "listen",
     "not_disabled",

@@ -1,6 +1,6 @@
 """The heartbeat of this master, and the drives' supervision of it (CiA 301, 1016h: consumer heartbeat time).
 
-The heartbeat is sent at SYNC and nowhere else: a session that hangs sends none, and drives that supervise it stop.
+The heartbeat is sent only at SYNC: a session that hangs sends none, so the drives that supervise it stop.
 """
 
 import math
@@ -15,12 +15,12 @@ HEARTBEAT_ID = 0x700  # of CAN identifiers, plus the node id
 
 
 def timeout_ms(file: BusFile) -> int:
-    """Time without a heartbeat of the master after which a drive reacts: three heartbeats, of a SYNC period at least."""
+    """Time without a heartbeat of the master after which a drive reacts: three times its interval, a SYNC period at least."""
     return math.ceil(round(HEARTBEATS_PER_TIMEOUT * max(file.heartbeat_s, file.sync_period_s) * 1000, 6))
 
 
 def entry_of(file: BusFile) -> int:
-    """What this master writes to a sub-index of 1016h: node id << 16 | time-out in ms."""
+    """The value (U32) that this master writes to a sub-index of 1016h: node id << 16 | time-out in ms."""
     return file.master_node << 16 | timeout_ms(file)
 
 
@@ -40,19 +40,23 @@ def free_entry(entries: list[int], master_node: int) -> int | None:
 
 
 class MasterHeartbeat:
-    """Producer of the heartbeat; `request` before the first SYNC, `release` when drives are disabled."""
+    """Produces the heartbeat; call `request` before the first SYNC, and `release` once drives are disabled."""
 
     def __init__(self, master: Master) -> None:
         self._master, self._file = master, master.bus.file
-        self._before: dict[int, tuple[int, int]] = {}  # node: sub-index, and what was there
+        self._before: dict[int, tuple[int, int]] = {}  # by node: sub-index of 1016h, and its value before
         # A heartbeat is due at the last SYNC that is not later than `heartbeat_s` after the one before.
         self._due_ns = round(self._file.heartbeat_s * 1e9) - master.bus.period_ns
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Ask every drive to supervise this master; one line for each that cannot. From now on SYNC carries heartbeats.
+        """Write this master to the consumer heartbeat times (1016h) of every drive; heartbeats are sent with SYNC from now on.
 
-        A consumer starts at the first heartbeat: nothing is supervised before.
+        A drive supervises the master from the first heartbeat on (CiA 301).
+
+        Returns
+        -------
+        One line for each drive that does not supervise this master, with the reason.
         """
         refused = []
         for drive in self._master.bus.drives:
@@ -62,9 +66,9 @@ class MasterHeartbeat:
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
                     raise AcquisitionError(f"node {node}: object 1016: no free sub-index: expected one")
-                was = entries[sub - 1]
-                # Our own entry was left by a session that was killed.
-                self._before[node] = (sub, 0 if was == entry else was)
+                before = entries[sub - 1]
+                # An entry of this master was left by a session that was killed: it is removed at the end.
+                self._before[node] = (sub, 0 if before == entry else before)
                 self._master.write(node, CONSUMER_HEARTBEAT, sub, entry, 4)
             except AcquisitionError as error:
                 self._before.pop(node, None)
@@ -73,17 +77,21 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the nodes in `disabled`, then end the heartbeat; one line for each node that refuses.
+        """Restore 1016h of the nodes in `disabled`, then end the heartbeat.
 
-        The others keep their supervision: the end of the heartbeat stops them.
+        The other drives still supervise this master: they stop when the heartbeat ends.
+
+        Returns
+        -------
+        One line for each node that refuses the old value.
         """
         refused = []
         for node in disabled:
             if node in self._before:
-                sub, was = self._before.pop(node)
+                sub, before = self._before.pop(node)
                 try:
                     self._send()
-                    self._master.write(node, CONSUMER_HEARTBEAT, sub, was, 4)
+                    self._master.write(node, CONSUMER_HEARTBEAT, sub, before, 4)
                 except AcquisitionError as error:
                     refused.append(str(error))
         self._master.at_sync = lambda: None

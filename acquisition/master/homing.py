@@ -1,33 +1,41 @@
 """Checks before motion: every drive is homed, and the user has confirmed the joint positions.
 
-The zero of an incremental encoder is where it was switched on, and no limit of position means anything before homing.
+Before homing, the zero of an incremental encoder is the position at which it was switched on: position limits do not hold yet.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..robot import Drive, DriveFile, Robot, parse_homed
+from ..robot import Bus, Drive, DriveFile, Robot, parse_homed
 from .master import Master
 
-Confirm = Callable[[list[str]], bool]  # is shown the joint positions; True where the user confirms them
+Confirm = Callable[[list[str]], bool]  # shows the joint positions to the operator; True where they are confirmed
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Positions (n,) in rad or m, read by SDO. Raises `AcquisitionError` where a drive does not answer."""
-    motors = []
+    """Positions (n,) of the joints in rad or m, from the position objects (6064h or as described) read by SDO.
+
+    Raises `AcquisitionError` where a drive does not answer.
+    """
+    counts = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
-        counts = raw - (1 << drive.position.bits) if raw >> (drive.position.bits - 1) else raw
-        motors.append(drive.position_codec.si(np.array(counts)))
+        counts.append(raw - (1 << drive.position.bits) if raw >> (drive.position.bits - 1) else raw)
+    return joints_of(robot, master.bus, counts)
+
+
+def joints_of(robot: Robot, bus: Bus, counts: Sequence[int]) -> Array:
+    """Joint positions (n,) in rad or m of the drives' `counts` (n), in the order of the drives."""
+    motors = [drive.position_codec.si(np.array(c)) for drive, c in zip(bus.drives, counts, strict=True)]
     q: Array = robot.joint_position(np.array(motors, dtype=float)[None])[0]
     return q
 
 
 def position_words(robot: Robot, q: Array) -> list[str]:
-    """`joint_1 = 12.34 deg`, one for each joint; metres of one that slides."""
+    """One text for each joint, in degrees or metres: `joint_1 = 12.34 deg`."""
     return [
         f"{joint.name} = {value:.5f} m" if joint.type == "prismatic" else f"{joint.name} = {np.rad2deg(value):.2f} deg"
         for joint, value in zip(robot.joints, q, strict=True)
@@ -35,7 +43,10 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the drive says that it is homed; None where the description names no object for it."""
+    """Whether the object or bit that the description names for it (`homed`) reports the drive as homed; None without one.
+
+    Raises `AcquisitionError` where the drive does not answer.
+    """
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
@@ -53,9 +64,16 @@ def refuse_unhomed(master: Master) -> None:
 
 
 def confirm_positions(robot: Robot, master: Master, confirm: Confirm) -> list[str]:
-    """Joint positions as text, once confirmed.
+    """Refuse drives that are not homed, then ask the operator whether the measured joint positions are right.
 
-    Raises `AcquisitionError` where the user does not confirm, or a drive is not homed.
+    Returns
+    -------
+    One text for each joint, as confirmed: `joint_1 = 12.34 deg`.
+
+    Raises
+    ------
+    AcquisitionError
+        A drive is not homed or does not answer, or the operator does not confirm.
     """
     refuse_unhomed(master)
     words = position_words(robot, joint_positions(robot, master))

@@ -1,4 +1,4 @@
-"""Detects another master before anything is sent: half a second of listening, and the sender of a frame.
+"""Listens for another master before anything is sent, and names the service and node of a frame.
 
 Services by identifier: CiA 301, predefined connection set.
 """
@@ -13,13 +13,13 @@ from ..transport import Frame
 from .master import Master, Wire
 
 LISTEN_S = 0.5
-_SLICE_NS = 50_000_000  # in which a stop asked for is noticed
+_SLICE_NS = 50_000_000  # a stop is noticed after this time at the latest
 _OF_NODES = {0x80: "emergency of", 0x580: "SDO answer of", 0x600: "SDO request to", 0x700: "heartbeat of"}
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
 def listen(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
-    """Frames of `seconds`, error frames left out; ends early when `stopped()`. Nothing is sent."""
+    """Frames received during `seconds` without error frames; ends early when `stopped()` is true. Nothing is sent."""
     until_ns = link.now_ns() + round(seconds * 1e9)
     while link.now_ns() < until_ns and not stopped():
         frame = link.receive(min(until_ns, link.now_ns() + _SLICE_NS))
@@ -28,7 +28,7 @@ def listen(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: Fal
 
 
 def service_of(frame: Frame, sync_can_id: int) -> str:
-    """What a frame is and whose: `SYNC`, `NMT command`, `heartbeat of node 5`."""
+    """Service and node of a frame in words: `SYNC`, `NMT command`, `heartbeat of node 5`."""
     if frame.flags & EXTENDED:
         return f"29-bit frame 0x{frame.can_id:08X}"
     remote = "remote request for " if frame.flags & REMOTE else ""
@@ -49,13 +49,13 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
-    """What in a frame shows that another master is on the bus of these drives, None where nothing does.
+    """The service in words where a frame shows that another master is on the bus, None where it does not.
 
-    Only a master sends NMT, SDO requests, PDOs to drives, remote requests and, unless the description says that another
-    one does, SYNC. A heartbeat of a node that is none of the drives is that of a master, or of a device it looks after; a
-    boot-up means only that a node was switched on.
+    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests and, unless the description says that
+    another device does, SYNC. A heartbeat of a node that is not described comes from another master or from one of its
+    devices. A boot-up only shows that a node was switched on.
     """
-    said = service_of(frame, bus.file.sync_can_id)
+    service = service_of(frame, bus.file.sync_can_id)
     if frame.flags & EXTENDED:
         return None
     function, node = frame.can_id & 0x780, frame.can_id & 0x7F
@@ -63,13 +63,13 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     from_drives = {pdo.can_id for drive in bus.drives for pdo in drive.tpdos}
     to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     if frame.can_id == bus.file.sync_can_id:
-        return said if bus.file.sync_producer == "recorder" else None
+        return service if bus.file.sync_producer == "recorder" else None
     if frame.flags & REMOTE or frame.can_id == 0 or frame.can_id in to_drives or (function == 0x600 and node):
-        return said
+        return service
     if function == 0x700 and node and node not in ours and not _is_boot_up(frame):
-        return f"{said}, which is no drive of robot.toml"
-    if frame.can_id not in from_drives and said.startswith("RPDO"):
-        return said
+        return f"{service}, which is no drive of robot.toml"
+    if frame.can_id not in from_drives and service.startswith("RPDO"):
+        return service
     return None
 
 
@@ -78,7 +78,7 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_master(master: Master) -> str | None:
-    """Listen for half a second; what shows that another master is there, None where nothing does. Nothing is sent."""
+    """Listen for half a second; the first sign of another master in words, None without one. Nothing is sent."""
     signs = (sign_of_master(frame, master.bus) for frame in listen(master.link, LISTEN_S))
     return next((sign for sign in signs if sign is not None), None)
 
@@ -94,9 +94,16 @@ def refuse_other_master(master: Master) -> None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Nodes found in fault. Reads the state of every drive and writes nothing.
+    """Read the state (6041h) of every drive; nothing is written.
 
-    Raises `AcquisitionError` for a drive that gives torque although no master was heard, or does not answer.
+    Returns
+    -------
+    Node ids of the drives in fault.
+
+    Raises
+    ------
+    AcquisitionError
+        A drive gives torque although no master was heard, or does not answer.
     """
     in_fault = []
     for drive in master.bus.drives:

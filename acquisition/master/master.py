@@ -1,4 +1,4 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, the last values of every node. No decisions."""
+"""A CANopen master over a link: NMT, SDO, PDO configuration, and the last values of every node. It decides nothing."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -34,10 +34,10 @@ INTERPOLATION_PERIOD = 0x60C2
 
 
 class Wire(Protocol):
-    """What a master needs of a link."""
+    """The link as a master uses it."""
 
     def now_ns(self) -> int:
-        """Time of frames and deadlines."""
+        """The time of this link, that of deadlines."""
         ...
 
     def send(self, can_id: int, data: bytes) -> None:
@@ -78,7 +78,7 @@ class NodeWatch:
 
 
 class Master:
-    """Sends, and keeps what comes. Every frame passes `dispatch`, whatever is being waited for."""
+    """Sends requests and holds the last values received. Every frame received passes `dispatch`, whatever is awaited."""
 
     def __init__(self, link: Wire, bus: Bus) -> None:
         self.link, self.bus = link, bus
@@ -92,7 +92,7 @@ class Master:
         self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
 
     def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
-        """Receive until then; with `for_answers` only until every drive has answered SYNC."""
+        """Receive until `until_ns`; with `for_answers` only until every drive has answered SYNC."""
         while not (for_answers and all(watch.answers for watch in self.nodes)):
             frame = self.link.receive(until_ns)
             if frame is None:
@@ -100,7 +100,7 @@ class Master:
             self.dispatch(frame)
 
     def wait_for_sync(self, until_ns: int) -> bool:
-        """Receive until another producer's SYNC came; False when none did."""
+        """Receive until another producer's SYNC; False where none came before `until_ns`."""
         count = len(self.sync_times)
         while len(self.sync_times) == count:
             frame = self.link.receive(until_ns)
@@ -122,13 +122,13 @@ class Master:
         elif frame.can_id == self.bus.file.sync_can_id:
             self.sync_times.append(frame.time_ns)
             if self.bus.file.sync_producer == "recorder":
-                self.bus_error = "another producer sends SYNC"  # drives would take over targets at its instants
+                self.bus_error = "another producer sends SYNC"  # drives would apply targets at its times
             self._next_sync()
         elif function == ANSWER:
             self._answers[node] = frame.data
         elif node in self._by_node and function == 0x700 and frame.data:
             watch = self._by_node[node]
-            # By our clock: an adapter may stamp frames by its own.
+            # Time of the link: an adapter may stamp frames by its own clock.
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
@@ -141,7 +141,7 @@ class Master:
     def _process_data(self, frame: Frame) -> None:
         watch, pdo = self._by_pdo[frame.can_id]
         if len(frame.data) < pdo.length:
-            return  # too short: as if it had not come
+            return  # a PDO that is too short is ignored
         values, drive = pdo.unpack(frame.data), watch.drive
         watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
         counts = values.get((drive.position.index, drive.position.sub))
@@ -150,13 +150,13 @@ class Master:
             watch.answers += 1
 
     def sync(self) -> None:
-        """Send SYNC; count who did not answer the one before."""
+        """Send SYNC, and count the drives that did not answer the one before."""
         self._next_sync()
         self.synced_ns = self.link.now_ns()
         self.link.send(self.bus.file.sync_can_id, b"")
 
     def _next_sync(self) -> None:
-        """Count who did not answer the SYNC before; a drive that is only starting has its heartbeats' time for that."""
+        """Count the drives that did not answer the SYNC before, once they have reported operational or sent a position."""
         for watch in self.nodes:
             late = not watch.answers and (watch.started or watch.counts is not None)
             watch.silent_syncs = watch.silent_syncs + 1 if late else 0
@@ -164,16 +164,16 @@ class Master:
         self.at_sync()
 
     def nmt(self, command: int, node: int) -> None:
-        """Network management to one node; never to all (0): there may be other nodes than our drives."""
+        """Send an NMT command to one node; never to all (0), because other devices may be on the bus."""
         self.link.send(0, bytes([command, node]))
 
     def nmt_drives(self, command: int) -> None:
-        """Network management to each of our drives."""
+        """Send an NMT command to each drive."""
         for drive in self.bus.drives:
             self.nmt(command, drive.node)
 
     def start(self) -> None:
-        """START to all drives; values received before, positions above all, are discarded."""
+        """Send START to all drives. Values received before are discarded, so that no old position is taken for a new one."""
         for watch in self.nodes:
             watch.statusword, watch.counts = None, None
             watch.answers, watch.silent_syncs = 0, 0
@@ -184,7 +184,7 @@ class Master:
             watch.heard_ns = self.link.now_ns()
 
     def state(self, drive: Drive) -> State:
-        """State of a drive, asked for by SDO. Raises `AcquisitionError` when it does not answer."""
+        """State of a drive, read by SDO (6041h). Raises `AcquisitionError` when it does not answer."""
         return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
 
     def read(self, node: int, index: int, sub: int = 0) -> int:
@@ -198,12 +198,12 @@ class Master:
         check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
 
     def post(self, node: int, request: bytes) -> None:
-        """Send an SDO request whose answer `answered` has later, while other things go on."""
+        """Send an SDO request without waiting; `answered` returns its answer."""
         self._answers.pop(node, None)
         self.link.send(REQUEST + node, request)
 
     def answered(self, node: int, request: bytes) -> bytes | None:
-        """The answer to a request that was posted, once; None as long as there is none."""
+        """The answer to a request sent by `post`, once; None until it has arrived."""
         answer = self._answers.pop(node, None)
         return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
 
@@ -222,7 +222,10 @@ class Master:
             self.dispatch(frame)
 
     def configure(self) -> None:
-        """In PRE-OPERATIONAL: heartbeat and PDOs of every drive, as the description has them."""
+        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described.
+
+        Raises `AcquisitionError` where a drive refuses a value or does not answer.
+        """
         self.nmt_drives(PRE_OPERATIONAL)
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
@@ -234,14 +237,14 @@ class Master:
                         self.write(drive.node, *write)
 
     def _set_heartbeat(self, node: int, every_ms: int) -> None:
-        """Written only where it differs, in the size that the drive itself gives it: not all have the U16 of CiA 301."""
+        """Written only where it differs, in the size that the drive answers with: not all have the U16 of CiA 301."""
         place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
         answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
         if check_answer(answer, "value", place) != every_ms:
             self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
 
     def choose_mode(self, mode: Mode) -> None:
-        """Mode of operation and interpolation period of every drive. Raises `AcquisitionError` when one does not follow."""
+        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `AcquisitionError` unless 6061h follows."""
         for drive in self.bus.drives:
             axis = axis_of(drive)
             if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
@@ -261,14 +264,14 @@ class Master:
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:
-        """Differences between drives and description (identity, rated values), one line each."""
+        """Differences between drives and description in identity (1018h) and rated values, one line each."""
         found = []
         for drive in self.bus.drives:
             dictionary = drive.dictionary
             for sub, name, expected in dictionary.identity if dictionary is not None else ():
-                said = self.read(drive.node, IDENTITY, sub)
-                if said != expected:
-                    problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{said:X}"
+                raw = self.read(drive.node, IDENTITY, sub)
+                if raw != expected:
+                    problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{raw:X}"
                     found.append(f"{problem}: expected 0x{expected:X} as its dictionary says")
             for index, rated in drive.rated.items():
                 if dictionary is None or (index, 0) in dictionary.entries:

@@ -1,4 +1,4 @@
-"""What a master commands at each SYNC: a controlword and target counts for every drive, by their PDOs."""
+"""What a master commands at each SYNC: a controlword (6040h) and target counts (607Ah) for every drive, by PDO."""
 
 from ..protocol import MODE_OF_OPERATION, Mode
 from ..robot import axis_of
@@ -8,7 +8,7 @@ Orders = list[tuple[int, int]]  # controlword and target counts of each drive, i
 
 
 def send_orders(master: Master, orders: Orders) -> None:
-    """Send the orders of all drives. Raises `AcquisitionError` when the bus takes no frame."""
+    """Send the orders to all drives by PDO. Raises `AcquisitionError` when the bus takes no frame."""
     for watch, (control, target) in zip(master.nodes, orders, strict=True):
         send_order(master, watch, control, target)
 

@@ -81,8 +81,8 @@ def error_words(code: int) -> str:
 
 
 def error_report(master: Master, drive: Drive) -> str:
-    """Error register 1001h, last error 1003h:1 and error code 603Fh as read from the drive, empty where there are none."""
-    said = []
+    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where a drive has none of them."""
+    values = []
     for index, sub, name in (
         (ERROR_REGISTER, 0, "error register 1001"),
         (ERROR_FIELD, 1, "last error 1003:1"),
@@ -92,5 +92,5 @@ def error_report(master: Master, drive: Drive) -> str:
             value = master.read(drive.node, index, sub)
         except AcquisitionError:
             continue  # many drives lack one of them
-        said.append(f"{name} = " + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF)))
-    return f"node {drive.node} ({drive.name}): {', '.join(said)}" if said else ""
+        values.append(f"{name} = " + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF)))
+    return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""

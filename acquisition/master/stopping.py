@@ -1,7 +1,7 @@
-"""The one stop of all drives: quick stop, voltage off at standstill, and whether each drive confirmed that it is disabled.
+"""Stops all drives: quick stop, voltage off at standstill, then every drive is asked whether it is disabled.
 
-It needs a master and nothing else, so the session, the recorder's process (when the session is gone) and the command
-`disable` share it. It never raises `AcquisitionError`: no step keeps the next from being tried.
+The session, the recorder's process (after the session has died) and the command `disable` all use it; it needs only a master.
+It never raises `AcquisitionError`: when one step fails, the next is tried all the same.
 """
 
 from collections.abc import Callable, Iterable
@@ -13,21 +13,21 @@ from ..protocol import Command, State, answer_of, read_request, state_of, write_
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
 from .orders import send_order
 
-FALL_S = 0.05  # within which the speed of a drive must fall, or its quick stop does not work
-FALL_SHARE = 0.95  # of the speed at the start: more than this is no fall
-CAP_S = 0.5  # beyond the time that a drive takes to stop at its limit of acceleration, then voltage goes off anyway
-CONFIRM_S = 1.0  # for drives to confirm, once voltage is off
-ASK_S = 0.05  # between requests by SDO to one drive
+FALL_S = 0.05  # a quick stop works only if the speed falls within this time
+FALL_SHARE = 0.95  # of the speed at the start: the speed has fallen when it is below this
+CAP_S = 0.5  # after the time to stop at the acceleration limit, voltage is switched off even in motion
+CONFIRM_S = 1.0  # in which drives must confirm, after voltage is off
+ASK_S = 0.05  # between SDO requests to one drive
 WINDOW_S = 0.02  # over which speed is measured
 STANDSTILL_SHARE = 0.01  # of the speed limit
-STANDSTILL_COUNTS = 2  # in the window: noise of an encoder is no motion
-# No torque, and no way to torque without a new command from the start. Switched on is not disabled.
+STANDSTILL_COUNTS = 2  # in the window: encoder noise does not count as motion
+# In these states a drive gives no torque and needs a whole new enabling sequence. Switched on does not count as disabled.
 CONFIRMED = frozenset({State.SWITCH_ON_DISABLED, State.FAULT})
 
 
 @dataclass(kw_only=True)
 class _Stopping:
-    """One drive on its way to standstill; times are those of the link."""
+    """One drive while it is stopped; times are those of the link."""
 
     watch: NodeWatch
     since_ns: int
@@ -35,12 +35,12 @@ class _Stopping:
     speed_then: float | None = None  # counts/s at the start
     off_ns: int | None = None
     confirmed: bool = False
-    wrote: Command | None = None  # the last command that went out by SDO
+    wrote: Command | None = None  # the last command sent by SDO
     request: bytes = b""
     asked_ns: int = -(10**18)
 
     def observe(self, now_ns: int) -> None:
-        """A position that the drive sent at this SYNC."""
+        """Take the position that the drive sent at this SYNC, if it sent one."""
         counts = self.watch.counts
         if self.watch.answers and counts is not None:
             oldest_ns = now_ns - round(WINDOW_S * 1e9)
@@ -51,7 +51,7 @@ class _Stopping:
 
     @property
     def span_s(self) -> float:
-        """Time over which positions were seen."""
+        """Time between the first and the last position of the window."""
         return (self.seen[-1][0] - self.seen[0][0]) * 1e-9 if self.seen else 0.0
 
     @property
@@ -62,7 +62,7 @@ class _Stopping:
         return abs(self.seen[-1][1] - self.seen[0][1]) / self.span_s
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether the drive is at standstill, does not slow down, or its time is over."""
+        """Whether voltage goes off now: at standstill, or when the drive does not slow down, or when its time is over."""
         elapsed_s = (now_ns - self.since_ns) * 1e-9
         fastest, speed = self.watch.drive.speed_limit, self.speed
         if speed is not None and self.speed_then is not None:
@@ -73,28 +73,37 @@ class _Stopping:
 
     @property
     def longest_s(self) -> float:
-        """Time to stop at the limit of acceleration from the speed at the start (its limit, where that is not known)."""
+        """Time to stop from the speed at the start (unknown: the speed limit) at the acceleration limit, and CAP_S."""
         drive = self.watch.drive
         speed = self.speed_then if self.speed_then is not None else drive.speed_limit or 0.0
         return CAP_S + (speed / drive.acceleration_limit if drive.acceleration_limit else 0.0)
 
 
 def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
-    """Stop and disable every drive of `master`; node ids of those that did not confirm.
+    """Stop and disable every drive of `master`.
 
-    Quick stop by PDO and by SDO to all nodes at once, answers collected while SYNC goes on; voltage off for each drive at
-    its measured standstill, at once where its speed does not fall within 50 ms, at the latest after v/a + 0.5 s; then every
-    drive is asked for up to a second until it is in switch on disabled or fault. `after_sync` is called after every SYNC.
+    All drives get the quick stop at once, by PDO and by SDO, while SYNC continues. Voltage is switched off for each drive at
+    its measured standstill, at once where its speed does not fall within 50 ms, and at the latest after v/a + 0.5 s. Then
+    each drive's statusword (6041h) is read for up to a second, until it shows switch on disabled or fault (CiA 402).
+
+    Parameters
+    ----------
+    master : over a link that may send; PDOs are used where they are configured.
+    after_sync : called after every SYNC; an `AcquisitionError` from it is ignored.
+
+    Returns
+    -------
+    Node ids of the drives that did not confirm; empty where all are disabled.
     """
     now_ns = master.link.now_ns()
     drives = [_Stopping(watch=watch, since_ns=now_ns) for watch in master.nodes]
-    next_ns = max(now_ns, (master.synced_ns or 0) + master.bus.period_ns)  # in step with the SYNCs before
-    # A link that cannot be read any more lets no time go by: SYNCs are counted as well.
+    next_ns = max(now_ns, (master.synced_ns or 0) + master.bus.period_ns)  # the period of earlier SYNCs continues
+    # The loop is also limited by the number of SYNCs: on a link that cannot be read, time may stand still.
     longest_s = max(one.longest_s for one in drives) + CONFIRM_S
     for _ in range(round(2 * longest_s * 1e9 / master.bus.period_ns)):
         for one in drives:
             command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
-            with suppress(AcquisitionError):  # a bus that takes no frames now may take them later
+            with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
                 _command(master, one.watch, command)
             with suppress(AcquisitionError):
                 _ask(master, one, command)
@@ -120,25 +129,25 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
 
 
 def not_disabled(nodes: Iterable[int]) -> str:
-    """What a person must read first where drives did not confirm."""
+    """The message that is shown first where drives did not confirm."""
     return f"NOT DISABLED: nodes {', '.join(map(str, nodes))}: EMERGENCY STOP"
 
 
 def leave_operational(master: Master) -> None:
-    """Every node of the description to PRE-OPERATIONAL, one by one: after that no PDO commands them."""
+    """Set every drive to PRE-OPERATIONAL, one by one: from then on it takes no command by PDO."""
     for watch in master.nodes:
         with suppress(AcquisitionError):
             master.nmt(PRE_OPERATIONAL, watch.drive.node)
 
 
 def _command(master: Master, watch: NodeWatch, command: Command) -> None:
-    """By PDO, with the position at hand."""
-    if watch.counts is not None:  # else a target would be made up
+    """Send the command by PDO. The target is the last measured position; without one nothing is sent."""
+    if watch.counts is not None:
         send_order(master, watch, command.controlword, watch.counts)
 
 
 def _ask(master: Master, one: _Stopping, command: Command) -> None:
-    """By SDO: a new command at once; else, when the last request was answered or is lost, the question for the state."""
+    """Send a new command by SDO at once; then read the statusword each time the last request was answered or has timed out."""
     drive, now_ns = one.watch.drive, master.link.now_ns()
     since_ns = now_ns - one.asked_ns
     if one.wrote is command and since_ns < (SDO_TIMEOUT_NS if one.request else ASK_S * 1e9):
@@ -153,13 +162,13 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
 
 
 def _collect(master: Master, one: _Stopping) -> None:
-    """Take the answer to the last request: a state that is not what was commanded has the command written again."""
+    """Take the answer to the last request; where the drive is in another state than commanded, the command is sent again."""
     data = master.answered(one.watch.drive.node, one.request) if one.request else None
     if data is None:
         return
     one.request, answer = b"", answer_of(data)
     if answer.kind != "value":
-        one.asked_ns = -(10**18)  # written, or refused: what is the state now?
+        one.asked_ns = -(10**18)  # the write was accepted or refused: read the state at once
         return
     with suppress(AcquisitionError):
         state = state_of(answer.number)
@@ -169,12 +178,12 @@ def _collect(master: Master, one: _Stopping) -> None:
 
 
 def _sync(master: Master, next_ns: int) -> int:
-    """SYNC, ours or the other producer's where it still comes, and its answers; when the next one is due."""
+    """Send SYNC, or await that of the other producer, and take the answers; the time at which the next one is due."""
     link, period_ns = master.link, master.bus.period_ns
     with suppress(AcquisitionError):
         if master.bus.file.sync_producer == "recorder":
             master.wait(next_ns)
-            next_ns = max(next_ns, link.now_ns() - period_ns)  # no burst of SYNCs after a stall
+            next_ns = max(next_ns, link.now_ns() - period_ns)  # after a delay, no burst of SYNCs
             master.sync()
         else:
             master.wait_for_sync(link.now_ns() + 2 * period_ns)

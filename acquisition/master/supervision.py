@@ -45,7 +45,11 @@ _SUBJECTS = (
 
 
 def supervision_of(master: Master, drive: Drive) -> list[str]:
-    """The supervision that a drive has, one line for each object: loss of the master, stops, following error."""
+    """One line for each object of a drive's supervision: loss of the master, stops, following error.
+
+    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h, 6085h. An object that the drive does
+    not have is reported as not there; nothing is raised.
+    """
     return [
         _consumers(master, drive),
         _option(master, drive, ABORT_CONNECTION, "reaction"),
@@ -80,7 +84,7 @@ def _consumers(master: Master, drive: Drive) -> str:
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> str:
-    """An option code; those of CiA 402 stand 800h further on for each axis."""
+    """An option code in words; the objects of CiA 402 of each further axis are 800h higher."""
     raw = _read(master, drive, index + axis_of(drive))
     if raw is None:
         return f"{name} {index + axis_of(drive):04X}: not there"
@@ -99,7 +103,7 @@ def _event_timer(master: Master, drive: Drive) -> str:
     raw = _read(master, drive, RPDO_PARAMETERS, 5)
     name = f"missing targets {RPDO_PARAMETERS:04X}:5"
     if not raw:
-        return f"{name}{' = 0' if raw == 0 else ': not there'}: a PDO to the drive that stays away has no effect"
+        return f"{name}{' = 0' if raw == 0 else ': not there'}: a missing PDO to the drive has no effect"
     return f"{name} = {raw}: an error after {raw} ms without the PDO"
 
 
@@ -123,7 +127,7 @@ def _deceleration(master: Master, drive: Drive) -> str:
 
 
 def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
-    """None where the drive does not hold the object, or refuses."""
+    """The raw value; None where the drive does not have the object, or does not answer."""
     if drive.dictionary is not None and (index, sub) not in drive.dictionary.entries:
         return None
     try:

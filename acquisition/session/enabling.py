@@ -1,8 +1,8 @@
-"""Drives up to operation enabled and down again, all together, one transition of CiA 402 after the other.
+"""Enables and disables all drives together, one transition of CiA 402 after the other.
 
-While a drive is not enabled its target follows the measured position. It is held at the last position that came before the
-drive reported operation enabled: a target that followed further would let the arm sink when the brake opens, and the drive's
-own supervision of the following error would see nothing.
+While a drive is not enabled, its target follows the measured position. From the moment it reports operation enabled, its
+target stays at the last position before. If the target still followed, the arm could sink when the brake opens, and the
+drive's own supervision would see no following error.
 """
 
 from collections.abc import Iterator
@@ -12,7 +12,7 @@ from ..master import Master, Orders, status_words
 from ..protocol import Command, State, toward
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled
-# Down in order, so that a drive may brake and hold before it lets go.
+# One transition at a time, so that a drive can decelerate and engage its brake before voltage is off.
 _DOWN = {
     State.OPERATION_ENABLED: Command.SWITCH_ON,
     State.SWITCHED_ON: Command.SHUTDOWN,
@@ -27,17 +27,24 @@ def all_enabled(master: Master) -> bool:
 
 
 def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
-    """Orders until every drive is enabled; `targets` (n counts, empty at first) are left where drives were held.
+    """Orders of one SYNC after the other until every drive is in operation enabled; None where nothing is to be sent.
 
-    Raises `AcquisitionError` when a drive is not enabled in 5 s.
+    Parameters
+    ----------
+    targets : empty list; receives the target counts (n) at which the drives are held.
+
+    Raises
+    ------
+    AcquisitionError
+        A drive is not enabled after 5 s; the error names its node and state.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
-        if all(watch.counts is not None for watch in watches):
-            fresh = [watch.counts or 0 for watch in watches]
+        measured = [watch.counts for watch in watches if watch.counts is not None]
+        if len(measured) == len(watches):
             targets[:] = [
-                at if watch.state is State.OPERATION_ENABLED else now
-                for watch, at, now in zip(watches, targets or fresh, fresh, strict=True)
+                target if watch.state is State.OPERATION_ENABLED else counts
+                for watch, target, counts in zip(watches, targets or measured, measured, strict=True)
             ]
         if all_enabled(master):
             return
@@ -50,7 +57,7 @@ def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
             if watch.state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
             if command is Command.FAULT_RESET and k % 2:
-                command = None  # it acts on the rising edge
+                command = None  # a drive acts on the rising edge of this bit
             controls.append(command.controlword if command else 0)
         yield list(zip(controls, targets, strict=True))
     states = ", ".join(
@@ -62,7 +69,7 @@ def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
-    """Orders until every drive is in switch on disabled or in fault; targets stay. Raises `AcquisitionError` after 5 s."""
+    """Orders at constant targets until every drive is in switch on disabled or fault. Raises `AcquisitionError` after 5 s."""
     for _ in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         states = [watch.state for watch in master.nodes]
         if all(state in (State.SWITCH_ON_DISABLED, State.FAULT) for state in states):

@@ -11,10 +11,10 @@ from ..robot import Joint, Robot
 
 SILENT_SYNCS = 3  # in a row that a drive may leave unanswered
 LOST_HEARTBEATS = 3
-SPEED_MARGIN = 1.2  # over the limit, for what tracking overshoots
+SPEED_MARGIN = 1.2  # times the limit: the speed may overshoot while tracking
 SPEED_SYNCS = 5  # over which speed is measured
-CLEAR_SYNCS = 3  # in a row in which a bit that the drive sets in operation may be clear
-# Bits of the statusword that are set in operation, by the drives that know them.
+CLEAR_SYNCS = 3  # in a row in which a bit of _OPERATING is 0
+# Bits of the statusword that are 1 in operation. Some drives never set them: only a bit that was 1 before is checked.
 _OPERATING = {
     REMOTE: "does not take commands from the bus (statusword bit 9, remote, is 0)",
     FOLLOWS: "does not follow its target (statusword bit 12 is 0)",
@@ -23,17 +23,17 @@ _OPERATING = {
 
 @dataclass(kw_only=True)
 class MotionState:
-    """What the guards remember of the motion, from the start of enabling on.
+    """State of the motion that the guards compare with, from the start of enabling on.
 
     Attributes:
         enabling: until all drives are enabled.
         start: joint positions (n,) when enabling began.
         measured: joint positions of the last SYNCs, latest last.
         target: target position (n,) of the drives, None where they have none.
-        enabled: nodes that were enabled once.
-        seen: bits of the statusword that each node had set when it was enabled.
-        clear: how many SYNCs in a row each (node, bit) has been clear.
-        noted: node and text of warnings that were written down.
+        enabled: nodes that have been enabled.
+        seen: bits of the statusword that each node has set while it was enabled.
+        clear: number of SYNCs in a row in which each (node, bit) was 0.
+        noted: node and text of the warnings that were recorded.
     """
 
     enabling: bool = True
@@ -47,7 +47,7 @@ class MotionState:
 
 
 def node_fault(master: Master, now_ns: int) -> str | None:
-    """Emergencies, resets, lost heartbeats, missed answers, errors of the bus: reasons to end any active session."""
+    """Emergency, restart, lost heartbeat, missed answers or error of the bus: the reason to end any active session, or None."""
     if master.bus_error is not None:
         return f"bus: {master.bus_error}"
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
@@ -70,12 +70,12 @@ def node_fault(master: Master, now_ns: int) -> str | None:
 
 
 def motion_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
-    """States, limits and following errors: reasons to stop motion. To be called once each SYNC."""
+    """State, limit or following error: the reason to stop motion, or None. Called once per SYNC."""
     return state_fault(master, motion) or joint_fault(master, robot, motion)
 
 
 def state_fault(master: Master, motion: MotionState) -> str | None:
-    """A drive that leaves operation enabled, or whose statusword shows that it does not follow commands."""
+    """A drive has left operation enabled, or its statusword shows that it does not follow commands: the reason, or None."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"
@@ -95,7 +95,7 @@ def state_fault(master: Master, motion: MotionState) -> str | None:
 
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
-    """Position, speed and following error of each joint, and what it moves while drives are enabled."""
+    """Limits of position, speed, following error, and of motion while drives are enabled: the reason, or None."""
     q = motion.measured[-1]
     dq = None
     if len(motion.measured) > SPEED_SYNCS:
@@ -120,6 +120,6 @@ def joint_fault(master: Master, robot: Robot, motion: MotionState) -> str | None
 
 
 def _enable_motion(master: Master, joint: Joint) -> float:
-    """How far a joint may move while drives are enabled, rad or m."""
+    """Largest motion of a joint while drives are enabled, rad or m."""
     file = master.bus.file
     return float(np.radians(file.enable_motion_deg) if joint.type == "revolute" else file.enable_motion_m)

@@ -1,4 +1,4 @@
-"""The rhythm of SYNC: when it is sent or awaited, when it is too late, and whether the computer's clock was set."""
+"""Timing of SYNC: when it is sent or awaited, when it is too late, and whether the computer's clock was set."""
 
 import time
 
@@ -6,20 +6,20 @@ from ..errors import AcquisitionError
 from ..master import Master
 from ..robot import BusFile
 
-# In motion SYNC may be late by the larger of both, where `[bus] late_sync_s` is not stated.
+# In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is stated.
 LATE_PERIODS, LATE_S = 3, 0.02
-ABSENT_PERIODS = 50  # without another producer's SYNC, at rest
-ANSWER_SHARE = 0.7  # of a period, in which drives answer SYNC
-CLOCK_STEP_S = 0.05  # a clock that is slewed drifts by less from SYNC to SYNC
+ABSENT_PERIODS = 50  # at rest, without SYNC of the other producer
+ANSWER_SHARE = 0.7  # of a period: drives must answer SYNC within it
+CLOCK_STEP_S = 0.05  # a clock that is adjusted gradually changes by less from SYNC to SYNC
 
 
 def largest_delay_s(file: BusFile) -> float:
-    """How late SYNC may be in motion."""
+    """How late SYNC may be in motion, s."""
     return max(LATE_PERIODS * file.sync_period_s, LATE_S) if file.late_sync_s is None else file.late_sync_s
 
 
 class Pace:
-    """SYNC after SYNC, each with the answers to it."""
+    """Sends or awaits one SYNC after the other, each with the answers to it."""
 
     def __init__(self, master: Master) -> None:
         file = master.bus.file
@@ -29,20 +29,20 @@ class Pace:
         self.next_ns = 0
 
     def start(self) -> None:
-        """The first SYNC is a period from now."""
+        """Set the time of the first SYNC: a period from now."""
         self.next_ns = self._link.now_ns() + self._period_ns
 
     def sync(self, *, in_motion: bool) -> None:
-        """Wait for the instant, send SYNC (or await it), take the answers.
+        """Wait until SYNC is due, send it (or await that of the other producer), and take the answers.
 
-        Raises `AcquisitionError` where SYNC is later than allowed in motion, or does not come at all: drives would go on to
-        their last target, stop there, and jump with the next.
+        Raises `AcquisitionError` where SYNC is later than allowed in motion, or absent: drives would stop at their last
+        target, and the next target would be a step.
         """
         if self._ours:
             self._master.wait(self.next_ns)
             self._refuse_late(in_motion)
             if self._link.now_ns() > self.next_ns + self._period_ns:
-                self.next_ns = self._link.now_ns()  # after a stall time goes on from here: no burst of SYNCs
+                self.next_ns = self._link.now_ns()  # after a delay the period starts again from here: no burst of SYNCs
             self._master.sync()
         else:
             patience_ns = self._latest_ns if in_motion else ABSENT_PERIODS * self._period_ns
@@ -66,7 +66,7 @@ class Pace:
 
 
 class Clock:
-    """Notices when the computer's clock is set: frames that the kernel stamps jump, SYNC and its deadlines do not."""
+    """Detects that the computer's clock was set: kernel time stamps of frames jump then, SYNC and its deadlines do not."""
 
     def __init__(self) -> None:
         self._offset_ns = time.time_ns() - time.monotonic_ns()

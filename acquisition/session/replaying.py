@@ -1,4 +1,4 @@
-"""What the drives of a recording sent, and SYNC, back on a silent bus with its timing. Commands are never sent again."""
+"""Sends the frames of a recording's drives, and SYNC, on a silent bus with their timing. Commands are never sent again."""
 
 import time
 from pathlib import Path
@@ -14,15 +14,30 @@ from ..robot import BusFile, resolve
 from ..transport import open_link
 from .task import Stop
 
-WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second on loopback
+WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
 EMERGENCY, HEARTBEAT = 0x80, 0x700
 
 
 def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
-    """Send what drives sent, and SYNC, of the recording `path` in order; the number sent.
+    """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
-    Raises `AcquisitionError` where anyone is heard on the bus, where hardware may be on it and `onto_bus` is not given,
-    and where the bus refuses.
+    Parameters
+    ----------
+    path : the recording.
+    file : the bus to send on: interface and channel.
+    stop : ends the replay when it has a reason.
+    speed : times as fast as recorded, more than 0.
+    onto_bus : allows interfaces that hardware may be connected to.
+
+    Returns
+    -------
+    The number of frames sent.
+
+    Raises
+    ------
+    AcquisitionError
+        `speed` or the interface is refused, the recording holds no frames of drives, any frame is received on the bus
+        before the first is sent, or the bus takes no frames.
     """
     if not speed > 0:
         raise AcquisitionError(f"--speed {speed:g}: expected more than 0")
@@ -41,9 +56,9 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     try:
         listen_s = max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s)
         for frame in listen(link, listen_s, lambda: bool(stop.reason)):
-            who = service_of(frame, recording.robot.bus.sync_can_id)
+            service = service_of(frame, recording.robot.bus.sync_can_id)
             raise AcquisitionError(
-                f"{file.interface} {file.channel}: {who} is heard: expected a silent bus; nothing was sent"
+                f"{file.interface} {file.channel}: {service} is heard: expected a silent bus; nothing was sent"
             )
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
@@ -61,10 +76,10 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
 
 
 def from_drives(recording: Recording, place: str) -> Block:
-    """Frames that the drives of the recording's own description sent, and SYNC, of its channel with most frames.
+    """Frames that the drives of the recording sent, and SYNC, from the channel with the most frames.
 
-    PDOs by the PDO table, emergencies, SDO answers and heartbeats by node. Error frames, remote requests and 29-bit
-    frames are left out. Raises `AcquisitionError` where there are none.
+    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames,
+    remote requests and 29-bit frames are left out. Raises `AcquisitionError` where no frame is left.
     """
     if not recording.frames:
         raise AcquisitionError(f"{place}: holds no CAN frames: expected a recording of drives")

@@ -1,6 +1,6 @@
-"""SYNC in step on a busy machine: SCHED_FIFO, memory locked, no garbage collection in motion; and how evenly it comes.
+"""Real-time scheduling for SYNC (SCHED_FIFO, locked memory, no garbage collection), and the measured jitter of SYNC.
 
-Each only where the system permits it; what was granted is reported.
+Scheduling and locked memory need permission of the system; the recording says which were granted.
 """
 
 import ctypes
@@ -25,29 +25,29 @@ DEVIATIONS = 3  # of the jitter that must stay within the largest delay of SYNC
 
 @dataclass(frozen=True, kw_only=True)
 class Scheduling:
-    """What this process was granted."""
+    """What the system has granted to this process."""
 
     fifo: bool
     locked: bool
 
     @property
     def words(self) -> str:
-        """For people."""
+        """In words."""
         fifo = f"SCHED_FIFO, priority {PRIORITY}" if self.fifo else "SCHED_OTHER: SCHED_FIFO is not permitted (rtprio)"
         return f"{fifo}; memory {'locked' if self.locked else 'not locked: memlock is not unlimited'}"
 
     @property
     def counters(self) -> dict[str, float]:
-        """For `/health`."""
+        """As counters of `/health`."""
         return {"sched_fifo": float(self.fifo), "memory_locked": float(self.locked)}
 
 
 @contextmanager
 def steady() -> Iterator[Scheduling]:
-    """Real-time scheduling for this thread while SYNC is produced. Child processes that exist keep theirs, new ones get none.
+    """Real-time scheduling of this thread inside the block; everything is restored after it.
 
-    SCHED_FIFO with SCHED_RESET_ON_FORK where permitted, mlockall where the limit of locked memory is unlimited, and no
-    garbage collection inside.
+    SCHED_FIFO with SCHED_RESET_ON_FORK (new child processes do not inherit it) where permitted, mlockall(2) where the limit
+    of locked memory is unlimited, and no garbage collection. Yields what was granted.
     """
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
@@ -76,7 +76,7 @@ def _fifo() -> bool:
 
 
 def _lock_memory() -> bool:
-    """With a limit, allocations beyond it would fail in the middle of a session."""
+    """Lock all memory if there is no limit: with one, allocations beyond it would fail in the middle of a session."""
     soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
     return soft == resource.RLIM_INFINITY and _libc().mlockall(MCL_CURRENT | MCL_FUTURE) == 0
 
@@ -87,23 +87,31 @@ def _libc() -> ctypes.CDLL:
 
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Intervals of SYNC: their standard deviation and largest error, s, and the share more than half a period off."""
+    """Intervals between SYNCs.
+
+    Attributes:
+        sd_s: standard deviation.
+        worst_s: largest deviation from the period.
+        off: share of intervals that deviate by more than half a period, 0 to 1.
+        largest_s: largest delay of SYNC that is accepted in motion.
+    """
 
     sd_s: float
     worst_s: float
     off: float
-    largest_s: float  # delay of SYNC that a session in motion bears
+    largest_s: float
 
     @property
     def fit_for_motion(self) -> bool:
-        """Whether three standard deviations stay within the largest delay."""
+        """Whether three standard deviations are within the largest delay."""
         return DEVIATIONS * self.sd_s <= self.largest_s
 
 
 def sync_jitter(master: Master) -> Jitter:
-    """Measure for up to a second how evenly SYNC is sent from here, or arrives from its producer. Nothing is sent.
+    """Measure the jitter of SYNC over 200 periods or a second, 20 periods at least. Nothing is sent.
 
-    Raises `AcquisitionError` where another producer's SYNC does not come.
+    Where this master produces SYNC, the times at which it would be sent are measured, else the times at which it arrives.
+    Raises `AcquisitionError` where SYNC of the other producer is absent for 50 periods.
     """
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(JITTER_SYNCS, max(FEWEST_SYNCS, round(JITTER_S * 1e9 / period_ns)))
@@ -130,11 +138,11 @@ def sync_jitter(master: Master) -> Jitter:
 
 
 def refuse_jitter(master: Master) -> Jitter:
-    """Measure, and raise `AcquisitionError` where SYNC would be too late too often to move anything."""
+    """The jitter of SYNC as measured. Raises `AcquisitionError` where it is too large to move a robot."""
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise AcquisitionError(
             f"bus: SYNC jitter sd {found.sd_s * 1e3:.3f} ms: {DEVIATIONS} of it are more than {found.largest_s * 1e3:g} ms, "
-            "the largest delay in motion: expected less; stop other programs, or permit SCHED_FIFO (acquisition/README.md)"
+            "the largest delay in motion: expected less; end other programs, or permit SCHED_FIFO (acquisition/README.md)"
         )
     return found

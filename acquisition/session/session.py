@@ -1,14 +1,12 @@
-"""The only loop: listen, or configure and record, or enable, approach, track, stop. Safe state in `finally`.
+"""The session's loop: configure the drives and record, or enable, approach, track and stop. Drives are disabled in `finally`.
 
-Nothing moves unless a task has a reference. Whatever ends a session that touched the drives, its last act is to disable
-every one of them and to write down which ones confirmed it.
+Nothing moves unless the task has a reference. However a session ends, all drives that it commanded are disabled, and the
+recording says which of them confirmed it.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
-
-import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
@@ -17,6 +15,7 @@ from ..master import (
     MasterHeartbeat,
     Orders,
     error_report,
+    joints_of,
     leave_operational,
     notices,
     refuse_enabled,
@@ -32,7 +31,7 @@ from .guards import MotionState, motion_fault, node_fault
 from .pacing import Clock, Pace
 from .task import Outcome, SessionLog, Stop, Task
 
-HOLD_S = 0.3  # at the end of motion, before drives are disabled
+HOLD_S = 0.3  # the drives hold their position at the end of motion, before they are disabled
 
 
 def run_active(
@@ -43,12 +42,13 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, produce SYNC, record; follow the task's reference where it has one.
+    """Configure the drives, send SYNC and record; follow the task's reference if it has one.
 
     Parameters
     ----------
+    robot : the description; positions are checked against its limits.
     master : over an open link that may send.
-    log : takes events; its frames come from the link.
+    log : is given the events; it takes frames from the link by itself.
     task : without a reference nothing moves.
     stop : set from outside (Ctrl-C) to end the session.
     announce : called with the outcome as soon as it is known, also when an exception follows.
@@ -59,7 +59,9 @@ def run_active(
 
     Raises
     ------
-    Exceptions other than `AcquisitionError` from inside, after the drives were disabled.
+    BaseException
+        Any exception other than `AcquisitionError` that ended the session, after the drives were disabled. An
+        `AcquisitionError` is not raised: it is the reason of an outcome with `fault`.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
@@ -74,12 +76,12 @@ def run_active(
         reason = f"{type(error).__name__}: {error}"
         raise
     finally:
-        with suppress(AcquisitionError):  # a recorder that has ended keeps no drive enabled
+        with suppress(AcquisitionError):  # drives are disabled also when the recorder has ended
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
         outcome = Outcome(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
-            announce(outcome)  # before the drives are asked for more
+            announce(outcome)  # at once: the requests that follow take time
         if session.addressed:
             text = outcome.alarm or "every drive confirmed"
             with suppress(AcquisitionError):
@@ -95,7 +97,7 @@ def run_active(
 
 
 class _Session:
-    """One run: every method below either yields orders for one SYNC after the other, or carries them out."""
+    """One run. Phases are generators: they yield the orders of one SYNC after the other, and `_run` carries them out."""
 
     def __init__(self, robot: Robot, master: Master, log: SessionLog, task: Task, stop: Stop) -> None:
         self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
@@ -105,13 +107,13 @@ class _Session:
         self._heartbeat = MasterHeartbeat(master)
         self._until_ns: int | None = None
         self._motion: MotionState | None = None
-        self._held: list[int] = []  # target counts of the drives, as last commanded
+        self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
 
     def prepare(self) -> None:
-        """Everything that can be refused before a node is started."""
+        """Check all that can be checked, configure the drives, start them. Raises `AcquisitionError` where a check fails."""
         if self._task.reference is not None:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
@@ -119,12 +121,12 @@ class _Session:
         self._log.event(self._link.now_ns(), "phase", "configure")
         refuse_other_master(self._master)
         reset = "; it is reset" if self._task.reference is not None else ""
-        for node in refuse_enabled(self._master):  # by reading alone: who else holds a drive keeps it as it is
+        for node in refuse_enabled(self._master):  # only reads: a drive that another program has enabled stays as it is
             self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
         if self._task.reference is not None:
             for text in self._task.before_motion(self._master):
                 self._log.event(self._link.now_ns(), "mark", text)
-            self._master.wait(self._link.now_ns())  # frames received while the user was asked
+            self._master.wait(self._link.now_ns())  # takes the frames received while the operator was asked
         self.addressed = True
         self._master.configure()
         differences = self._master.differences()
@@ -141,47 +143,48 @@ class _Session:
             self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
 
     def phases(self) -> None:
-        """One phase after the other, each until it ends."""
+        """Run one phase after the other."""
         if self._task.reference is None:
             self._run("record", self._record())
             return
         reference = self._task.reference
         self._run("enable", self._enable())
         if not all_enabled(self._master):
-            self._run("disable", self._disable())  # a stop was asked for in between
+            self._run("disable", self._disable())  # the operator stopped the session
             return
         if not self._stop.reason:
-            # From where the drives are held, not from where they are: what the loops still lack would become a step.
-            way = approach(self._joints(self._held), reference[0], self._robot, self._period_s)
-            check_limits(way, self._robot, self._period_s, "the approach to the reference's start")
-            self._run("approach", self._follow(way))
+            # From the held targets, not from measured positions: the difference between them would be a step of the target.
+            path = approach(joints_of(self._robot, self._bus, self._held), reference[0], self._robot, self._period_s)
+            check_limits(path, self._robot, self._period_s, "the approach to the reference's start")
+            self._run("approach", self._follow(path))
         if not self._stop.reason:
             self._run("track", self._follow(reference))
         self._run("stop", self._hold())
         self._run("disable", self._disable())
 
     def _run(self, name: str, orders: Iterator[Orders | None]) -> None:
-        """Carry out a phase: at each SYNC answers, guards, then the next orders, in force from the SYNC after."""
+        """Carry out a phase: send the orders of each SYNC, which apply from that SYNC on, then SYNC, answers and guards."""
         self._log.event(max(self._pace.next_ns, self._link.now_ns()), "phase", name)
         for order in orders:
             if order is not None:
                 self._held = [target for _, target in order]
-                self._targets = [*self._targets[-3:], self._joints(self._held)]
+                self._targets = [*self._targets[-3:], joints_of(self._robot, self._bus, self._held)]
                 send_orders(self._master, order)
             self._sync()
 
     def _sync(self) -> None:
-        """SYNC at its time, the answers to it, and the guards."""
+        """Send or await SYNC, take the answers, check the guards. Raises `AcquisitionError` where one gives a reason."""
         motion = self._motion
         self._pace.sync(in_motion=motion is not None and bool(motion.enabled))
         now_ns = self._link.now_ns()
         reason = node_fault(self._master, now_ns)
         if reason is None and motion is not None:
-            if all(watch.counts is not None for watch in self._master.nodes):
-                q = self._positions()
+            counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
+            if len(counts) == self._robot.n:  # every drive has sent its position
+                q = joints_of(self._robot, self._bus, counts)
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
-                # The target of the SYNC before the last is where a drive is now: it takes a period to reach it.
+                # A drive takes a period to reach a target: its position now belongs to the target before the last.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
                 reason = motion_fault(self._master, self._robot, motion)
             if reason is None and self._stop.at_once:
@@ -198,7 +201,7 @@ class _Session:
             self._stop.reason = "disk nearly full"
 
     def _note(self, motion: MotionState) -> None:
-        """Write down what drives warn of, once each."""
+        """Record the warnings of the drives, each once."""
         for watch in self._master.nodes:
             for text in notices(watch.statusword or 0):
                 if (watch.drive.node, text) not in motion.noted:
@@ -207,21 +210,8 @@ class _Session:
                         self._link.now_ns(), "mark", f"node {watch.drive.node} ({watch.drive.name}): {text}"
                     )
 
-    def _positions(self) -> Array:
-        """Measured joint positions (n,)."""
-        for watch in self._master.nodes:
-            if watch.counts is None:
-                raise AcquisitionError(f"node {watch.drive.node}: no position yet: expected an answer to SYNC")
-        return self._joints([watch.counts or 0 for watch in self._master.nodes])
-
-    def _joints(self, counts: list[int]) -> Array:
-        """Joint positions (n,) of the drives' counts."""
-        motors = [d.position_codec.si(np.array(c)) for d, c in zip(self._bus.drives, counts, strict=True)]
-        q: Array = self._robot.joint_position(np.array(motors)[None])[0]
-        return q
-
     def _orders(self, q: Array) -> Orders:
-        """Joint targets (n,) for enabled drives."""
+        """Orders that keep drives enabled and give them the joint targets q (n,)."""
         motor = self._robot.motor_position(q[None])[0]
         counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
         return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]
@@ -231,7 +221,7 @@ class _Session:
             yield None
 
     def _enable(self) -> Iterator[Orders | None]:
-        """All drives to operation enabled, each held at its position; guards are active from here."""
+        """All drives to operation enabled, each held at its position. The guards of motion are active from here on."""
         self._motion = MotionState()
         targets: list[int] = []
         for order in enable(self._master, targets):
@@ -250,14 +240,15 @@ class _Session:
             yield held
 
     def _disable(self) -> Iterator[Orders]:
-        """Down in order, all drives together, and without the guards of motion."""
+        """All drives to switch on disabled, without the guards of motion: drives leave operation enabled here."""
         self._motion = None
         yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive, whatever happened; nodes that did not confirm.
+        """Stop and disable every drive; node ids of those that did not confirm.
 
-        Where nothing was commanded, drives that were started are only asked for their state, and any without torque will do.
+        A session without a reference has commanded nothing: its drives are only asked for their state, and every state
+        without torque counts as disabled.
         """
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
@@ -274,17 +265,17 @@ class _Session:
             return False
 
     def reports(self, unconfirmed: list[int]) -> list[str]:
-        """Error reports of drives in fault; drives that do not answer are not read."""
-        troubled = [
+        """Error reports of drives in fault, one line each; drives that did not confirm are not asked."""
+        in_fault = [
             watch.drive
             for watch in self._master.nodes
             if watch.emergency is not None or watch.state in (State.FAULT, State.FAULT_REACTION_ACTIVE)
         ]
-        asked = [drive for drive in troubled if self.addressed and drive.node not in unconfirmed]
+        asked = [drive for drive in in_fault if self.addressed and drive.node not in unconfirmed]
         return [text for drive in asked if (text := error_report(self._master, drive))]
 
     def leave(self, unconfirmed: list[int]) -> None:
-        """End the heartbeat, drives to PRE-OPERATIONAL."""
+        """End the heartbeat, and set the drives to PRE-OPERATIONAL."""
         if not self.addressed:
             return
         with suppress(AcquisitionError):

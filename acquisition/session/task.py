@@ -1,32 +1,29 @@
-"""What a session is asked to do, how it is stopped from outside, and how it ended."""
+"""The task of a session, its stop from outside, and its outcome."""
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Protocol
 
 from ..arrays import Array
-from ..master import (
-    Master,
-    not_disabled,
-)
+from ..master import Master, not_disabled
 from ..recorder import Status
 
 
 class SessionLog(Protocol):
-    """Where a session writes down what happens; the frames come to it by themselves."""
+    """The log of a session as the session uses it; frames reach the log from the link."""
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """Note what happened."""
+        """Record an event."""
         ...
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """Latest news of the recorder, None when there are none. Raises `AcquisitionError` when it has ended."""
+        """A new status of the recorder, or None. Raises `AcquisitionError` when the recorder has ended."""
         ...
 
 
 @dataclass(kw_only=True)
 class Stop:
-    """Set from outside (Ctrl-C, SIGTERM) to end a session in order; `at_once` by a quick stop."""
+    """Ends a session when `reason` is set from outside (Ctrl-C, SIGTERM); `at_once`: by a quick stop."""
 
     reason: str = ""
     at_once: bool = False
@@ -34,10 +31,14 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Task:
-    """What a session does: for how long, and along which joint positions (N, n), one row each SYNC.
+    """The task of a session: to record for a time, or to follow a reference.
 
-    `before_motion` looks at the drives before anything is written to them; it returns what is to be noted, and raises
-    `AcquisitionError` where nothing may move.
+    Attributes:
+        duration_s: of a session without a reference; None: until it is stopped.
+        reference: joint positions (N, n), one row per SYNC, rad or m; None: nothing moves.
+        place: the name of the reference in errors.
+        before_motion: checks the drives before anything is written to them; returns texts for the recording, and raises
+            `AcquisitionError` where nothing may move.
     """
 
     duration_s: float | None = None
@@ -48,9 +49,13 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """How a session ended: in order or by a fault, and which drives that were addressed did not confirm to be disabled.
+    """How a session ended.
 
-    `reports` are the error reports of drives in fault, one line each.
+    Attributes:
+        reason: in words.
+        fault: whether an error ended it.
+        unconfirmed: node ids of commanded drives that did not confirm to be disabled.
+        reports: error reports of drives in fault, one line each.
     """
 
     reason: str
@@ -60,10 +65,10 @@ class Outcome:
 
     @property
     def all_disabled(self) -> bool:
-        """Whether every drive that was addressed confirmed."""
+        """Whether every commanded drive confirmed."""
         return not self.unconfirmed
 
     @property
     def alarm(self) -> str:
-        """The message to be shown first, empty where every drive confirmed."""
+        """The message that is shown first; empty where every drive confirmed."""
         return not_disabled(self.unconfirmed) if self.unconfirmed else ""

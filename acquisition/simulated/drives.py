@@ -1,7 +1,7 @@
-"""CiA 402 drives on a bus in front of a plant: loops, quantisation, faults on demand. Driven by SYNC.
+"""CiA 402 drives that move a plant: control loops, quantisation, faults on demand.
 
-At SYNC a drive samples, answers, and takes over the targets it got since the last SYNC; then the plant goes on for one
-period. Time is that of the frames handed in, so a run in lock-step repeats bit for bit.
+At SYNC a drive samples, answers, and applies the targets received since the last SYNC; then the plant is stepped by one
+period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
 """
 
 from collections.abc import Sequence
@@ -30,7 +30,7 @@ class _Agenda:
     items: list[tuple[int, int, bytes]] = field(default_factory=list)
 
     def due(self, now_ns: int) -> Sent:
-        """Take out what is due, in order."""
+        """Remove the frames that are due and return them in order of time."""
         ready = sorted((item for item in self.items if item[0] <= now_ns), key=lambda item: item[0])
         self.items = [item for item in self.items if item[0] > now_ns]
         return [(can_id, data) for _, can_id, data in ready]
@@ -103,23 +103,23 @@ class SimulatedDrives:
 
     @property
     def all_disabled(self) -> bool:
-        """Whether no drive gives torque."""
+        """Whether every drive is in a state without torque."""
         return all(state in DISABLED for state in self.states)
 
-    def tell_heartbeats(self, every_ms: int) -> None:
-        """From their next boot on drives whose dictionaries ask for no heartbeat send one every `every_ms`."""
+    def set_heartbeats(self, every_ms: int) -> None:
+        """From their next boot on, drives whose dictionaries have a heartbeat time (1017h) of 0 send one every `every_ms`."""
         for node in self.nodes:
             if node.initial.get((HEARTBEAT_TIME, 0)) == 0:
                 node.initial[HEARTBEAT_TIME, 0] = every_ms
 
     def boot(self) -> Sent:
-        """Boot-up messages."""
+        """Boot all drives; their boot-up messages."""
         sent = [frame for node in self.nodes for frame in node.boot()]
         self._sample()
         return sent
 
     def receive(self, now_ns: int, can_id: int, data: bytes) -> Sent:
-        """What the drives send upon a frame."""
+        """The frames that the drives send upon a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
         sent: Sent = []
@@ -133,14 +133,14 @@ class SimulatedDrives:
         return sent
 
     def due_ns(self) -> int | None:
-        """When `advance` has something to do next."""
+        """When `advance` must be called next, None where nothing is due."""
         times = [item[0] for item in self._agenda.items]
         times += [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
         times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """Heartbeats and frames that are due; drives that miss SYNC go into fault."""
+        """Heartbeats and delayed frames that are due; drives that supervise SYNC or a master react where it is lost."""
         sent = self._agenda.due(now_ns)
         for i, node in enumerate(self.nodes):
             every_ns = self._heartbeat_ns(i)
@@ -181,12 +181,12 @@ class SimulatedDrives:
         return sent
 
     def _acting(self, i: int, kind: FaultKind | None = None) -> list[SimulatedFault]:
-        """Faults of drive `i` at this SYNC, of one kind or of all."""
+        """Faults of drive `i` that act at this SYNC, of one kind or of all."""
         node, k = self.nodes[i].drive.node, self._answered[i]
         return [f for f in self._faults if f.node == node and f.sync <= k < f.sync + f.count and kind in (None, f.kind)]
 
     def _answer(self, i: int, now_ns: int) -> Sent:
-        """TPDOs of drive `i`, with what goes wrong."""
+        """TPDOs of drive `i`, changed by the faults that act."""
         node, frames = self.nodes[i], self.nodes[i].answers()
         before: Sent = []
         for fault in self._acting(i):
@@ -209,19 +209,19 @@ class SimulatedDrives:
         return [] if i in self._silent else before + frames
 
     def _move(self) -> None:
-        """One period: targets, loops, plant."""
+        """Step control loops and plant by one period."""
         memory, loops, dt = self._memory, self._loops, self._period_s / SUBSTEPS
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
         stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
-        if self.plant.prescribed_effort() is not None:  # no loop is used
+        if self.plant.prescribed_effort() is not None:  # the control loops have no effect
             self.plant.step(memory.actual, ~enabled | stopping, self._period_s)
             return
         q, _ = self.plant.state()
-        # Quick stop: the target slows down at the joint's acceleration limit, in the same loop.
+        # Quick stop: the speed of the target falls at the joint's acceleration limit.
         slower = np.sign(memory.slope) * np.maximum(np.abs(memory.slope) - self._quick_stop * self._period_s, 0.0)
         target = np.where(stopping, memory.target + slower * self._period_s, self._targets(q, enabled & ~stopping))
-        # A drive that was just enabled starts from its position.
+        # A drive that was enabled at this SYNC starts from its measured position.
         memory.before = np.where(memory.held, q, memory.target)
         memory.target = target
         memory.held = ~enabled
@@ -231,8 +231,7 @@ class SimulatedDrives:
             q, dq = self.plant.state()
             share = (k + 1) / SUBSTEPS
             reference = memory.before + (target - memory.before) * share
-            # The speed fed forward goes from the last period's to this one's: a step would show as ripple in the effort,
-            # always in the same phase of the sample.
+            # The speed fed forward is interpolated between periods: a step at each SYNC would be a ripple of the effort.
             speed = memory.slope + (slope - memory.slope) * share
             error = loops.feedforward * speed + loops.position * (reference - self._quantised(q)) - dq
             memory.integral = np.where(enabled, memory.integral + loops.integral * error * dt, 0.0)
@@ -251,7 +250,7 @@ class SimulatedDrives:
         return any(f.kind == "stuck" and f.node == node and self._answered[i] >= f.sync for f in self._faults)
 
     def _targets(self, q: Array, enabled: NDArray[np.bool_]) -> Array:
-        """Joint targets out of 607Ah, the present position where a drive follows none."""
+        """Joint targets (n,) from 607Ah; the present position where a drive is not enabled or not in that mode."""
         motor = self._robot.motor_position(q[None])[0]
         for i, node in enumerate(self.nodes):
             in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
@@ -262,21 +261,21 @@ class SimulatedDrives:
         return target
 
     def _quantised(self, q: Array) -> Array:
-        """Joint positions as the encoders see them."""
-        seen: Array = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
-        return seen
+        """Joint positions (n,) as the encoders measure them."""
+        measured: Array = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
+        return measured
 
     def _counts(self, q: Array) -> NDArray[np.int64]:
         return self._positions.raw(self._robot.motor_position(q[None])[0])
 
     def _quantised_effort(self, effort: Array) -> Array:
-        """Joint efforts as the current loops are asked for them."""
+        """Joint efforts (n,) at the resolution of the drives' effort objects."""
         steps = self._robot.motor_effort(effort[None])[0] / self._effort_steps
-        asked: Array = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
-        return asked
+        quantised: Array = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
+        return quantised
 
     def _sample(self) -> None:
-        """Write position and effort into the dictionaries."""
+        """Write position, effort and speed into the object dictionaries."""
         q, dq = self.plant.state()
         counts = self._counts(q)
         speed = self._robot.R @ dq

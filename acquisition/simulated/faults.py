@@ -1,4 +1,4 @@
-"""Faults on demand: what goes wrong with a simulated drive, and when."""
+"""Faults that a simulated drive shows on demand."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,11 +10,12 @@ FaultKind = Literal[
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatedFault:
-    """Something goes wrong with `node` at the `sync`-th SYNC it answers (from 1), for `count` SYNCs.
+    """A fault of drive `node` from the `sync`-th SYNC that it answers (from 1), for `count` SYNCs.
 
-    `late`, `missing`, `duplicate`, `short` are about its PDOs; `silent` sends nothing more at all; `stuck` moves no more;
-    `slow` does not get from switched on to operation enabled; `deaf` neither answers SYNC nor takes over what came before
-    it; `clear` has the `bits` of its statusword at 0.
+    `emergency`: continuous over current (2310h); `reset`: it boots; `late`, `missing`, `duplicate`, `short`: its PDOs are;
+    `silent`: it sends nothing from then on; `stuck`: its joint stands still from then on; `slow`: it stays in switched on
+    when it is to be enabled; `deaf`: it neither answers SYNC nor applies the PDOs received before it; `clear`: the `bits` of
+    its statusword are 0.
     """
 
     kind: FaultKind

@@ -17,14 +17,14 @@ _NUMBERS = itertools.count()
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DryRun:
-    """A link in simulated time, and the drives at its other end; `close` both."""
+    """The link of a session in simulated time, and the drives at the other end of the bus; `close` closes both ends."""
 
     link: LockStepLink
     drives: SimulatedDrives
     other_end: Link
 
     def close(self) -> None:
-        """Leave the bus."""
+        """Close both ends of the bus."""
         self.link.close()
         self.other_end.close()
 
@@ -79,7 +79,7 @@ def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[
     """
     link = open_link(drives.bus.file, passive=False)
     try:
-        drives.tell_heartbeats(IDLE_HEARTBEAT_MS)
+        drives.set_heartbeats(IDLE_HEARTBEAT_MS)
         sent = drives.boot()
         ready()
         while not stopped():

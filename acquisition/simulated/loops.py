@@ -1,4 +1,4 @@
-"""Control loops of simulated drives: gains, and the values they keep from period to period."""
+"""Control loops of simulated drives: their gains and their state."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 
-SUBSTEPS = 4  # of the loops in a period
+SUBSTEPS = 4  # of the control loops in a SYNC period
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,7 +26,7 @@ class LoopGains:
 
 @dataclass(kw_only=True)
 class LoopMemory:
-    """What the loops remember, at the joints."""
+    """State of the loops at the joints, each (n,): target now and before, its slope, integral, efforts, held by brakes."""
 
     target: Array
     before: Array

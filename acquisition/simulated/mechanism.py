@@ -1,7 +1,7 @@
-"""Which mechanism simulated drives move, and with which loops: the described robot, or independent joints in its place.
+"""The mechanism that simulated drives move: the described robot, or independent joints in its place.
 
-The dynamics of a description's `[parameters]` are not known here. Who knows them offers them as an entry point of the group
-`robot_idim.plants`: a function of the robot that gives the plant and the loops of drives that suit its inertias. It raises
+This package does not know the dynamics of `[parameters]`. Another package offers them as an entry point of the group
+`robot_idim.plants`: a function of the robot that returns the plant and control loops that suit its inertias. It raises
 `AcquisitionError` where the description cannot be simulated.
 """
 
@@ -23,7 +23,7 @@ PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mechanism:
-    """What simulated drives move, and their loops; `warning` is set where it is not the described robot."""
+    """The plant that simulated drives move, and their loops; `warning` is set where it is not the described robot."""
 
     plant: Plant
     loops: LoopGains
@@ -31,9 +31,16 @@ class Mechanism:
 
 
 def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
-    """The robot of `[parameters]` where they are given and an installed package can simulate them, else independent joints.
+    """The mechanism of a description: the robot of its `[parameters]`, or independent joints without them.
 
-    Raises `AcquisitionError` where `[parameters]` describe no robot that can be simulated.
+    Returns
+    -------
+    Independent joints, with a warning, also where no installed package offers the robot's dynamics.
+
+    Raises
+    ------
+    AcquisitionError
+        The `[parameters]` cannot be simulated, or the entry point cannot be loaded.
     """
     if not robot.parameters:
         return _stand_in(robot, bus, "robot.toml has no [parameters]")
@@ -60,6 +67,9 @@ def rated_motor_effort(bus: Bus) -> Array:
 
 
 def typical_loops(robot: Robot, rated: Array) -> LoopGains:
-    """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast."""
+    """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast.
+
+    `rated`: efforts (n,) of the motors, as of `rated_motor_effort`.
+    """
     w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
     return LoopGains(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)

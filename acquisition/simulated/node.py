@@ -1,4 +1,4 @@
-"""One CiA 402 slave without I/O: object dictionary, SDO server, NMT, state machine, PDOs. Frames in, frames out."""
+"""One simulated CiA 402 drive without I/O: object dictionary, SDO server, NMT, state machine, PDOs."""
 
 from dataclasses import dataclass, field
 
@@ -38,7 +38,7 @@ from ..protocol import (
 )
 from ..robot import Drive, parse_homed
 
-NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state that a heartbeat tells: operational, stopped, pre-operational
+NMT_STATE = {1: 5, 2: 4, 128: 127}  # command to the state in heartbeats: operational, stopped, pre-operational
 RESET = (129, 130)
 CONSUMERS = 2  # heartbeats that a drive without a dictionary can supervise
 
@@ -48,7 +48,7 @@ Key = tuple[int, int]
 
 @dataclass(kw_only=True)
 class SimulatedNode:
-    """A drive as its master sees it. `values` are raw integers by (index, sub-index), as SDO and PDOs carry them."""
+    """A drive as its master sees it: `types` and raw integer `values` of its objects by (index, sub-index)."""
 
     drive: Drive
     types: dict[Key, str]
@@ -61,11 +61,11 @@ class SimulatedNode:
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
     cleared: int = 0
-    more_status: int = 0  # bits of the statusword beside those of the state
-    boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next one comes a heartbeat time later
+    more_status: int = 0  # bits of the statusword other than those of the state
+    boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next is sent a heartbeat time later
 
     def boot(self) -> Sent:
-        """Back to the values of the start; the boot-up message."""
+        """Reset all values to those at the start; the boot-up message."""
         self.initial = self.initial or dict(self.values)
         self.values = dict(self.initial)
         self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
@@ -75,7 +75,7 @@ class SimulatedNode:
 
     @property
     def operational(self) -> bool:
-        """Whether PDOs go in and out."""
+        """Whether PDOs are sent and received (NMT state operational)."""
         return self.nmt == 5
 
     def heartbeat(self) -> Sent:
@@ -95,7 +95,7 @@ class SimulatedNode:
         return [(0x80 + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
-        """What it answers to a frame; SYNC is not for here."""
+        """The answers to a frame other than SYNC."""
         node = self.drive.node
         if can_id == 0 and len(data) >= 2 and data[1] in (0, node):
             if data[0] in RESET:
@@ -104,7 +104,9 @@ class SimulatedNode:
                 self.nmt = NMT_STATE[data[0]]
                 option = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
                 if not self.operational and self.state is State.OPERATION_ENABLED and option:
-                    self.state = State.SWITCH_ON_DISABLED  # no more commands can come: the power stage goes off
+                    self.state = (
+                        State.SWITCH_ON_DISABLED
+                    )  # no commands can be received any more: the power stage is switched off
         elif can_id == 0x600 + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
         elif self.operational:
@@ -112,11 +114,11 @@ class SimulatedNode:
                 if pdo.can_id == can_id and len(data) >= pdo.length:
                     self.waiting[pdo.number] = data
                     if self.values.get((PARAMETERS["rpdo"][0] + pdo.number - 1, 2), 1) > 240:
-                        self.apply()  # an event-driven one acts at once
+                        self.apply()  # an event-driven RPDO acts at once
         return []
 
     def apply(self) -> None:
-        """Take over the RPDOs received since the last SYNC, and act on the controlword."""
+        """Apply the RPDOs received since the last SYNC, the controlword included."""
         for pdo in self.rpdos:
             data = self.waiting.pop(pdo.number, None)
             if data is not None:
@@ -128,13 +130,13 @@ class SimulatedNode:
         return [(pdo.can_id, pdo.pack(self.values)) for pdo in self.tpdos] if self.operational else []
 
     def tick(self) -> None:
-        """What the state machine does by itself; the statusword follows."""
+        """Make the automatic transitions of the state machine, and update the statusword."""
         self.state = AUTOMATIC.get(self.state, self.state)
         self.values[self.drive.status.index, 0] = self.statusword
 
     @property
     def statusword(self) -> int:
-        """Bits of the state, voltage present, remote; enabled it follows its target; homed. Less what is `cleared`."""
+        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed; without those in `cleared`."""
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
         return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
 
@@ -151,14 +153,14 @@ class SimulatedNode:
         self.tick()
 
     def _set(self, key: Key, value: int) -> None:
-        was = self.values.get(key, 0)
+        before = self.values.get(key, 0)
         self.values[key] = value
         if key == (CONTROLWORD, 0):
             command = command_of(value)
-            if command is Command.FAULT_RESET and was & 0x80:
-                return  # it acts on the rising edge only
+            if command is Command.FAULT_RESET and before & 0x80:
+                return  # acts on the rising edge only
             if command is not None:
-                self.state = TRANSITIONS.get((self.state, command), self.state)  # a drive ignores what is illegal
+                self.state = TRANSITIONS.get((self.state, command), self.state)  # illegal commands are ignored
         elif key == (MODE_OF_OPERATION, 0) and (MODE_DISPLAY, 0) in self.values:
             self.values[MODE_DISPLAY, 0] = value
 
@@ -208,7 +210,7 @@ class SimulatedNode:
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
-    """A slave with the objects of the drive's dictionary, or with the usual ones where objects are written out."""
+    """A drive with the objects of its dictionary; without one, the usual objects and those that the description names."""
     types: dict[Key, str] = {}
     values: dict[Key, int] = {}
     read_only: set[Key] = set()
@@ -219,7 +221,9 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 if not entry.writable:
                     read_only.add(key)
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
-        for (index, sub), value in list(values.items()):  # PDOs start disabled: a master enables those it uses
+        for (index, sub), value in list(
+            values.items()
+        ):  # PDOs are disabled at the start: a master enables those that it uses
             if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:

@@ -1,4 +1,4 @@
-"""What simulated drives move: effort at the joints in, position and speed out."""
+"""Plants that simulated drives move: joint efforts in, joint positions and speeds out."""
 
 from typing import Protocol
 
@@ -12,7 +12,7 @@ from ..robot import Robot
 
 Mask = NDArray[np.bool_]
 
-TYPICAL_LOAD = 0.3  # share of the rated effort that gravity takes on a level joint of an industrial arm
+TYPICAL_LOAD = 0.3  # of the rated effort: gravity load of a horizontal joint of an industrial arm
 
 
 class Plant(Protocol):
@@ -23,18 +23,18 @@ class Plant(Protocol):
         ...
 
     def prescribed_effort(self) -> Array | None:
-        """Effort (n,) that drives report in place of what their loops ask for; None for a plant that obeys."""
+        """Effort (n,) that drives report in place of that of their loops; None for a plant that their loops move."""
         ...
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
+        """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held` (n,)."""
         ...
 
 
 class JointwisePlant:
-    """Joints on their own: inertia a = effort - load cos(q) - viscous v - coulomb sign(v); each quantity (n,).
+    """Independent joints: inertia a = effort - load cos(q) - viscous v - coulomb sign(v); each quantity (n,).
 
-    `load` is the effort that holds a level joint; a joint that slides (`slides`) carries it wherever it is.
+    `load` is the effort that holds a horizontal joint; a prismatic joint (`slides`) carries it at every position.
     """
 
     def __init__(
@@ -48,11 +48,11 @@ class JointwisePlant:
         return self._q.copy(), self._dq.copy()
 
     def prescribed_effort(self) -> Array | None:
-        """None: it obeys."""
+        """None: the loops move it."""
         return None
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """Semi-implicit Euler; Coulomb friction stops a joint, but does not turn it round."""
+        """Semi-implicit Euler; Coulomb friction stops a joint, but does not reverse its motion."""
         load = self._load * np.where(self._slides, 1.0, np.cos(self._q))
         free = self._dq + duration_s / self._inertia * (effort - load - self._viscous * self._dq)
         rubbed = duration_s / self._inertia * self._coulomb
@@ -61,9 +61,9 @@ class JointwisePlant:
 
 
 def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
-    """A mechanism that the drives of `robot` can move well: half the rated effort gives the stated acceleration.
+    """Independent joints that suit the drives of `robot`: half the rated effort gives the stated acceleration.
 
-    Each joint carries `load_share` of its rated effort where it is level. It begins in the middle of its range.
+    A horizontal joint carries `load_share` of its rated effort. Each joint starts in the middle of its range.
     """
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
@@ -78,18 +78,18 @@ def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = T
 
 
 def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
-    """Inertias (n,) at the joints of which half the rated effort gives the stated acceleration."""
+    """Inertias (n,) at the joints: half the rated effort gives the stated acceleration."""
     acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
     return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
 
 
 def middle_of_range(robot: Robot) -> Array:
-    """Joint positions (n,) half way between the stated limits, 0 where none are stated."""
+    """Joint positions (n,) in the middle of the stated limits, 0 where none are stated; rad or m."""
     return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
 
 
 class TablePlant:
-    """Replays joint samples, one row every period, whatever the drives ask for."""
+    """Replays joint samples, one row per period, whatever the loops of the drives demand."""
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         if len(samples) == 0:
@@ -103,8 +103,8 @@ class TablePlant:
     def state(self) -> tuple[Array, Array]:
         """Position of the row; speed between it and the next."""
         q = self._samples["position"]
-        here, then = q[self._row], q[min(self._row + 1, len(q) - 1)]
-        return here.copy(), (then - here) * self._rate_hz
+        now, following = q[self._row], q[min(self._row + 1, len(q) - 1)]
+        return now.copy(), (following - now) * self._rate_hz
 
     def prescribed_effort(self) -> Array | None:
         """Effort of the row."""
@@ -112,5 +112,5 @@ class TablePlant:
         return effort
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """On to the row at the time reached."""
+        """Advance to the row at the time reached."""
         self._elapsed_s += duration_s
