@@ -179,9 +179,8 @@ class _Session:
         now_ns = self._link.now_ns()
         reason = node_fault(self._master, now_ns)
         if reason is None and motion is not None:
-            counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
-            if len(counts) == self._robot.n:  # every drive has sent its position
-                q = joints_of(self._robot, self._bus, counts)
+            q = self._positions()
+            if q is not None:
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
                 # A drive takes a period to reach a target: its position now belongs to the target before the last.
@@ -209,6 +208,11 @@ class _Session:
                     self._log.event(
                         self._link.now_ns(), "mark", f"node {watch.drive.node} ({watch.drive.name}): {text}"
                     )
+
+    def _positions(self) -> Array | None:
+        """Measured joint positions (n,), None until every drive has sent its own."""
+        counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
+        return joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
 
     def _orders(self, q: Array) -> Orders:
         """Orders that keep drives enabled and give them the joint targets q (n,)."""
