@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,12 +13,8 @@ from .options import above_zero, add_recording, add_settings, load, positive, re
 from .results import print_results, untrusted
 
 if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
     from ..data import Signals
     from ..methods import Fit
-    from ..model import BaseParameters
 
 
 def add(commands: Commands) -> None:
@@ -79,7 +76,9 @@ def run(options: argparse.Namespace) -> int:
             write_json(options.json, fit_file(signals, fit, document))
         if options.rrd:
             with Progress("writing the Rerun file"):
-                _write_rrd(options, signals, fit)
+                from ..view import write_fit_rrd
+
+                write_fit_rrd(options.rrd, signals, fit)
     finally:  # print the fit even if a file cannot be written
         print_results(document)
     return untrusted(fit.distrust)
@@ -95,16 +94,6 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
         return identify_ls(signals, overrides, method=options.method, essential=options.essential, say=say)
     values = None
     if options.start not in (None, "regular", "ls"):
-        stored = read_fit(Path(options.start))
-
-        def values(base: "BaseParameters") -> "NDArray[np.float64]":
-            return stored.beta(base, options.start)
-
+        values = partial(read_fit(Path(options.start)).beta, place=options.start)
     iteration = from_options(Iteration, options, values=values)
     return identify_iv(signals, overrides, iteration, essential=options.essential, say=say)
-
-
-def _write_rrd(options: argparse.Namespace, signals: "Signals", fit: "Fit") -> None:
-    from ..view import write_fit_rrd
-
-    write_fit_rrd(options.rrd, signals, fit)

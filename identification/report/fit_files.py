@@ -2,6 +2,7 @@
 
 import math
 import platform
+from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -18,16 +19,10 @@ from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
 
 
-class JointErrors(msgspec.Struct, frozen=True, kw_only=True):
-    """The torque errors of a joint in percent, as `estimation.TorqueError` has them; null where there are no such rows."""
+@dataclass(frozen=True, kw_only=True)
+class JointError(TorqueError):
+    """The torque errors of a joint in percent, with the unit of its torque; null where there are no such rows."""
 
-    name: str
-    relative_error_percent: float | None
-    moving_relative_error_percent: float | None
-    standing_relative_error_percent: float | None
-    moving_rows: int
-    standing_rows: int
-    autocorrelation: float | None
     unit: str
 
 
@@ -47,7 +42,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     relative_error_percent: float | None
     moving_relative_error_percent: float | None
     standing_relative_error_percent: float | None
-    joints: list[JointErrors]
+    joints: list[JointError]
     sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)]
     off_grid_periods: float
     cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] | None
@@ -226,7 +221,7 @@ def _on_recording(
         "relative_error_percent": whole.relative_error_percent,
         "moving_relative_error_percent": whole.moving_relative_error_percent,
         "standing_relative_error_percent": whole.standing_relative_error_percent,
-        "joints": [JointErrors(**vars(error), unit=unit) for error, unit in zip(errors[:-1], units, strict=True)],
+        "joints": [JointError(**vars(error), unit=unit) for error, unit in zip(errors[:-1], units, strict=True)],
         "sample_rate_hz": signals.sample_rate_hz,
         "off_grid_periods": signals.off_grid,
         "cutoff_hz": settings.cutoff_hz,

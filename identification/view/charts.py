@@ -21,8 +21,8 @@ TRUSTED = 3.0  # deviations that a difference should stay within
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Sheet:
-    """A drawing being made."""
+class Sheet:
+    """A drawing being made, in pixels, y downwards."""
 
     strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
     dots: list[tuple[float, float, Color]] = field(default_factory=list)
@@ -30,14 +30,16 @@ class _Sheet:
     labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
 
     def line(self, x0: float, y0: float, x1: float, y1: float, color: Color = GREY, radius: float = 0.25) -> None:
+        """A straight stroke."""
         self.strokes.append((((x0, y0), (x1, y1)), color, radius))
 
     def drawing(self, path: tuple[str, ...], title: str, size: tuple[float, float]) -> Drawing:
+        """The drawing with all that was put on the sheet."""
         return Drawing(path=path, title=title, size=size, **vars(self))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Scale:
+class Scale:
     """Where a number goes between two edges of the sheet, by way of a monotonic function; beyond them it stays there."""
 
     left: float
@@ -47,8 +49,9 @@ class _Scale:
     by: Callable[[float], float] = float
 
     def __call__(self, value: float) -> float:
+        """Where the number goes, in pixels."""
         low, high = self.by(self.low), self.by(self.high)
-        return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low)))
+        return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low or 1.0)))
 
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
@@ -56,7 +59,7 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
-    width, height, sheet = 540.0 / columns, 30 + pitch * rows, _Sheet()
+    width, height, sheet = 540.0 / columns, 30 + pitch * rows, Sheet()
     scale_of, ticks, axis = _value_scale([own, *others], names, 3 if columns == 1 else 2)
     sheet.labels.append((270.0, height + 4, axis, GREY))
     for c in range(columns):
@@ -78,15 +81,15 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
     width, pitch = SHEET[0] / columns, min(60.0, max(24.0, (SHEET[1] - 106) / rows))
-    height, sheet = 96 + pitch * rows, _Sheet()
+    height, sheet = 96 + pitch * rows, Sheet()
     scale_of, ticks, axis = _value_scale([own, *others], names, 2)
     apart = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
     parts = (0.46, 0.72) if others else (0.55, 1.0)  # where in a column the charts end
     for c in range(columns):
         left = width * c
         value = scale_of(left + 90, left + parts[0] * width - 20)
-        percent = _Scale(
-            left=left + parts[0] * width + 15, right=left + parts[1] * width - 15, low=0.01, high=100.0, by=_log10
+        percent = Scale(
+            left=left + parts[0] * width + 15, right=left + parts[1] * width - 15, low=0.01, high=100.0, by=log10
         )
         sheet.labels.append((0.5 * (value.left + value.right), 2, "value ± 2σ, SI units", LIGHT))
         sheet.labels.append((0.5 * (value.left + value.right), 26, axis, GREY))
@@ -95,7 +98,7 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
         for tick in (0.01, 0.1, 1.0, 10.0, 100.0):
             sheet.line(percent(tick), 78, percent(tick), height)
             sheet.labels.append((percent(tick), 54, f"{tick:g}", GREY))
-        far = _Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
+        far = Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
         if others:
             labels = " and ".join(values.label for values in others)
             sheet.labels.append((0.5 * (far.left + far.right), 2, f"{own.label} minus {labels}, in σ", LIGHT))
@@ -124,7 +127,7 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
 
 def _value_scale(
     sets: Sequence[ParameterSet], names: Sequence[str], decades: int
-) -> tuple[Callable[[float, float], _Scale], list[float], str]:
+) -> tuple[Callable[[float, float], Scale], list[float], str]:
     """An axis linear about zero and logarithmic beyond, to be put between two edges, its ticks, and what it is in words."""
     shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
     reach = max(abs(p.value) + 2 * max(p.sigma, p.spread) for p in shown)
@@ -133,22 +136,22 @@ def _value_scale(
     least = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
     linear = 2 * 10.0**least
 
-    def scale(left: float, right: float) -> _Scale:
-        return _Scale(left=left, right=right, low=-(10.0**top), high=10.0**top, by=lambda x: math.asinh(x / linear))
+    def scale(left: float, right: float) -> Scale:
+        return Scale(left=left, right=right, low=-(10.0**top), high=10.0**top, by=lambda x: math.asinh(x / linear))
 
     steps = range(top, least, -max(1, math.ceil((top - least) / decades)))
     ticks = [0.0, *(sign * 10.0**d for d in steps for sign in (-1, 1))]
     return scale, ticks, f"asinh scale: linear within ±{linear:g}, logarithmic beyond"
 
 
-def _value_axis(sheet: _Sheet, place: _Scale, ticks: Sequence[float], top: float, bottom: float) -> None:
+def _value_axis(sheet: Sheet, place: Scale, ticks: Sequence[float], top: float, bottom: float) -> None:
     for tick in ticks:
         sheet.line(place(tick), top, place(tick), bottom, GREY, 0.25 if tick else 0.75)
         sheet.labels.append((place(tick), top - 20, f"{tick:g}", GREY))
 
 
 def _value(
-    sheet: _Sheet, place: _Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
+    sheet: Sheet, place: Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
 ) -> None:
     """A parameter's dot with its deviations, and below it the others' crosses with theirs; an upright line if exact."""
     p, color = own.parameters[name], _color(own, name)
@@ -182,17 +185,18 @@ def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
 
 
-def _log10(x: float) -> float:
+def log10(x: float) -> float:
+    """The decimal logarithm, defined for 0 too."""
     return math.log10(max(x, 1e-300))
 
 
 def passes_drawing(fit: Fit) -> Drawing:
     """Did the iteration settle: residual, largest change, condition and tracking, pass by pass."""
     assert fit.iv is not None
-    passes, sheet = fit.iv.passes, _Sheet()
+    passes, sheet = fit.iv.passes, Sheet()
     width, each, left, right = 470.0, 0.24 * SHEET[1], 40.0, 450.0
     last = len(passes)
-    across = _Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
+    across = Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
     strips: list[tuple[str, Callable[[Pass], float | None], bool, Color]] = [
         ("residual norm, weighted", lambda p: p.residual_norm, False, VERMILLION),
         ("largest change of a parameter, in its σ", lambda p: p.change_sigma, True, ORANGE),
@@ -209,12 +213,12 @@ def passes_drawing(fit: Fit) -> Drawing:
         low, high = min(x for _, x in points), max(x for _, x in points)
         if logarithmic:
             low, high = max(min(low, 0.5), 1e-3), max(high, 1.0)
-            up = _Scale(left=bottom - 10, right=top + 22, low=low, high=high, by=_log10)
+            up = Scale(left=bottom - 10, right=top + 22, low=low, high=high, by=log10)
             sheet.line(left, up(0.5), right, up(0.5), GREY, 0.75)
             sheet.labels.append((left - 18, up(0.5) - 10, "σ/2", GREY))
         else:
             margin = max(0.5 * (high - low), 0.02 * abs(high), 1e-12)
-            up = _Scale(left=bottom - 10, right=top + 22, low=low - margin, high=high + margin)
+            up = Scale(left=bottom - 10, right=top + 22, low=low - margin, high=high + margin)
         line = [(across(k), up(x)) for k, x in points]
         if len(line) > 1:
             sheet.strokes.append((line, color, 0.75))
@@ -230,13 +234,13 @@ def passes_drawing(fit: Fit) -> Drawing:
 
 def study_drawing(runs: Sequence[Run], true: Array) -> Drawing:
     """Error of every run over its cut-off, least squares and instrumental variables of a run joined, and their medians."""
-    sheet, (width, height) = _Sheet(), STUDY_SHEET
+    sheet, (width, height) = Sheet(), STUDY_SHEET
     cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
     errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
-    low, high = 10 ** math.floor(_log10(min(errors, default=1.0))), 10 ** math.ceil(_log10(max(errors, default=100.0)))
-    up = _Scale(left=height - 80, right=60, low=low, high=high, by=_log10)
-    across = _Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
-    for power in range(round(_log10(low)), round(_log10(high)) + 1):
+    low, high = 10 ** math.floor(log10(min(errors, default=1.0))), 10 ** math.ceil(log10(max(errors, default=100.0)))
+    up = Scale(left=height - 80, right=60, low=low, high=high, by=log10)
+    across = Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
+    for power in range(round(log10(low)), round(log10(high)) + 1):
         y = up(10.0**power)
         sheet.line(70, y, width - 20, y)
         sheet.labels.append((40, y - 10, f"{10.0**power:g} %", GREY))

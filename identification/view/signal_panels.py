@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy import signal
@@ -12,6 +11,7 @@ from ..data import Signals
 from ..estimation import autocorrelation
 from ..methods import Fit
 from ..regression import Settings
+from .charts import Scale, Sheet, log10
 from .curves import Observed, extremes, thinning
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot
 
@@ -147,34 +147,30 @@ def _log_log(
     marks: Sequence[tuple[float, str]],
 ) -> Drawing:
     """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
-    sheet = np.array([900.0, 560.0])
-    all_x, all_y = (np.log10(np.concatenate([c[i] for c in curves])) for i in (1, 2))
-    low = np.array([all_x.min(), math.floor(max(all_y.min(), all_y.max() - 12))])
-    high = np.array([all_x.max(), math.ceil(all_y.max())])
-    frame = np.array([[70.0, 20.0], [sheet[0] - 20, sheet[1] - 50]])  # left, top; right, bottom
-
-    def place(x: Any, y: Any) -> Array:
-        u = (np.column_stack([x, y]) - low) / np.maximum(high - low, 1e-9)
-        u[:, 1] = 1.0 - u[:, 1]
-        return np.asarray(frame[0] + np.clip(u, 0, 1) * (frame[1] - frame[0]))
-
-    strokes: list[tuple[Any, Color, float]] = []
-    labels: list[tuple[float, float, str, Color]] = []
-    for d in range(math.ceil(low[0]), math.floor(high[0]) + 1):
-        strokes.append((place([d, d], [low[1], high[1]]), GREY, 0.25))
-        labels.append((float(strokes[-1][0][0, 0]), frame[1, 1] + 5, f"{10.0**d:g}", GREY))
-    for d in range(int(low[1]), int(high[1]) + 1):
-        strokes.append((place([low[0], high[0]], [d, d]), GREY, 0.25))
-        labels.append((35.0, float(strokes[-1][0][0, 1]) - 10, f"1e{d:+d}", GREY))
+    sheet, (left, top, right, bottom) = Sheet(), (70.0, 20.0, 880.0, 510.0)
+    all_x, all_y = (np.concatenate([c[i] for c in curves]) for i in (1, 2))
+    highest = math.ceil(log10(all_y.max()))
+    lowest = math.floor(max(log10(all_y.min()), log10(all_y.max()) - 12))
+    across = Scale(left=left, right=right, low=all_x.min(), high=all_x.max(), by=log10)
+    up = Scale(left=bottom, right=top, low=10.0**lowest, high=10.0**highest, by=log10)
+    for d in range(math.ceil(log10(all_x.min())), math.floor(log10(all_x.max())) + 1):
+        at = across(10.0**d)
+        sheet.line(at, top, at, bottom)
+        sheet.labels.append((at, bottom + 5, f"{10.0**d:g}", GREY))
+    for d in range(lowest, highest + 1):
+        at = up(10.0**d)
+        sheet.line(left, at, right, at)
+        sheet.labels.append((35.0, at - 10, f"1e{d:+d}", GREY))
     for k, (x, name) in enumerate(marks):
-        at = math.log10(x)
-        if low[0] < at < high[0]:
-            strokes.append((place([at, at], [low[1], high[1]]), GREY, 1.25))
-            labels.append((float(strokes[-1][0][0, 0]), frame[1, 1] - 60 + 26 * k, f"{name} {x:g} Hz", GREY))
+        if all_x.min() < x < all_x.max():
+            at = across(x)
+            sheet.line(at, top, at, bottom, GREY, 1.25)
+            sheet.labels.append((at, bottom - 60 + 26 * k, f"{name} {x:g} Hz", GREY))
     for j, (name, f, amplitude) in enumerate(curves):
-        strokes.append((place(np.log10(f), np.log10(amplitude)), JOINTS[j % len(JOINTS)], 0.75))
-        labels.append((frame[1, 0] - 70, frame[0, 1] + 26 * j, name, JOINTS[j % len(JOINTS)]))
-    return Drawing(path=path, title=title, size=(sheet[0], sheet[1]), strokes=strokes, dots=[], labels=labels)
+        color = JOINTS[j % len(JOINTS)]
+        sheet.strokes.append(([(across(x), up(y)) for x, y in zip(f, amplitude, strict=True)], color, 0.75))
+        sheet.labels.append((right - 70, top + 26 * j, name, color))
+    return sheet.drawing(path, title, (900.0, 560.0))
 
 
 def residual_of_moving(seen: Observed, j: int) -> Array:

@@ -36,7 +36,7 @@ from ..study import Run
 from .charts import parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import motion_plots, observed, position_plots, torque_plots
 from .legend import fit_legend, numbers_of_plots, recording_legend
-from .panels import Note, Panel, Plot
+from .panels import Drawing, Note, Panel, Plot
 from .rerun_panels import show, shown_text
 from .robot_drawing import robot_scene
 from .signal_panels import event_log, extra_plots, health_plot, residual_bars, span_lanes, spectrum_drawings
@@ -67,11 +67,7 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     compared = truth.tobytes() if truth is not None else b""
     identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
-
-    def pages(show: "_Show") -> list[Any]:
-        return _fit_pages(show, signals, fit, truth)
-
-    _write(path, signals.robot.name, identity, name, pages)
+    _write(path, signals.robot.name, identity, name, lambda show: _fit_pages(show, signals, fit, truth))
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
@@ -94,11 +90,13 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
         settings = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = str(error)
-
-    def pages(show: "_Show") -> list[Any]:
-        return _recording_pages(show, signals, settings, refusal)
-
-    _write(path, signals.robot.name, f"{signals.sha256} {settings}", signals.recording, pages)
+    _write(
+        path,
+        signals.robot.name,
+        f"{signals.sha256} {settings}",
+        signals.recording,
+        lambda show: _recording_pages(show, signals, settings, refusal),
+    )
 
 
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
@@ -109,17 +107,11 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
     AcquisitionError : where the file `path` cannot be written.
     IdentificationError : where the sets do not belong together, as `report.differences` has it.
     """
-    document = comparison_document(own, other)
-
-    def pages(show: "_Show") -> list[Any]:
-        return [
-            rrb.Horizontal(
-                show(trust_drawing(own, [other])), show(_note(document)), column_shares=[3, 1], name="parameters"
-            )
-        ]
-
-    name = f"{own.label} and {other.label}"
-    _write(path, name, repr((own, other)), name, pages)
+    document, name = comparison_document(own, other), f"{own.label} and {other.label}"
+    drawing = trust_drawing(own, [other])
+    _write(
+        path, name, repr((own, other)), name, lambda show: _drawing_page(show, drawing, document, "parameters", (3, 1))
+    )
 
 
 def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, document: Document) -> None:
@@ -137,17 +129,13 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
     ------
     AcquisitionError : where the file cannot be written.
     """
-
-    def pages(show: "_Show") -> list[Any]:
-        drawing = study_drawing(runs, true)
-        return [rrb.Horizontal(show(drawing), show(_note(document)), column_shares=[3, 2], name="study")]
-
+    drawing, identity = study_drawing(runs, true), repr([(run.number, run.error_iv, run.error_ls) for run in runs])
     _write(
         path,
         f"{robot} study",
-        repr([(run.number, run.error_iv, run.error_ls) for run in runs]),
+        identity,
         f"{robot}, study",
-        pages,
+        lambda show: _drawing_page(show, drawing, document, "study", (3, 2)),
     )
 
 
@@ -212,6 +200,11 @@ def _recording_pages(show: _Show, signals: Signals, settings: Settings | None, r
         *_signal_pages(show, signals, settings, fitted=False),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, None, seen, j)] for j in range(n)]),
     ]
+
+
+def _drawing_page(show: _Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
+    """One page: a drawing and its report."""
+    return [rrb.Horizontal(show(drawing), show(_note(document)), column_shares=list(shares), name=name)]
 
 
 def _note(document: Document) -> Note:
