@@ -26,17 +26,26 @@ class RobotIdimError(Exception):
         key: what is wrong there, `joint[0].name`; empty where not given.
         value: the value found at `key`; None where it is missing, or not given.
         expected: what to write instead; empty where not given.
+
+    `shown` is the value as the message has it, where that is not its `repr`: a number in hexadecimal, or with a unit.
     """
 
     def __init__(
-        self, text: str = "", *, place: str = "", key: str = "", value: Any = _NO_VALUE, expected: str = ""
+        self,
+        text: str = "",
+        *,
+        place: str = "",
+        key: str = "",
+        value: Any = _NO_VALUE,
+        shown: str = "",
+        expected: str = "",
     ) -> None:
         self.place, self.key, self.expected = place, key, expected
         self.value = None if value is _NO_VALUE else value
         if value is None:
             key = f"{key} is missing"
         elif value is not _NO_VALUE:
-            key = f"{key} = {value!r}"[: len(key) + _LONGEST_VALUE]
+            key = f"{key} = {shown or repr(value)}"[: len(key) + _LONGEST_VALUE]
         parts = (place, key, text, expected and f"expected {expected}")
         super().__init__(one_line(": ".join(part for part in parts if part)))
 

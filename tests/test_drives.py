@@ -75,16 +75,16 @@ def test_a_rate_of_six_axes():
         (('reference = "6074"', 'reference = "6074"\nreference_rule = "A"'), "reference_rule = 'A': expected one of per mille"),
         (('reference = "6074"', 'reference = "6074"\nreference_rule = "mA"'), "'mA': gives A: expected N m as motor"),
         (('reference = "6074"', 'reference = "2222"'), "reference = '2222': its type is not known"),
-        (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is not there: 2222:0 (I16)"),
+        (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "I16" }'), "reference_rule is missing: 2222:0 (I16)"),
         (('reference = "6074"', 'reference = "2222"\nobjects = { 2222 = "F32" }'), "objects[2222] = 'F32': expected one of I8"),
         (('reference = "6074"', ""), "reference is missing: expected the object of the current or torque reference"),
-        (("rated_torque_nm = 0.42", ""), "rated_torque_nm is not there: expected the rated value"),
+        (("rated_torque_nm = 0.42", ""), "rated_torque_nm is missing: expected the rated value"),
         (("counts_per_turn = 65536", ""), "counts_per_turn is missing: expected counts_per_turn or counts_per_m"),
         (("node = 1\n", 'node = 1\ndictionary = "../x.eds"\n'), "dictionary = '../x.eds': expected the name of a file beside"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064", "606C"] }]\n'), "2 + 4 + 4 = 10 bytes: expected 8"),
         (("node = 1\n", 'node = 1\ntpdo = [{ objects = ["6041", "6064"] }]\n'), "no PDO from the drive carries 6074:0"),
         (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], can_id = 0x80 }]\n'), "0x080: expected 0x181 to 0x57F"),
-        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 5 }]\n'), "can_id is not there"),
+        (("node = 1\n", 'node = 1\nrpdo = [{ objects = ["6040"], number = 5 }]\n'), "can_id is missing"),
         (("node = 1\n", 'node = 1\nmapping = "dictionary"\n'), "expected a dictionary (EDS or DCF)"),
     ],
 )  # fmt: skip
@@ -194,7 +194,7 @@ def test_an_object_the_dictionary_does_not_hold():
     refused(text, "reference = '6074': a.eds does not contain it", {dictionary_label("a.eds"): data})
     text = text.replace('reference = "6074"', 'reference = "2031"')  # a U32 there, and no current reference
     nanotec = (needs_data("eds") / "nanotec_CL4-E-2-12.eds").read_bytes()
-    refused(text, "reference_rule is not there: 2031:0 (U32) is not known", {dictionary_label("a.eds"): nanotec})
+    refused(text, "reference_rule is missing: 2031:0 (U32) is not known", {dictionary_label("a.eds"): nanotec})
 
 
 def test_mapping_of_a_dcf():

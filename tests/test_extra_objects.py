@@ -82,7 +82,7 @@ def test_a_drive_that_slides_has_metres_and_its_second_axis_the_same_names():
 @pytest.mark.parametrize(
     ("drive", "expected"),
     [
-        ('extra = ["6078"]', "rated_current_a is not there: expected the rated value that 6078:0 multiplies"),
+        ('extra = ["6078"]', "rated_current_a is missing: expected the rated value that 6078:0 multiplies"),
         ('extra = ["2081:1"]', "extra[0] = '2081:1': its type is not known"),
         ('extra = ["606C"]\ntpdo = [{ objects = ["6041", "6064", "6074"] }]', "no PDO from the drive carries 606C:0"),
         ('extra = [{ object = "606C", scale = 0.0 }]', "extra[0].scale = 0.0: expected a number other than 0"),

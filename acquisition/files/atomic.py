@@ -17,18 +17,18 @@ def atomic_write(path: Path) -> Iterator[Path]:
     full.
     """
     if not path.name:
-        raise AcquisitionError(f"{path}: cannot be written: expected the name of a file")
+        raise AcquisitionError("cannot be written", place=str(path), expected="the name of a file")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         if path.exists() and not path.is_file():
             # Renaming onto /dev/null would replace the device.
-            raise AcquisitionError(f"{path}: cannot be written: expected a file, found a folder or a device")
+            raise AcquisitionError("cannot be written", place=str(path), expected="a file, found a folder or a device")
         yield partial
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        raise AcquisitionError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
     finally:
         with suppress(OSError):  # the folder may be missing or be a file: reported by the error above
             partial.unlink()
@@ -44,9 +44,11 @@ def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None) -> None:
     for output in (path for path in outputs if path is not None):
         for path in given:
             if _same(output, path):
-                raise AcquisitionError(f"{output}: is an input too ({path}): expected another name for the output")
+                raise AcquisitionError(
+                    f"is an input too ({path})", place=str(output), expected="another name for the output"
+                )
         if any(_same(output, path) for path in earlier):
-            raise AcquisitionError(f"{output}: named twice; expected a file of its own for each output")
+            raise AcquisitionError("named twice; expected a file of its own for each output", place=str(output))
         earlier.append(output)
 
 

@@ -24,9 +24,11 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise AcquisitionError(f"{path}: cannot be read: {error.strerror}") from error
+        raise AcquisitionError(f"cannot be read: {error.strerror}", place=str(path)) from error
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise AcquisitionError(f"{path}: a MAT file of version 7.3 (HDF5): expected version 7; save it with -v7")
+        raise AcquisitionError(
+            "a MAT file of version 7.3 (HDF5)", place=str(path), expected="version 7; save it with -v7"
+        )
     if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
         values, labels = read_variables(data, columns, count, str(path))
     else:
@@ -35,7 +37,10 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     if not finite.all():
         row, column = np.argwhere(~finite)[0]
         raise AcquisitionError(
-            f"{path}: row {row + 1}: {labels[column]} = {values[row, column]}: expected a finite number"
+            place=f"{path}: row {row + 1}",
+            key=labels[column],
+            value=float(values[row, column]),
+            expected="a finite number",
         )
     return values
 
@@ -44,7 +49,7 @@ def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, 
     text = data.decode("utf-8-sig", errors="replace").replace('"', "")
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
-        raise AcquisitionError(f"{place}: holds no lines: expected a table")
+        raise AcquisitionError("holds no lines", place=place, expected="a table")
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
     names = [cell.strip() for cell in first.split(separator)]
@@ -54,9 +59,9 @@ def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, 
     count = _cells(first, separator)
     for k, line in rows:
         if _cells(line, separator) != count:
-            raise AcquisitionError(f"{place}: line {k}: {_cells(line, separator)} cells: expected {count}")
+            raise AcquisitionError(f"{_cells(line, separator)} cells", place=f"{place}: line {k}", expected=str(count))
     if not rows:
-        raise AcquisitionError(f"{place}: holds no rows: expected numbers below the header")
+        raise AcquisitionError("holds no rows", place=place, expected="numbers below the header")
     labels = [names[p] if has_header else f"column {p + 1}" for p in places]
     try:
         values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=places, ndmin=2, comments=None)
@@ -66,9 +71,9 @@ def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, 
             for p, label in zip(places, labels, strict=True):
                 if _number(cells[p]) is None:
                     raise AcquisitionError(
-                        f"{place}: line {k}: {label} = {cells[p].strip()[:40]!r}: expected a number"
+                        place=f"{place}: line {k}", key=label, value=cells[p].strip()[:40], expected="a number"
                     ) from error
-        raise AcquisitionError(f"{place}: {error}") from error
+        raise AcquisitionError(str(error), place=place) from error
     return values, labels
 
 
@@ -86,13 +91,13 @@ def _number(cell: str) -> float | None:
 def _place(column: str | int, names: Sequence[str] | None, count: int, place: str) -> int:
     if isinstance(column, int):
         if not 1 <= column <= count:
-            raise AcquisitionError(f"{place}: column {column}: expected a number from 1 to {count}")
+            raise AcquisitionError(f"column {column}", place=place, expected=f"a number from 1 to {count}")
         return column - 1
     if names is None:
         raise AcquisitionError(
-            f"{place}: column {column!r}: no header line names it; expected numbers from 1 to {count}"
+            f"column {column!r}: no header line names it; expected numbers from 1 to {count}", place=place
         )
     if names.count(column) != 1:
         found = "is not there" if column not in names else f"is there {names.count(column)} times"
-        raise AcquisitionError(f"{place}: column {column!r} {found}: expected one of {listed(names)}")
+        raise AcquisitionError(f"column {column!r} {found}", place=place, expected=f"one of {listed(names)}")
     return names.index(column)

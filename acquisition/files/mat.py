@@ -46,18 +46,19 @@ def read_variables(data: bytes, names: Sequence[str | int], count: int, place: s
     for name, match in zip(names, asked, strict=True):
         found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
         if found is None or match is None:
-            raise AcquisitionError(f"{place}: variable {name!r} is not there: expected one of {_present(data)}")
+            raise AcquisitionError(f"variable {name!r} is not there", place=place, expected=f"one of {_present(data)}")
         parts.append(_part(found, match, place))
     rows = sum(part.values.size for part in parts) // count
     fits = [rows in (part.values.shape[:1] if part.upright else part.values.shape) for part in parts]
     if rows < 2 or not all(fits) or sum(part.values.size for part in parts) != rows * count:
         label = ", ".join(part.label for part in parts)
-        raise AcquisitionError(f"{place}: {label}: expected variables of one length, {count} columns in all")
+        raise AcquisitionError(label, place=place, expected=f"variables of one length, {count} columns in all")
     for part in parts:
         if part.values.shape == (rows, rows) and not part.upright:
             raise AcquisitionError(
-                f"{place}: {part.label}: rows and columns cannot be told apart: expected "
-                f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are"
+                "rows and columns cannot be told apart",
+                place=f"{place}: {part.label}",
+                expected=f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are",
             )
     turned = [part.values if len(part.values) == rows else part.values.T for part in parts]
     labels = [
@@ -77,7 +78,9 @@ def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
             warnings.simplefilter("ignore")  # of what scipy thinks of variables that were not asked for
             found: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names)))
     except Exception as error:  # scipy's reader meets damage with whatever its parts raise
-        raise AcquisitionError(f"{place}: not a MAT file that can be read: {error or type(error).__name__}") from error
+        raise AcquisitionError(
+            f"not a MAT file that can be read: {error or type(error).__name__}", place=place
+        ) from error
     return found
 
 
@@ -89,7 +92,9 @@ def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
         if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
             return None
         if value.size != 1:
-            raise AcquisitionError(f"{place}: variable {at!r} is an array of {value.size} structs: expected one struct")
+            raise AcquisitionError(
+                f"variable {at!r} is an array of {value.size} structs", place=place, expected="one struct"
+            )
         value, at = value[field].flat[0], f"{at}.{field}"
     return value
 
@@ -101,18 +106,22 @@ def _part(value: Any, match: re.Match[str], place: str) -> _Part:
         kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         if isinstance(value, np.ndarray) and value.dtype.names:
             kind = f"a struct or object with the fields {listed(value.dtype.names)}"
-        raise AcquisitionError(f"{place}: variable {name!r} is {kind}: expected a vector or matrix of real numbers")
+        raise AcquisitionError(
+            f"variable {name!r} is {kind}", place=place, expected="a vector or matrix of real numbers"
+        )
     matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
     matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
     if match["rows"] is None:
         return _Part(name=name, values=matrix, upright=False)
     by_column = match["rows"] == ":"
     if by_column == (match["columns"] == ":"):
-        raise AcquisitionError(f"{place}: variable {name!r}: expected (:,k) for columns or (k,:) for rows")
+        raise AcquisitionError(f"variable {name!r}", place=place, expected="(:,k) for columns or (k,:) for rows")
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
     if not 1 <= low <= high <= most:
-        raise AcquisitionError(f"{place}: variable {name!r}: the matrix is {_size(matrix)}: expected 1 to {most}")
+        raise AcquisitionError(
+            f"variable {name!r}: the matrix is {_size(matrix)}", place=place, expected=f"1 to {most}"
+        )
     part = matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T
     return _Part(name=name, values=part, upright=True)
 

@@ -33,7 +33,7 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     recording = read_recording(path)
     robot = robot or recording.robot
     if not recording.frames:
-        raise AcquisitionError(f"{path}: holds no CAN frames: expected a recording of drives")
+        raise AcquisitionError("holds no CAN frames", place=str(path), expected="a recording of drives")
     channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
     decoded, bus = _decoded(frames, robot, str(path), place)
     header = replace(
@@ -92,7 +92,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         else:
             found.append((interface, frame))
     if not found:
-        raise AcquisitionError(f"{log}: holds no CAN frames ({fd} of CAN FD): expected some of classic CAN")
+        raise AcquisitionError(f"holds no CAN frames ({fd} of CAN FD)", place=str(log), expected="some of classic CAN")
     counts = Counter(interface for interface, _ in found)
     named = [interface for interface in counts if interface is not None]
     wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
@@ -101,8 +101,9 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
         raise AcquisitionError(
-            f"{log}: frames: {', '.join(left_out)}: expected one interface: filter the log, or name one of them as "
-            "bus.channel in robot.toml"
+            f"frames: {', '.join(left_out)}",
+            place=str(log),
+            expected="one interface: filter the log, or name one of them as bus.channel in robot.toml",
         )
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
@@ -115,7 +116,7 @@ def export_csv(path: Path, out: Path) -> int:
     samples, robot = recording.samples, recording.robot
     if samples is None:
         raise AcquisitionError(
-            f"{path}: holds no joint samples: expected some; `robot-acquire decode` makes them of frames"
+            "holds no joint samples", place=str(path), expected="some; `robot-acquire decode` makes them of frames"
         )
     columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
     names = ["time_s"]

@@ -64,7 +64,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     # Its warnings about files that are read all the same would stand among our own output.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
     if len(data) > LARGEST_DICTIONARY:
-        raise AcquisitionError(f"{place}: {len(data)} bytes: expected {LARGEST_DICTIONARY} at most")
+        raise AcquisitionError(f"{len(data)} bytes", place=place, expected=f"{LARGEST_DICTIONARY} at most")
     text = data.decode("utf-8-sig", errors="replace")
     empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
     source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
@@ -75,13 +75,13 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
             found = canopen.import_od(source, node)
     except configparser.DuplicateOptionError as error:
         problem = f"[{error.section}] holds {error.option!r} twice"
-        raise AcquisitionError(f"{place}: line {error.lineno}: {problem}: expected once; remove one") from error
+        raise AcquisitionError(problem, place=f"{place}: line {error.lineno}", expected="once; remove one") from error
     except configparser.DuplicateSectionError as error:
         problem = f"[{error.section}] is there twice"
-        raise AcquisitionError(f"{place}: line {error.lineno}: {problem}: expected once; remove one") from error
+        raise AcquisitionError(problem, place=f"{place}: line {error.lineno}", expected="once; remove one") from error
     except Exception as error:  # the importer meets damage with whatever its parts raise
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"{place}: not an EDS or DCF that can be read: {problem[:200]}") from error
+        raise AcquisitionError(f"not an EDS or DCF that can be read: {problem[:200]}", place=place) from error
     entries = {}
     for item in found.values():
         parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())
@@ -94,7 +94,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
                 value=value if isinstance(value, int) else None,
             )
     if not entries:
-        raise AcquisitionError(f"{place}: holds no objects: expected an EDS or DCF")
+        raise AcquisitionError("holds no objects", place=place, expected="an EDS or DCF")
     about = found.device_information
     return ObjectDictionary(
         entries=entries,

@@ -208,6 +208,9 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
     raise AcquisitionError(
-        f"bus.sync_period_s = {period_s:g}: the interpolation period of drives (60C2) cannot say it: expected up to 255 "
-        "times 1 ms, 0.1 ms, 10 µs or 1 µs"
+        "the interpolation period of drives (60C2) cannot say it",
+        key="bus.sync_period_s",
+        value=period_s,
+        shown=f"{period_s:g}",
+        expected="up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
     )

@@ -50,7 +50,7 @@ class Pdo:
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
         """Values by (index, sub-index). Raises `AcquisitionError` when the frame is too short."""
         if len(data) < self.length:
-            raise AcquisitionError(f"PDO 0x{self.can_id:03X}: {len(data)} bytes: expected {self.length}")
+            raise AcquisitionError(f"{len(data)} bytes", place=f"PDO 0x{self.can_id:03X}", expected=str(self.length))
         found, at = {}, 0
         for e in self.entries:
             size = e.bits // 8
@@ -101,7 +101,7 @@ def pdos_of(
             if kind not in ("I8", "I16", "I32", "U8", "U16", "U32") or int(kind[1:]) != word & 0xFF:
                 problem = f"{key[0]:04X}:{key[1]} of {word & 0xFF} bits"
                 raise AcquisitionError(
-                    f"{place}: {direction} {number}: {problem}: expected whole bytes of its own type"
+                    f"{direction} {number}: {problem}", place=place, expected="whole bytes of its own type"
                 )
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))

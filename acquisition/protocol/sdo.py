@@ -84,9 +84,9 @@ def check_answer(answer: Transfer, wanted: str, place: str) -> int:
     """The number in an answer of the kind `wanted`. Raises `AcquisitionError` for an abort, naming `place`."""
     if answer.kind == "abort":
         meaning = ABORTS.get(answer.number, "abort")
-        raise AcquisitionError(f"{place}: refused by the drive: {meaning} (0x{answer.number:08X})")
+        raise AcquisitionError(f"refused by the drive: {meaning} (0x{answer.number:08X})", place=place)
     if answer.kind != wanted:
-        raise AcquisitionError(f"{place}: the drive answered {answer.kind}: expected {wanted}")
+        raise AcquisitionError(f"the drive answered {answer.kind}", place=place, expected=wanted)
     return answer.number
 
 

@@ -85,7 +85,7 @@ def state_of(statusword: int) -> State:
         mask, value = state.value
         if statusword & mask == value:
             return state
-    raise AcquisitionError(f"statusword 0x{statusword:04X}: expected the bits of a CiA 402 state")
+    raise AcquisitionError(f"statusword 0x{statusword:04X}", expected="the bits of a CiA 402 state")
 
 
 def command_of(controlword: int) -> Command | None:
@@ -104,7 +104,7 @@ def after(state: State, command: Command) -> State:
     except KeyError:
         legal = [c.name for s, c in TRANSITIONS if s is state]
         expected = f"one of {', '.join(legal)}" if legal else "no command: the drive goes on by itself"
-        raise AcquisitionError(f"{command.name} in {state.words}: expected {expected}") from None
+        raise AcquisitionError(f"{command.name} in {state.words}", expected=expected) from None
 
 
 def toward(state: State, goal: State) -> Command | None:

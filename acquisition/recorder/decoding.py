@@ -82,7 +82,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     sync_rows = np.flatnonzero(is_sync)
     if len(sync_rows) < 2:
         raise AcquisitionError(
-            f"{place}: {len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames: expected many"
+            f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames", place=place, expected="many"
         )
     before = np.cumsum(is_sync)
     carriers = _carriers(bus)
@@ -91,8 +91,9 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
         rows[pdo.can_id], shorts[pdo.can_id] = traffic.of(pdo)
         if not len(rows[pdo.can_id]):
             raise AcquisitionError(
-                f"{place}: no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]}): "
-                "expected the drive's answers to SYNC; is it mapped and started?"
+                f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]})",
+                place=place,
+                expected="the drive's answers to SYNC; is it mapped and started?",
             )
     syncs, times = frames[sync_rows], frames["time_ns"][sync_rows]
     steps = sync_steps(syncs, times, list(rows.values()), before, frames)
@@ -120,7 +121,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     ok = np.all([slot >= 0 for slot in slots.values()], axis=0)
     answered = np.flatnonzero(ok)
     if len(answered) < 2:
-        raise AcquisitionError(f"{place}: {len(answered)} SYNC answered by all drives: expected many")
+        raise AcquisitionError(f"{len(answered)} SYNC answered by all drives", place=place, expected="many")
 
     n = robot.n
     raw = np.empty((2, n, len(answered)), np.int64)
@@ -230,9 +231,10 @@ def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
     stated_s = bus.file.sync_period_s
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
         raise AcquisitionError(
-            f"{place}: SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml: expected "
-            f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
-            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`"
+            f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
+            place=place,
+            expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
+            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )
 
 

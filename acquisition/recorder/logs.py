@@ -128,7 +128,7 @@ class ProcessLog:
         silent_s = time.monotonic() - self._heard_s
         self._hangs = silent_s > SILENT_S
         if self._hangs:
-            raise AcquisitionError(f"the recorder tells nothing for {silent_s:.1f} s: expected news every 0.5 s")
+            raise AcquisitionError(f"the recorder tells nothing for {silent_s:.1f} s", expected="news every 0.5 s")
         return status
 
     def finish(self, stamp_ns: int) -> Recorded:
@@ -171,4 +171,4 @@ class ProcessLog:
                     return content
         except (EOFError, OSError) as error:
             raise AcquisitionError(_ENDED) from error
-        raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s: expected {wanted}")
+        raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)

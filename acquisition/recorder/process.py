@@ -140,7 +140,7 @@ def _record(
             recorder.add(block)
             if receiver.error is not None:
                 recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
-                raise AcquisitionError(f"bus: cannot be read: {receiver.error}")
+                raise AcquisitionError(f"cannot be read: {receiver.error}", place="bus")
         if step_ns := clock.step_ns():
             recorder.event(time.time_ns(), "mark", describe_step(step_ns))
         status = recorder.tick(time.time_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)

@@ -74,7 +74,9 @@ class Recorder:
         self._bus: Bus | None = None if self._by_traffic else resolve(robot, place)
         file = robot.bus
         if path.exists():
-            raise AcquisitionError(f"{path}: is there already: expected a new name; recordings are not replaced")
+            raise AcquisitionError(
+                "is there already", place=str(path), expected="a new name; recordings are not replaced"
+            )
         try:
             self._writer = RecordingWriter(
                 path,
@@ -93,7 +95,7 @@ class Recorder:
                 ),
             )
         except OSError as error:
-            raise AcquisitionError(f"{path}: cannot be written: {error.strerror or error}") from error
+            raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
         self._watch = _Watch()
         self.granted: dict[str, float] = {}  # counters of what does not change, for every line of `/health`

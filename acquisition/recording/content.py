@@ -79,7 +79,7 @@ def read_content(
         with path.open("rb") as file:
             return _read(_Records(file), place, name, accept, wanted)
     except OSError as error:
-        raise AcquisitionError(f"{place}: cannot be read: {error.strerror}") from error
+        raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
 
 
 def _read(
@@ -90,7 +90,7 @@ def _read(
     wanted: Callable[[str], bool],
 ) -> Content:
     if records.first != _MAGIC:
-        raise AcquisitionError(f"{place}: begins with {records.first!r}: expected an MCAP file")
+        raise AcquisitionError(f"begins with {records.first!r}", place=place, expected="an MCAP file")
     metadata: dict[str, str] | None = None
     attachments: dict[str, bytes] = {}
     chunks = _Chunks(wanted)
@@ -120,9 +120,9 @@ def _read(
             if not records.has_end and records.only_zeros_follow():
                 break  # the last record of a cut file: torn, with nothing or unwritten disk space behind it
             what = str(error) or type(error).__name__
-            raise AcquisitionError(f"{place}: damaged at byte {at}: {what}") from error
+            raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not complete:
-        raise AcquisitionError(f"{place}: damaged: its end is there, but the records before do not lead to it")
+        raise AcquisitionError("damaged: its end is there, but the records before do not lead to it", place=place)
     return Content(
         metadata=metadata,
         attachments=attachments,

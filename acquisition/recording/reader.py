@@ -111,14 +111,22 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
         raise AcquisitionError(
-            f"{place}: holds no metadata record 'recording'{note}: expected a recording of robot-acquire"
+            f"holds no metadata record 'recording'{note}", place=place, expected="a recording of robot-acquire"
         )
     if "robot.toml" not in attachments:
-        raise AcquisitionError(f"{place}: holds no robot.toml{note}: expected the robot's description as an attachment")
+        raise AcquisitionError(
+            f"holds no robot.toml{note}", place=place, expected="the robot's description as an attachment"
+        )
     robot = robot_from_files(attachments, f"{place}: robot.toml")
     if metadata.get("effort_unit") != json.dumps(robot.effort_units):
         expected = json.dumps(robot.effort_units)
-        raise AcquisitionError(f"{place}: effort_unit = {metadata.get('effort_unit')}: expected {expected}")
+        raise AcquisitionError(
+            place=place,
+            key="effort_unit",
+            value=metadata.get("effort_unit"),
+            shown=str(metadata.get("effort_unit")),
+            expected=expected,
+        )
     samples, frames = None, {}
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:
@@ -154,10 +162,10 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block
         if repr(dtype.descr) == blocks.layout:
             break
     else:
-        raise AcquisitionError(f"{place}: layout {blocks.layout[:200]!r}: expected {known[-1].descr}")
+        raise AcquisitionError(f"layout {blocks.layout[:200]!r}", place=place, expected=str(known[-1].descr))
     if any(end % dtype.itemsize for end in blocks.ends):
         raise AcquisitionError(
-            f"{place}: {len(blocks.data)} bytes: expected blocks of whole rows of {dtype.itemsize} bytes"
+            f"{len(blocks.data)} bytes", place=place, expected=f"blocks of whole rows of {dtype.itemsize} bytes"
         )
     rows = np.frombuffer(blocks.data, dtype)
     rows.flags.writeable = False
@@ -171,7 +179,7 @@ def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, place: str) 
             for stamp, text in (topics[topic].items() if topic in topics else [])
         ]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise AcquisitionError(f"{place}: {topic}: {error}") from error
+        raise AcquisitionError(str(error), place=f"{place}: {topic}") from error
 
 
 def _is_read(topic: str) -> bool:
@@ -182,14 +190,20 @@ def _is_read(topic: str) -> bool:
 def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
     text = metadata.get("schema_version", "")
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
-        raise AcquisitionError(f"{place}: schema_version = {text!r}: expected a whole number from 1")
+        raise AcquisitionError(place=place, key="schema_version", value=text, expected="a whole number from 1")
     if int(text) > SCHEMA_VERSION:
         raise AcquisitionError(
-            f"{place}: schema_version = {text}: expected {SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
+            place=place,
+            key="schema_version",
+            value=int(text),
+            expected=f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
         )
     if metadata.get("crc32") != metadata_crc(metadata):
         raise AcquisitionError(
-            f"{place}: metadata: crc32 = {metadata.get('crc32')!r}: expected {metadata_crc(metadata)!r}"
+            place=f"{place}: metadata",
+            key="crc32",
+            value=metadata.get("crc32"),
+            expected=repr(metadata_crc(metadata)),
         )
 
 
@@ -200,5 +214,5 @@ def _rate(metadata: Mapping[str, str], place: str) -> float:
     except ValueError:
         rate_hz = math.nan
     if not 0 < rate_hz < math.inf:
-        raise AcquisitionError(f"{place}: sample_rate_hz = {text!r}: expected a positive number")
+        raise AcquisitionError(place=place, key="sample_rate_hz", value=text, expected="a positive number")
     return rate_hz

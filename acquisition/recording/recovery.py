@@ -16,7 +16,7 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
     """
     recording = read_recording(cut_path)
     if not recording.cut:
-        raise AcquisitionError(f"{cut_path}: has its proper end: nothing to recover")
+        raise AcquisitionError("has its proper end: nothing to recover", place=str(cut_path))
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     header = replace(recording.header, notes=notes)
     with atomic_write(out_path) as partial, RecordingWriter(partial, header) as writer:

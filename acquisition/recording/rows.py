@@ -55,7 +55,10 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
     if bad.any():
         row = int(np.argmax(bad))
         raise AcquisitionError(
-            f"{place}: row {row + 1}: stamp_ns = {stamps[row]}: expected growing stamps from 0 to {LARGEST_STAMP_NS}"
+            place=f"{place}: row {row + 1}",
+            key="stamp_ns",
+            value=int(stamps[row]),
+            expected=f"growing stamps from 0 to {LARGEST_STAMP_NS}",
         )
     for field in (samples.dtype.names or ())[1:]:
         finite = np.isfinite(samples[field])
@@ -63,7 +66,10 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
             row, joint = np.argwhere(~finite)[0]
             value = samples[field][row, joint]
             raise AcquisitionError(
-                f"{place}: row {row + 1}: {field} of joint {joint + 1} = {value}: expected a finite number"
+                place=f"{place}: row {row + 1}",
+                key=f"{field} of joint {joint + 1}",
+                value=float(value),
+                expected="a finite number",
             )
 
 
@@ -73,6 +79,7 @@ def check_frames(frames: Block, place: str) -> None:
     if bad.any():
         row = int(np.argmax(bad))
         raise AcquisitionError(
-            f"{place}: row {row + 1}: length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}: "
-            "expected 8 bytes at most and a time from 0"
+            f"length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}",
+            place=f"{place}: row {row + 1}",
+            expected="8 bytes at most and a time from 0",
         )

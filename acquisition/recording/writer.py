@@ -58,9 +58,11 @@ class RecordingWriter:
         """Add rows of `sample_dtype` and their JointState messages."""
         n, place = self._robot.n, f"{self._place}: /samples"
         if block.dtype not in sample_layouts(self._robot):
-            raise AcquisitionError(f"{place}: rows of {block.dtype}: expected sample_dtype of {n} joints")
+            raise AcquisitionError(f"rows of {block.dtype}", place=place, expected=f"sample_dtype of {n} joints")
         if self._layout not in (None, block.dtype):
-            raise AcquisitionError(f"{place}: rows of {block.dtype}: expected {self._layout} as in the block before")
+            raise AcquisitionError(
+                f"rows of {block.dtype}", place=place, expected=f"{self._layout} as in the block before"
+            )
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, place)
@@ -77,9 +79,11 @@ class RecordingWriter:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
         if not FRAMES_TOPIC.fullmatch(topic):
-            raise AcquisitionError(f"{self._place}: CAN channel {channel!r}: expected letters, digits and _ . - only")
+            raise AcquisitionError(
+                f"CAN channel {channel!r}", place=self._place, expected="letters, digits and _ . - only"
+            )
         if block.dtype != FRAME:
-            raise AcquisitionError(f"{self._place}: {topic}: rows of {block.dtype}: expected {FRAME}")
+            raise AcquisitionError(f"rows of {block.dtype}", place=f"{self._place}: {topic}", expected=str(FRAME))
         if len(block):
             check_frames(block, f"{self._place}: {topic}")
             tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
@@ -121,7 +125,9 @@ class RecordingWriter:
 
     def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
         if stamp_ns < 0:
-            raise AcquisitionError(f"{self._place}: {topic}: stamp_ns = {stamp_ns}: expected a time from 0")
+            raise AcquisitionError(
+                place=f"{self._place}: {topic}", key="stamp_ns", value=stamp_ns, expected="a time from 0"
+            )
         channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 

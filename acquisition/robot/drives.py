@@ -110,8 +110,12 @@ def refuse_load(bus: Bus, place: str) -> None:
     if bus.load > LARGEST_LOAD:
         fastest_s = bus.load * bus.file.sync_period_s / LARGEST_LOAD
         raise AcquisitionError(
-            f"{place}: bus.sync_period_s = {bus.file.sync_period_s:g}: {bus.load:.0%} of {bus.file.bitrate} bit/s: "
-            f"expected {LARGEST_LOAD:.0%} at most: {fastest_s:.2g} s or longer, or fewer PDOs"
+            f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
+            place=place,
+            key="bus.sync_period_s",
+            value=bus.file.sync_period_s,
+            shown=f"{bus.file.sync_period_s:g}",
+            expected=f"{LARGEST_LOAD:.0%} at most: {fastest_s:.2g} s or longer, or fewer PDOs",
         )
 
 
@@ -130,8 +134,11 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             if not inside.all():
                 k = int(np.argmin(inside))
                 raise AcquisitionError(
-                    f"{place}: at {k * bus.file.sync_period_s:.4g} s: target of node {drive.node} ({drive.name}) = "
-                    f"{counts[k]:.10g} counts: expected {low} to {high}"
+                    place=f"{place}: at {k * bus.file.sync_period_s:.4g} s",
+                    key=f"target of node {drive.node} ({drive.name})",
+                    value=float(counts[k]),
+                    shown=f"{counts[k]:.10g} counts",
+                    expected=f"{low} to {high}",
                 )
 
 
@@ -143,24 +150,26 @@ def refuse_pdos(bus: Bus, place: str) -> None:
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
     if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
-        raise AcquisitionError(f"{place}: bus.sync_can_id = 0x{sync:X}: expected 0x{USUAL_SYNC:X}, or {free}")
+        expected = f"0x{USUAL_SYNC:X}, or {free}"
+        raise AcquisitionError(place=place, key="bus.sync_can_id", value=sync, shown=f"0x{sync:X}", expected=expected)
     used = {sync: "SYNC"}
     for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
             numbers: set[int] = set()
             for pdo in pdos:
-                key = f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
+                where = f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
                 if pdo.number in numbers:
-                    raise AcquisitionError(f"{key}: number = {pdo.number} is there twice: expected one of its own")
+                    problem = f"number = {pdo.number} is there twice"
+                    raise AcquisitionError(problem, place=where, expected="one of its own")
                 numbers.add(pdo.number)
                 if pdo.bits > 64:
-                    raise AcquisitionError(f"{key}: {pdo.length} bytes: expected 8 at most")
+                    raise AcquisitionError(f"{pdo.length} bytes", place=where, expected="8 at most")
                 if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
                     expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}"
-                    raise AcquisitionError(f"{key}: identifier 0x{pdo.can_id:03X}: expected {expected}")
+                    raise AcquisitionError(f"identifier 0x{pdo.can_id:03X}", place=where, expected=expected)
                 if pdo.can_id in used:
                     problem = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
-                    raise AcquisitionError(f"{key}: {problem}: expected one of its own")
+                    raise AcquisitionError(problem, place=where, expected="one of its own")
                 used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
@@ -172,13 +181,22 @@ def refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
     slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
-    if file.counts_per_m is not None and (unit == "N m" or (unit != "N" and not slides)):
-        why = "gives a torque" if unit == "N m" else "moves no prismatic joint"
-        problem = f"{place}.counts_per_m = {file.counts_per_m:g}: motor {motor.name!r} {why}"
-        raise AcquisitionError(f"{problem}: expected counts_per_turn")
-    if file.counts_per_turn is not None and unit == "N":
-        problem = f"{place}.counts_per_turn = {file.counts_per_turn:g}: motor {motor.name!r} gives a force"
-        raise AcquisitionError(f"{problem}: expected counts_per_m")
+    key, counts = "counts_per_m", file.counts_per_m
+    why, expected = "gives a torque" if unit == "N m" else "moves no prismatic joint", "counts_per_turn"
+    refused = counts is not None and (unit == "N m" or (unit != "N" and not slides))
+    if not refused:
+        key, counts = "counts_per_turn", file.counts_per_turn
+        why, expected = "gives a force", "counts_per_m"
+        refused = counts is not None and unit == "N"
+    if refused:
+        raise AcquisitionError(
+            f"motor {motor.name!r} {why}",
+            place=place,
+            key=f"bus.drive[{i}].{key}",
+            value=counts,
+            shown=f"{counts:g}",
+            expected=expected,
+        )
 
 
 def axis_of(drive: Drive) -> int:
@@ -189,8 +207,9 @@ def axis_of(drive: Drive) -> int:
     axis = drive.control.index - CONTROLWORD
     if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
         raise AcquisitionError(
-            f"node {drive.node}: control {drive.control} and status {drive.status}: expected those of one axis, such as "
-            "6040:0 and 6041:0"
+            f"control {drive.control} and status {drive.status}",
+            place=f"node {drive.node}",
+            expected="those of one axis, such as 6040:0 and 6041:0",
         )
     return axis
 
@@ -201,13 +220,14 @@ def check_carriers(bus: Bus) -> None:
     Raises `AcquisitionError` naming the node and the object.
     """
     for drive in bus.drives:
+        place = f"node {drive.node}"
         mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
         for entry in (drive.control, drive.target):
             if drive.carrier(entry, "rpdo") is None:
-                raise AcquisitionError(f"node {drive.node}: no PDO to the drive carries {entry}: expected one to track")
+                raise AcquisitionError(f"no PDO to the drive carries {entry}", place=place, expected="one to track")
         if drive.carrier(drive.status, "tpdo") is None:
-            raise AcquisitionError(f"node {drive.node}: no PDO from it carries {drive.status}: expected one to track")
+            raise AcquisitionError(f"no PDO from it carries {drive.status}", place=place, expected="one to track")
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
-            problem = f"node {drive.node}: a PDO to the drive carries {other}"
-            raise AcquisitionError(f"{problem}: expected only {', '.join(sorted(known))} to track")
+            expected = f"only {', '.join(sorted(known))} to track"
+            raise AcquisitionError(f"a PDO to the drive carries {other}", place=place, expected=expected)

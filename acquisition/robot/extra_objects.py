@@ -57,9 +57,9 @@ def extra_columns(robot: Robot) -> tuple[ExtraColumn, ...]:
 
 
 def extra_object(
-    written: str | ExtraFile, entry: ObjectEntry, file: DriveFile, motor: Motor, place: str
+    written: str | ExtraFile, entry: ObjectEntry, file: DriveFile, motor: Motor, place: str, key: str
 ) -> ExtraObject:
-    """One `extra` of a drive, resolved to `entry`. Raises `AcquisitionError` where its rule lacks a rated value."""
+    """One `extra` of the drive at `key`, resolved to `entry`. Raises `AcquisitionError` where its rule lacks a rated value."""
     extra = _written_out(written)
     column = _column(extra, file, motor)
     if extra.scale is not None:
@@ -75,8 +75,10 @@ def extra_object(
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
         raise AcquisitionError(
-            f"{place}.{rule.rated} is not there: expected the rated value that {entry} multiplies, or a scale and a unit "
-            "for it in extra"
+            place=place,
+            key=f"{key}.{rule.rated}",
+            value=None,
+            expected=f"the rated value that {entry} multiplies, or a scale and a unit for it in extra",
         )
     return ExtraObject(entry=entry, column=column, scale=(file.effort_sign or file.sign) * rule.factor * rated)
 

@@ -59,8 +59,10 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: str) -> list[str]:
         return [text]
     key = "position_deg" if joint.type == "revolute" else "position_m"
     raise AcquisitionError(
-        f"{place}: {text}: expected a position within them: a wrong unit (degrees read as radians), ratio, zero or sign, a "
-        f"counter that wrapped, or {key} of robot.toml"
+        text,
+        place=place,
+        expected="a position within them: a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped, "
+        f"or {key} of robot.toml",
     )
 
 
@@ -85,11 +87,13 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) ->
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _JUMP * neighbour:
         raise AcquisitionError(
-            f"{place}: joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit}): "
-            "expected motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
+            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})",
+            place=place,
+            expected="motion: a counter that wrapped, lost or foreign samples, or two recordings glued together",
         )
     key = "speed_deg_s" if joint.type == "revolute" else "speed_m_s"
     raise AcquisitionError(
-        f"{place}: joint {joint.name} at {speed}, {when}: {limit}: expected a speed below it: a wrong unit (degrees read as "
-        f"radians), ratio or sample rate, or {key} of robot.toml"
+        f"joint {joint.name} at {speed}, {when}: {limit}",
+        place=place,
+        expected=f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml",
     )

@@ -47,13 +47,13 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     if robot.bus is None:
         raise AcquisitionError(place=place, key="bus", value=None, expected="a [bus] section with one drive per motor")
     drives = tuple(
-        _drive(file, motor, robot.files, f"{place}: bus.drive[{i}]", traffic)
+        _drive(file, motor, robot.files, place, f"bus.drive[{i}]", traffic)
         for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True))
     )
     bus = Bus(file=robot.bus, drives=tuple(_with_limits(drive, robot, i) for i, drive in enumerate(drives)))
     refuse_pdos(bus, place)
     for i in range(robot.n):
-        refuse_counts(robot, i, robot.bus.drive[i], f"{place}: bus.drive[{i}]")
+        refuse_counts(robot, i, robot.bus.drive[i], place)
     return bus
 
 
@@ -74,13 +74,15 @@ def _drive(
     motor: Motor,
     files: Mapping[str, bytes],
     place: str,
+    at: str,
     traffic: Mapping[int, Values] | None,
 ) -> Drive:
     dictionary, types = None, dict(STANDARD)
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
         if label not in files:
-            raise AcquisitionError(f"{place}.dictionary = {file.dictionary!r}: is missing next to the description")
+            problem = "is missing next to the description"
+            raise AcquisitionError(problem, place=place, key=f"{at}.dictionary", value=file.dictionary)
         dictionary = load_dictionary(files[label], file.dictionary, file.node)
         types |= {key: entry.type for key, entry in dictionary.entries.items() if entry.type}
     types |= {parse_object(name): kind for name, kind in file.objects.items()}
@@ -91,33 +93,35 @@ def _drive(
         known = written if dictionary is None else written | set(dictionary.entries)
         if (index, sub) not in types or (dictionary is not None and (index, sub) not in known):
             where = f"{file.dictionary} does not contain it" if dictionary else "its type is not known"
-            raise AcquisitionError(
-                f"{place}.{key} = {name!r}: {where}: expected an object of the drive, or one in objects"
-            )
+            expected = "an object of the drive, or one in objects"
+            raise AcquisitionError(where, place=place, key=f"{at}.{key}", value=name, expected=expected)
         return ObjectEntry(index=index, sub=sub, type=types[index, sub])
 
     word = "reference" if file.reference is not None else "actual"
-    effort = _effort(file, word, entry(word, getattr(file, word) or ""), motor, place)
+    effort = _effort(file, word, entry(word, getattr(file, word) or ""), motor, place, at)
     status, control = entry("status", file.status), entry("control", file.control)
     position, target = entry("position", file.position), entry("target", file.target)
     for key, found in (("position", position), ("target", target)):
         if found.type != POSITION_TYPE:
-            raise AcquisitionError(f"{place}.{key} = {getattr(file, key)!r}: is {found.type}: expected {POSITION_TYPE}")
+            name = getattr(file, key)
+            raise AcquisitionError(
+                f"is {found.type}", place=place, key=f"{at}.{key}", value=name, expected=POSITION_TYPE
+            )
     extras = tuple(
-        extra_object(e, entry(f"extra[{k}]", e if isinstance(e, str) else e.object), file, motor, place)
+        extra_object(e, entry(f"extra[{k}]", e if isinstance(e, str) else e.object), file, motor, place, at)
         for k, e in enumerate(file.extra)
     )
     if file.mapping == "table":
         measured = dict.fromkeys((status, position, effort.entry, *(extra.entry for extra in extras)))
         default = {"tpdo": tuple(measured), "rpdo": (control, target)}
-        pdos = {way: _pdos(way, getattr(file, way), default[way], file.node, entry, place) for way in default}
+        pdos = {way: _pdos(way, file, default[way], entry, place, at) for way in default}
     else:
         source: Values = {}
         if file.mapping == "dictionary" and dictionary is not None:
             source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
         elif traffic is not None:
             source = traffic.get(file.node, {})
-        pdos = {way: pdos_of(way, source, types, f"{place}.mapping") for way in ("tpdo", "rpdo")}
+        pdos = {way: pdos_of(way, source, types, f"{place}: {at}.mapping") for way in ("tpdo", "rpdo")}
     drive = Drive(
         name=motor.name,
         node=file.node,
@@ -140,32 +144,32 @@ def _drive(
     for needed in (position, effort.entry, *(extra.entry for extra in extras)):
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
             raise AcquisitionError(
-                f"{place}.mapping: no PDO from the drive carries {needed}: expected one ({file.mapping})"
+                f"{at}.mapping: no PDO from the drive carries {needed}", place=place, expected=f"one ({file.mapping})"
             )
     return drive
 
 
 def _pdos(
-    way: str, files: tuple[PdoFile, ...], default: tuple[ObjectEntry, ...], node: int, entry: Entry, place: str
+    way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: Entry, place: str, at: str
 ) -> tuple[Pdo, ...]:
     found = []
     wanted: list[tuple[PdoFile | None, tuple[ObjectEntry, ...]]] = [(None, part) for part in _packed(default)]
-    if files:
+    if files := getattr(file, way):
         wanted = [
-            (file, tuple(entry(f"{way}[{k}].objects", name) for name in file.objects)) for k, file in enumerate(files)
+            (pdo, tuple(entry(f"{way}[{k}].objects", name) for name in pdo.objects)) for k, pdo in enumerate(files)
         ]
     for k, (written, entries) in enumerate(wanted):
-        key = f"{place}.{way}[{k}]"
+        key = f"{at}.{way}[{k}]"
         number = (written.number if written else None) or k + 1
-        can_id = (written.can_id if written else None) or usual_can_id(way, number, node)
+        can_id = (written.can_id if written else None) or usual_can_id(way, number, file.node)
         if can_id is None:
-            raise AcquisitionError(
-                f"{key}.can_id is not there: expected one: only the first four PDOs have a usual one"
-            )
+            expected = "one: only the first four PDOs have a usual one"
+            raise AcquisitionError(place=place, key=f"{key}.can_id", value=None, expected=expected)
         pdo = Pdo(number=number, can_id=can_id, entries=entries)
         if pdo.bits > 64:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
-            raise AcquisitionError(f"{key}.objects: {sizes} = {pdo.length} bytes: expected 8 at most; use a second PDO")
+            problem, expected = f"{sizes} = {pdo.length} bytes", "8 at most; use a second PDO"
+            raise AcquisitionError(problem, place=place, key=f"{key}.objects", expected=expected)
         found.append(pdo)
     return tuple(found)
 
@@ -180,21 +184,26 @@ def _packed(entries: tuple[ObjectEntry, ...]) -> list[tuple[ObjectEntry, ...]]:
     return parts
 
 
-def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, place: str) -> EffortCodec:
+def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, place: str, at: str) -> EffortCodec:
     known = EFFORT_OBJECTS.get((entry.index, entry.sub))
     name = getattr(file, f"{word}_rule")
     if name is None:
         if known is None or known.entry.type != entry.type:
-            problem = f"{place}.{word}_rule is not there: {entry} ({entry.type}) is not known"
-            raise AcquisitionError(f"{problem}: expected one of {', '.join(RULES)}")
+            problem, expected = f"{entry} ({entry.type}) is not known", f"one of {', '.join(RULES)}"
+            raise AcquisitionError(problem, place=place, key=f"{at}.{word}_rule", value=None, expected=expected)
         name = known.rule
     rule = RULES[name]
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
-        raise AcquisitionError(f"{place}.{rule.rated} is not there: expected the rated value that {name!r} multiplies")
+        expected = f"the rated value that {name!r} multiplies"
+        raise AcquisitionError(place=place, key=f"{at}.{rule.rated}", value=None, expected=expected)
     if rule.unit != motor.recorded_unit:
         raise AcquisitionError(
-            f"{place}.{word}_rule = {name!r}: gives {rule.unit}: expected {motor.recorded_unit} as motor {motor.name!r} says"
+            f"gives {rule.unit}",
+            place=place,
+            key=f"{at}.{word}_rule",
+            value=name,
+            expected=f"{motor.recorded_unit} as motor {motor.name!r} says",
         )
     meaning = known.meaning if known is not None and known.entry.type == entry.type else "as described"
     stands_in = "" if word == "reference" else ", the actual value standing in for the reference"

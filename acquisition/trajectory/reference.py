@@ -47,7 +47,7 @@ def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierRef
     Raises `AcquisitionError` when the period is not positive.
     """
     if not period_s > 0:
-        raise AcquisitionError(f"period {period_s:g} s: expected more than 0")
+        raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
     rng = np.random.default_rng(seed)
     k = np.arange(1, HARMONICS + 1)
     sine, cosine = rng.standard_normal((2, robot.n, HARMONICS)) / k
@@ -102,26 +102,29 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     time_s = table[:, 0]
     with np.errstate(all="ignore"):  # what overflows is refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
-            raise AcquisitionError(f"{path}: time_s: expected two rows or more, with growing times")
+            raise AcquisitionError(place=f"{path}: time_s", expected="two rows or more, with growing times")
         length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
-            problem = f"{path}: time_s: {length_s:.6g} s from first to last{slower}"
-            raise AcquisitionError(f"{problem}: expected {longest_s:.6g} s at most, with SYNC every {period_s:g} s")
+            problem = f"{length_s:.6g} s from first to last{slower}"
+            raise AcquisitionError(
+                problem, place=f"{path}: time_s", expected=f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
+            )
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
         except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
-            raise AcquisitionError(_no_spline(path, time_s, table)) from error
+            raise _no_spline(path, time_s, table) from error
     if not np.isfinite(q).all():
-        raise AcquisitionError(_no_spline(path, time_s, table))
+        raise _no_spline(path, time_s, table)
     return q
 
 
-def _no_spline(path: Path, time_s: Array, table: Array) -> str:
+def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
     found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-    return f"{path}: {found}: expected positions in rad or m at times that a smooth path leads through"
+    expected = "positions in rad or m at times that a smooth path leads through"
+    return AcquisitionError(found, place=str(path), expected=expected)
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
@@ -142,8 +145,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
                 raise AcquisitionError(
-                    f"{place}: joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}: "
-                    "expected one in robot.toml before anything moves"
+                    f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}",
+                    place=place,
+                    expected="one in robot.toml before anything moves",
                 )
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
@@ -162,8 +166,11 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
             if not inside.all():
                 k = int(np.argmin(inside))
                 raise AcquisitionError(
-                    f"{place}: at {k * period_s:.4g} s: {name} of {joint.name} = {values[k]:.4g} {unit}{per}: "
-                    f"expected {bottom:.4g} to {top:.4g}"
+                    place=f"{place}: at {k * period_s:.4g} s",
+                    key=f"{name} of {joint.name}",
+                    value=float(values[k]),
+                    shown=f"{values[k]:.4g} {unit}{per}",
+                    expected=f"{bottom:.4g} to {top:.4g}",
                 )
 
 

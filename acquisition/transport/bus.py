@@ -20,7 +20,7 @@ logging.getLogger("can").addHandler(logging.NullHandler())
 
 def refuse_to_send(*_: object, **__: object) -> None:
     """Raise `AcquisitionError`: takes the place of a passive bus's functions that send."""
-    raise AcquisitionError("bus: passive: nothing is ever sent: expected an active session for that")
+    raise AcquisitionError("passive: nothing is ever sent", place="bus", expected="an active session for that")
 
 
 def is_group(bus: Any) -> bool:
@@ -58,7 +58,7 @@ def open_bus(file: BusFile, *, passive: bool) -> Any:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"bus: {file.interface} {file.channel}: cannot be opened: {problem}") from error
+        raise AcquisitionError(f"cannot be opened: {problem}", place=f"bus: {file.interface} {file.channel}") from error
     if file.interface == "udp_multicast" and file.loopback:
         stay_on_loopback(bus, file)
     if passive:

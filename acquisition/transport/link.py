@@ -43,7 +43,7 @@ class Link:
         try:
             self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
         except can.CanError as error:
-            raise AcquisitionError(f"bus: frame 0x{can_id:03X} cannot be sent: {error}") from error
+            raise AcquisitionError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
         if self._tap is not None:
             self._tap(Frame(self.now_ns(), can_id, data, SENT))
 
@@ -64,7 +64,7 @@ class Link:
                     if time.monotonic() >= until_s:
                         return None
                     continue
-                raise AcquisitionError(f"bus: cannot be read: {error}") from error
+                raise AcquisitionError(f"cannot be read: {error}", place="bus") from error
             if message is None:
                 return None
             if getattr(message, "is_fd", False):

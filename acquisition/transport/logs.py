@@ -37,7 +37,9 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     import can
 
     if path.suffix.lower() not in SUFFIXES:
-        raise AcquisitionError(f"{path}: suffix {path.suffix!r}: expected .log (candump), .asc, .blf or .trc")
+        raise AcquisitionError(
+            f"suffix {path.suffix!r}", place=str(path), expected=".log (candump), .asc, .blf or .trc"
+        )
     count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _Doubts()
     logger = logging.getLogger("can.io.trc")
     logger.addHandler(doubts)
@@ -48,25 +50,28 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
             for message in reader:
                 count += 1
                 if not 0 <= message.timestamp <= latest_s:  # nor is NaN
-                    problem = f"{path}: frame {count}: time {message.timestamp:.10g} s"
-                    raise AcquisitionError(f"{problem}: expected 0 to {latest_s:.10g}")
+                    problem = f"time {message.timestamp:.10g} s"
+                    raise AcquisitionError(problem, place=f"{path}: frame {count}", expected=f"0 to {latest_s:.10g}")
                 interface = None if message.channel is None else str(message.channel)
                 if getattr(message, "is_fd", False):
                     yield interface, None
                     continue
                 if len(message.data) > LARGEST_PAYLOAD:
-                    problem = f"{path}: frame {count} (0x{message.arbitration_id:03X}): {len(message.data)} bytes"
-                    raise AcquisitionError(f"{problem}: expected {LARGEST_PAYLOAD} at most, as of classic CAN")
+                    where = f"{path}: frame {count} (0x{message.arbitration_id:03X})"
+                    problem = f"{len(message.data)} bytes"
+                    raise AcquisitionError(
+                        problem, place=where, expected=f"{LARGEST_PAYLOAD} at most, as of classic CAN"
+                    )
                 yield interface, frame_of(message)
         if doubts.first is not None:
-            raise AcquisitionError(f"{path}: damaged: {doubts.first[:200]}")
+            raise AcquisitionError(f"damaged: {doubts.first[:200]}", place=str(path))
     except AcquisitionError:
         raise
     except OSError as error:
-        raise AcquisitionError(f"{path}: cannot be read: {error.strerror or error}") from error
+        raise AcquisitionError(f"cannot be read: {error.strerror or error}", place=str(path)) from error
     except Exception as error:  # the readers meet damage with whatever their parts raise
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"{path}: damaged after {count} frames: {problem[:200]}") from error
+        raise AcquisitionError(f"damaged after {count} frames: {problem[:200]}", place=str(path)) from error
     finally:
         logger.removeHandler(doubts)
 
@@ -77,5 +82,5 @@ def _refuse_version(path: Path) -> None:
     version = found[1].decode(errors="replace") if found else "1.0"
     if version not in _TRC_VERSIONS:
         raise AcquisitionError(
-            f"{path}: version {version} of PCAN's format: expected one of {', '.join(_TRC_VERSIONS)}"
+            f"version {version} of PCAN's format", place=str(path), expected=f"one of {', '.join(_TRC_VERSIONS)}"
         )
