@@ -1,4 +1,4 @@
-"""Names of a package that are imported when they are first asked for (PEP 562), so that importing the package costs nothing."""
+"""Names of a package that are imported when they are first used (PEP 562), so that the package itself imports fast."""
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
@@ -8,9 +8,17 @@ from typing import Any
 def lazy_names(
     package: str, names_of: Mapping[str, Sequence[str]], *others: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` of a package whose modules `names_of` lists with the names that they give it.
+    """`__getattr__` and `__dir__` for a package.
 
-    `others` are names that the package itself defines. A name that nobody gives raises `AttributeError`.
+    Parameters
+    ----------
+    package : its `__name__`.
+    names_of : by module, the names that the package takes from it.
+    others : names that the package itself defines, for `__dir__`.
+
+    Returns
+    -------
+    `__getattr__`, which raises `AttributeError` for other names, and `__dir__`.
     """
     module_of = {name: module for module, names in names_of.items() for name in names}
 

@@ -122,13 +122,13 @@ def test_info_tells_times_from_the_first_sample_and_pads_no_line(
                 writer.samples(block)
             writer.event(start_ns + 12_218_000_000, "end", text)
         assert main(["info", str(tmp_path / name)]) == 0
-        told = capsys.readouterr().out
-        assert f"s from the first {name}" in told
-        lines = [line.split() for line in told.splitlines()]
+        printed = capsys.readouterr().out
+        assert f"s from the first {name}" in printed
+        lines = [line.split() for line in printed.splitlines()]
         assert ["phase", "-0.022000", "configure"] in lines
         assert ["end", "12.218000", *text.split()] in lines
-        assert not [line for line in told.splitlines() if line != line.rstrip()]
-        assert sum(len(line) > 120 for line in told.splitlines()) == 1
+        assert not [line for line in printed.splitlines() if line != line.rstrip()]
+        assert sum(len(line) > 120 for line in printed.splitlines()) == 1
         assert main(["info", str(tmp_path / name), "--json"]) == 0
         assert json.loads(capsys.readouterr().out)["first_ns"] == start_ns
 
@@ -142,9 +142,9 @@ def test_a_recording_without_samples_has_an_overview(tmp_path: Path, capsys: pyt
 
 def test_known_errors_are_one_line_and_leave_nothing(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = sorted(folder.iterdir())
-    good = import_command(folder, folder / "log.mcap")
-    assert "none.csv: cannot be read" in refused(capsys, ["import", str(folder / "none.csv"), *good[2:]])
-    assert "not valid TOML" in refused(capsys, [*good[:3], str(folder / "a.csv"), *good[4:]])
+    command = import_command(folder, folder / "log.mcap")
+    assert "none.csv: cannot be read" in refused(capsys, ["import", str(folder / "none.csv"), *command[2:]])
+    assert "not valid TOML" in refused(capsys, [*command[:3], str(folder / "a.csv"), *command[4:]])
     assert "No such file" in refused(capsys, import_command(folder, folder / "none" / "log.mcap"))
     assert "found a folder or a device" in refused(capsys, import_command(folder, folder))
     assert "expected an MCAP file" in refused(capsys, ["info", str(folder / "a.csv")])

@@ -31,7 +31,7 @@ STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6074, sub=0, type="I16"),
 )
 INTERPOLATION = ObjectEntry(index=0x60C2, sub=2, type="I8")
-# What CiA 301 (table of SDO abort codes) says of the codes that are told in words.
+# What CiA 301 (table of SDO abort codes) says of the codes that have a text.
 ABORT_WORDS = {
     0x05030000: "toggle bit",
     0x05040000: "timed out",
@@ -132,9 +132,9 @@ def test_abort_codes_in_words(code):
     answer = answer_of(data("80 00 20 00") + code.to_bytes(4, "little"))
     with pytest.raises(AcquisitionError) as caught:
         check_answer(answer, "value", "node 5: object 2000:0")
-    told, _, number = str(caught.value).rpartition(" ")
-    assert told.startswith("node 5: object 2000:0: refused by the drive: ")
-    assert ABORT_WORDS[code] in told
+    text, _, number = str(caught.value).rpartition(" ")
+    assert text.startswith("node 5: object 2000:0: refused by the drive: ")
+    assert ABORT_WORDS[code] in text
     assert number == f"(0x{code:08X})"
 
 
@@ -205,7 +205,7 @@ def test_pdos_out_of_a_drives_parameters():
     assert pdos_of("tpdo", TPDO_VALUES, KINDS, "x") == (expected,)
     assert pdos_of("rpdo", TPDO_VALUES, KINDS, "x") == ()
     of_29_bits = pdos_of("tpdo", TPDO_VALUES | {(0x1801, 1): 0x20000285}, KINDS, "x")
-    assert [pdo.can_id for pdo in of_29_bits] == [0x20000285]  # told apart from 285h, to be refused
+    assert [pdo.can_id for pdo in of_29_bits] == [0x20000285]  # distinguished from 285h, so that it is refused
     last = {(0x15FF, 1): 0x301, (0x17FF, 0): 1, (0x17FF, 1): 0x60410010}
     assert [(pdo.number, pdo.can_id) for pdo in pdos_of("rpdo", last, KINDS, "x")] == [(512, 0x301)]
 
@@ -220,12 +220,12 @@ def test_objects_in_pdos_by_their_bits():
     unknown = {(0x1800, 1): 0x185, (0x1A00, 0): 2, (0x1A00, 1): 0x20000120}
     (pdo,) = pdos_of("tpdo", unknown, {}, "x")
     assert pdo.entries == (ObjectEntry(index=0x2000, sub=1, type="U32"),)  # the second place is empty
-    for word, told in (
+    for word, expected in (
         (0x60640010, "6064:0 of 16 bits"),
         (0x20000101, "2000:1 of 1 bits"),
         (0x200001FF, "2000:1 of 255"),
     ):
-        with pytest.raises(AcquisitionError, match=f"x: tpdo 1: {told}.*: expected whole bytes of its own type"):
+        with pytest.raises(AcquisitionError, match=f"x: tpdo 1: {expected}.*: expected whole bytes of its own type"):
             pdos_of("tpdo", unknown | {(0x1A00, 1): word}, KINDS, "x")
 
 
@@ -318,9 +318,9 @@ def commanded(node: SimulatedNode, control: str) -> str:
 def test_boot_up_and_heartbeats(node):
     assert node.boot() == [(0x705, data("00"))]
     assert node.heartbeat() == [(0x705, data("7F"))]
-    for command, told in (("01 05", "05"), ("02 05", "04"), ("80 00", "7F"), ("01 00", "05"), ("02 06", "05")):
+    for command, expected in (("01 05", "05"), ("02 05", "04"), ("80 00", "7F"), ("01 00", "05"), ("02 06", "05")):
         assert node.receive(0x000, data(command)) == []
-        assert node.heartbeat() == [(0x705, data(told))]
+        assert node.heartbeat() == [(0x705, data(expected))]
     for command in ("81 05", "82 05", "81 00"):
         assert node.receive(0x000, data(command)) == [(0x705, data("00"))]
         assert node.heartbeat() == [(0x705, data("7F"))]

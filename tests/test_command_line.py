@@ -112,15 +112,15 @@ def test_a_fault_is_told_though_nobody_reads_the_findings(tmp_path):
 
 def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tmp_path, capsys):
     assert identify(["fit", str(SESSION), "--json", str(tmp_path / "j"), "--rrd", str(tmp_path / "none" / "r")]) == 1
-    told = capsys.readouterr()
-    assert f"{tmp_path}/none/r" in told.err
-    assert told.err.count("\n") == 1
-    assert "ZZ1R" in told.out
+    printed = capsys.readouterr()
+    assert f"{tmp_path}/none/r" in printed.err
+    assert printed.err.count("\n") == 1
+    assert "ZZ1R" in printed.out
     assert (tmp_path / "j").exists()
 
 
 @pytest.mark.parametrize(
-    ("end", "status", "told"),
+    ("end", "status", "expected"),
     [
         (None, 0, ""),
         (0, 0, ""),
@@ -130,7 +130,7 @@ def test_a_picture_that_cannot_be_written_costs_neither_the_fit_nor_its_table(tm
         (PermissionError(13, "Permission denied", "x\ny"), 1, "p: x y: Permission denied\n"),
     ],
 )
-def test_statuses(end, status, told, capsys):
+def test_statuses(end, status, expected, capsys):
     def command():
         print("result")
         if isinstance(end, BaseException):
@@ -138,7 +138,7 @@ def test_statuses(end, status, told, capsys):
         return end
 
     assert run_command("p", (AcquisitionError,), command) == status
-    assert capsys.readouterr() == ("result\n", told)
+    assert capsys.readouterr() == ("result\n", expected)
 
 
 def test_an_error_that_nobody_foresaw_is_not_hidden():
@@ -169,9 +169,9 @@ def test_names_that_are_no_files_are_one_line(tmp_path, monkeypatch, capsys):
         ["view", "."],
     ):
         assert identify(command) == 1
-        told = capsys.readouterr()
-        assert told.err.startswith("robot-identify: ")
-        assert told.err.count("\n") == 1
+        printed = capsys.readouterr()
+        assert printed.err.startswith("robot-identify: ")
+        assert printed.err.count("\n") == 1
     assert [path.name for path in tmp_path.iterdir()] == ["loop"]
 
 
@@ -191,10 +191,10 @@ def test_versions_are_those_of_what_is_installed(program, name, capsys):
     assert stopped.value.code == 0
     first, *others = capsys.readouterr().out.splitlines()
     assert first == f"{name} {metadata.version('robot-idim')}"
-    told = dict(line.split() for line in others)
-    assert told.pop("Python") == platform.python_version()
-    assert {"numpy", "scipy", "pin", "rerun-sdk", "mcap", "python-can", "canopen"} <= set(told)
-    assert told == {package: metadata.version(package) for package in told}
+    versions = dict(line.split() for line in others)
+    assert versions.pop("Python") == platform.python_version()
+    assert {"numpy", "scipy", "pin", "rerun-sdk", "mcap", "python-can", "canopen"} <= set(versions)
+    assert versions == {package: metadata.version(package) for package in versions}
 
 
 def test_the_help_of_a_fit_has_groups(capsys):
@@ -239,11 +239,11 @@ def test_progress_is_shown_on_a_terminal_only(capfd, monkeypatch):
                 stderr.write("a question\n")
         stderr.write("the end")
         stderr.flush()
-        told = ""
-        while not told.endswith("the end"):
-            told += os.read(controller, 1000).decode()
+        printed = ""
+        while not printed.endswith("the end"):
+            printed += os.read(controller, 1000).decode()
     os.close(controller)
-    before, after = told.split("a question")
+    before, after = printed.split("a question")
     erased = "\x1b[2K"
     assert "fitting" in before
     assert before.endswith(erased), "the question has a line of its own"

@@ -80,8 +80,8 @@ def last_target_ns(recording: Recording) -> int:
 
 def disabled_by_the_recorder(recording: Recording) -> bool:
     """ShowStatus, and the drives' own last words on the disk too."""
-    told = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
-    return told and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
+    confirmed = "every drive confirmed to the recorder's process" in texts(recording, "disabled")
+    return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
@@ -127,9 +127,9 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             master.wait(link.now_ns() + 1_000_000_000, for_answers=True)
             assert [master.state(drive) for drive in master.bus.drives] == [State.OPERATION_ENABLED] * 2
             done = acquire(folder, "disable", str(folder / "robot.toml"))
-            told, errors = done.communicate(timeout=60)
+            output, errors = done.communicate(timeout=60)
             assert (done.returncode, errors) == (0, "")
-            assert told == "disabled: nodes 1, 2; all in pre-operational\n"
+            assert output == "disabled: nodes 1, 2; all in pre-operational\n"
             master.wait(link.now_ns() + 200_000_000)  # answers to the command's own questions
             assert [master.state(drive) for drive in master.bus.drives] == [State.SWITCH_ON_DISABLED] * 2
             link.send(0x201, struct.pack("<Hi", 6, 0))  # a PDO commands nothing any more
@@ -142,8 +142,8 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
 
 def test_disable_says_first_who_did_not_confirm(folder):
     done = acquire(folder, "disable", str(folder / "robot.toml"))
-    told, errors = done.communicate(timeout=60)
-    assert (done.returncode, told) == (1, "")
+    output, errors = done.communicate(timeout=60)
+    assert (done.returncode, output) == (1, "")
     assert errors == "NOT DISABLED: nodes 1, 2: EMERGENCY STOP\n"
     (folder / "away.toml").write_text((folder / "robot.toml").read_text().replace("udp_multicast", "socketcan"))
     done = acquire(folder, "disable", str(folder / "away.toml"))

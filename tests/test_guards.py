@@ -79,9 +79,9 @@ def test_over_speed_in_both_directions(tmp_path):
     assert SPEED_MARGIN == 1.2
     # There and back: both directions.
     assert outcome_of(tmp_path, there_and_back(0.1, within), text) == "finished"
-    told = "joint_1: speed 4.231 rad/s: expected 3.491 at most"
-    assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == told
-    assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == told
+    expected = "joint_1: speed 4.231 rad/s: expected 3.491 at most"
+    assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == expected
+    assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == expected
 
 
 def test_both_ends_of_the_range(tmp_path):

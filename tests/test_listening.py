@@ -1,4 +1,4 @@
-"""Listening before sending: replay on a silent bus only, sessions and checks beside another master, NMT by node."""
+"""Listening before sending: replay on a silent bus only, sessions and checks while another master is active, NMT by node."""
 
 import threading
 import time

@@ -78,13 +78,13 @@ def test_a_joint_that_slides_carries_its_load_everywhere():
 
 
 @pytest.mark.parametrize(
-    ("was", "becomes", "told"),
+    ("was", "becomes", "expected"),
     [
         ("ZZ2 = 0.061", "ZZ2 = -1000.0", "cannot be simulated: the inertia matrix is not positive"),
         ("ZZ2 = 0.061", "ZZ9 = 0.061", "ZZ9 = 0.061: not a standard parameter"),
     ],
 )
-def test_parameters_that_describe_no_robot_are_refused_in_one_line(was, becomes, told):
+def test_parameters_that_describe_no_robot_are_refused_in_one_line(was, becomes, expected):
     robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace(was, becomes))
-    with pytest.raises(AcquisitionError, match=told.replace("(", r"\(")):
+    with pytest.raises(AcquisitionError, match=expected.replace("(", r"\(")):
         mechanism_of(robot, bus_of(robot))

@@ -34,7 +34,7 @@ from acquisition.transport.receiver import Receiver
 SYNC_S = 0.02  # three SYNCs without an answer end a session, 0.1 s without SYNC stops the simulated drives
 HEARTBEAT = "heartbeat_s = 1.0"
 LARGEST_FILE = 12_000  # bytes: full in the middle of the reference
-LAST = 3  # frames of a kind that may still be under way when the recorder is told to stop
+LAST = 3  # frames of a kind that may still be on their way when the recorder is asked to stop
 SEEN_SYNCS = 50  # of the reference, before a test does something to a session
 PORTS = itertools.cycle(range(20000, 32000))  # below those that systems give out by themselves
 for _ in range(os.getpid() * 16 % 12000):
@@ -99,7 +99,7 @@ def acquire(folder: Path, *arguments: str, **options: object) -> "subprocess.Pop
 
 @contextmanager
 def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
-    """Simulated drives that have told that they are there."""
+    """Simulated drives that have reported that they run."""
     ear = open_link(bus_at(folder), passive=True)
     process = acquire(folder, "simulate", str(folder / "robot.toml"), "--duration", "120", *options)
     try:
@@ -117,7 +117,7 @@ def drives(folder: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
 
 
 def end(process: "subprocess.Popen[str]", number: signal.Signals) -> tuple[str, str]:
-    """Signal a process that still runs; what it told."""
+    """Signal a process that still runs; its output."""
     if process.poll() is None:
         process.send_signal(number)
     return process.communicate(timeout=30)
@@ -192,8 +192,8 @@ def listening(folder: Path, description: str, out: Path) -> Iterator["subprocess
 
 def checked(folder: Path) -> str:
     """What a check tells of the drives; how evenly this machine could send SYNC is left to the machine."""
-    told, _ = acquire(folder, "check", str(folder / "check.toml")).communicate(timeout=60)
-    return told
+    output, _ = acquire(folder, "check", str(folder / "check.toml")).communicate(timeout=60)
+    return output
 
 
 def failure_of(session: "subprocess.Popen[str]") -> str:
@@ -217,7 +217,7 @@ def children(pid: int) -> list[int]:
 
 
 def recorder_of(pid: int) -> int:
-    """The recorder among a session's processes."""
+    """The recorder process of a session."""
     for child in children(pid):
         if b"spawn_main" in Path(f"/proc/{child}/cmdline").read_bytes():
             return child
@@ -231,13 +231,13 @@ def texts(recording: Recording, kind: str) -> list[str]:
 def test_simulate_check_record(folder):
     out = folder / "log.mcap"
     with drives(folder):
-        told = checked(folder)
-        assert "node 1 (motor_1): switch on disabled" in told
-        assert "description: agrees" in told
+        output = checked(folder)
+        assert "node 1 (motor_1): switch on disabled" in output
+        assert "description: agrees" in output
         done = acquire(folder, "record", str(folder / "robot.toml"), "-o", str(out), "--duration", "2")
-        told, errors = done.communicate(timeout=60)
+        output, errors = done.communicate(timeout=60)
     assert done.returncode == 0, errors
-    assert told.endswith("CAN frames; finished\n")
+    assert output.endswith("CAN frames; finished\n")
     recording = read_recording(out)
     frames = frames_of(recording)
     sent = (frames["flags"] & SENT) != 0
@@ -267,8 +267,8 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     assert recording.cut
     frames = frames_of(recording)
     assert (killed_ns - frames["time_ns"][-1]) * 1e-9 < 1.0
-    told = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=60)[0])
-    assert told["cut"] is True
+    output = json.loads(acquire(folder, "info", str(out), "--json").communicate(timeout=60)[0])
+    assert output["cut"] is True
     whole, decoded = folder / "whole.mcap", folder / "decoded.mcap"
     assert acquire(folder, "recover", str(out), "-o", str(whole)).wait(60) == 0
     assert acquire(folder, "decode", str(whole), "-o", str(decoded)).wait(60) == 0
@@ -293,9 +293,9 @@ def test_signals_end_a_session_in_order(folder, number):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
         session.send_signal(number)
-        told, errors = session.communicate(timeout=30)
+        output, errors = session.communicate(timeout=30)
         assert session.returncode == 0, errors
-        assert told.endswith(f"stopped by {number.name}\n")
+        assert output.endswith(f"stopped by {number.name}\n")
     recording = read_recording(out)
     assert not recording.cut
     assert texts(recording, "end") == [f"stopped by {number.name}"]
@@ -382,12 +382,12 @@ def test_a_recording_is_replayed_with_its_timing(folder):
         channel = bus_at(folder).channel
         options = ("--interface", "udp_multicast", "--channel", channel, "--speed", "1.5")
         replay = acquire(folder, "replay", str(out), *options)
-        told, errors = replay.communicate(timeout=60)
+        output, errors = replay.communicate(timeout=60)
         assert replay.returncode == 0, errors
         wait_for(again, lambda recording: len(frames_of(recording)) >= len(sent), listener)
         end(listener, signal.SIGTERM)
     received = frames_of(read_recording(again))
-    assert f"{len(sent)} frames sent" in told
+    assert f"{len(sent)} frames sent" in output
     for field in ("can_id", "length", "data"):
         assert received[field].tolist() == sent[field].tolist()
     # Over many spans of half the length: a few frames that a busy machine sends late do not decide.

@@ -427,14 +427,14 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
         time.sleep(0.05)
     os.kill(log.pid, signal.SIGSTOP)
     try:
-        told = ""
-        while not told and time.monotonic() < until_s + 10:
+        text = ""
+        while not text and time.monotonic() < until_s + 10:
             time.sleep(0.05)
             try:
                 log.poll(time.time_ns())
             except AcquisitionError as error:
-                told = str(error)
-        assert told.startswith("the recorder tells nothing for")
+                text = str(error)
+        assert text.startswith("the recorder tells nothing for")
         monkeypatch.setattr(recorder_logs, "HUNG_FINISH_S", 0.5)
         with pytest.raises(AcquisitionError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())

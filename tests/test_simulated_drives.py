@@ -67,12 +67,12 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert count == 1
     robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
     line = robot.files[label][: robot.files[label].index(b"ProductNumber=")].count(b"\n") + 1
-    told = f"{name}: line {line}: ProductNumber is empty: read as 0, which says nothing"
+    warning = f"{name}: line {line}: ProductNumber is empty: read as 0, which says nothing"
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
-    assert session.recorded.warnings == (told,)
-    assert session.events("warning") == [told]
+    assert session.recorded.warnings == (warning,)
+    assert session.events("warning") == [warning]
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    found = [(f.subject, f.ok) for f in look(run.link, bus_of(robot)) if f.found == told]
+    found = [(f.subject, f.ok) for f in look(run.link, bus_of(robot)) if f.found == warning]
     run.close()
     assert found == [("node 1 (motor_1) dictionary", True), ("node 2 (motor_2) dictionary", True)]
 
@@ -98,12 +98,12 @@ def run():
 def test_sdo_server_refuses_what_a_drive_refuses(run):
     _, master = run
     assert master.read(1, 0x1000) == 0x00020192
-    for action, told in (
+    for action, expected in (
         (lambda: master.read(1, 0x5555), "object does not exist"),
         (lambda: master.read(1, 0x1018, 9), "sub-index does not exist"),
         (lambda: master.read(9, 0x1000), "node 9: object 1000:0: no answer in 0.3 s"),
     ):
-        with pytest.raises(AcquisitionError, match=told):
+        with pytest.raises(AcquisitionError, match=expected):
             action()
     master.configure()
     with pytest.raises(AcquisitionError, match="not possible in this state"):

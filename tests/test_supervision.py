@@ -160,9 +160,9 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     for key in [key for key in node.values if key[0] in missing]:
         del node.values[key]
     master = Master(run.link, bus_of(robot))
-    told = "\n".join(supervision_of(master, master.bus.drives[0]))
+    text = "\n".join(supervision_of(master, master.bus.drives[0]))
     run.close()
-    return told
+    return text
 
 
 @pytest.mark.parametrize(

@@ -48,7 +48,7 @@ def npm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if shutil.which("node") is None or shutil.which("npm") is None:
         pytest.skip("node and npm are not here: the third-party stack is npm's canopen")
     where = tmp_path_factory.mktemp("npm")
-    # node-crc, which it depends on, is compiled on the spot; newer versions of npm want to be told so.
+    # node-crc, which it depends on, is compiled on the spot; newer versions of npm must be asked to.
     commands = (
         ["npm", "install", "--no-audit", "--no-fund", *PACKAGES],
         ["npm", "rebuild", "node-crc", "--foreground-scripts"],
@@ -94,14 +94,14 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
         _, errors = session.communicate(timeout=60)
         assert session.returncode == 0, errors
     finally:
-        told = end(drive, signal.SIGTERM)[1]
+        output = end(drive, signal.SIGTERM)[1]
     recording = read_recording(out)
     frames = frames_of(recording)
     syncs = count(frames, 0x80)
     pdos = frames[frames["can_id"] == 0x187]
     assert syncs >= 0.5 * 3 / SYNC_S
     assert syncs - LAST <= len(pdos) <= syncs  # each is answered once; its values tell that none lacks in between
-    assert "node 7 end: rx" in told
+    assert "node 7 end: rx" in output
     # k counts SYNCs since it became operational; T is 1 ms whatever the clock.
     k = np.arange(1, len(pdos) + 1)
     w = 2 * np.pi * (0.2 + 0.05 * 7)
@@ -130,13 +130,13 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     with drives(folder), listening(folder, "passive.toml", out) as listener:
         script, period_ms = ROOT / "tests" / "third_party_master.js", f"{SYNC_S * 1e3:g}"
         master = node(npm, script, group, master_port, str(syncs), period_ms, "1", "2")
-        told, errors = master.communicate(timeout=60)
+        output, errors = master.communicate(timeout=60)
         assert master.returncode == 0, errors
         ids = (0x80, 0x181, 0x182, 0x201, 0x202)
         wait_for(out, lambda r: all(len(data) >= syncs for data in data_by_id(r, *ids).values()), listener)
         _, errors = end(listener, signal.SIGINT)
         assert listener.returncode == 0, errors
-    spoken = json.loads(told)
+    spoken = json.loads(output)
     recording = read_recording(out)
     frames = frames_of(recording)
     assert count(frames, 0x80) == syncs

@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print what was found, line by line. A finding that stands against a session is an error."""
+    """Print the findings, one per line. A finding that forbids a session is an error."""
     from ..robot import load_robot, resolve
     from .checking import check
 
@@ -23,7 +23,7 @@ def run(options: argparse.Namespace) -> None:
     findings = check(robot, resolve(robot, str(options.robot)))
     for finding in findings:
         print(one_line(f"{'ok' if finding.ok else 'NO'}: {finding.subject}: {finding.found}"))
-    against = [finding.subject for finding in findings if not finding.ok]
-    if against:
-        raise AcquisitionError(f"no go: {', '.join(dict.fromkeys(against))}")
+    failed = [finding.subject for finding in findings if not finding.ok]
+    if failed:
+        raise AcquisitionError(f"no go: {', '.join(dict.fromkeys(failed))}")
     print("go")

@@ -16,12 +16,12 @@ from ..transport import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 ANOTHER = "another master"
-LARGEST_OFF = 0.01  # share of SYNCs that may come more than half a period off their time
+LARGEST_OFF = 0.01  # largest share of SYNC intervals that deviate by more than half a period
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One line of the check: what, what was found, whether it stands against a session."""
+    """One line of the check: its subject, what was found, and whether a session may start with it."""
 
     subject: str
     found: str
@@ -29,7 +29,17 @@ class Finding:
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
-    """Open the bus and look. Raises `AcquisitionError` when it cannot be opened."""
+    """Check the bus, the drives and the computer for an active session. Nothing moves; objects are only read.
+
+    Returns
+    -------
+    Findings in the order of the report; a session may start where all are `ok`.
+
+    Raises
+    ------
+    AcquisitionError
+        The bus cannot be opened.
+    """
     handle = open_bus(bus.file, passive=False)
     link = Link(handle, passive=False)
     try:
@@ -49,30 +59,30 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
             findings.append(Finding(subject="scheduling", found=scheduling.words, ok=True))
             found = look(link, bus)
         if all(finding.ok for finding in found if finding.subject == ANOTHER or finding.subject.startswith("node ")):
-            found += _stand(robot, Master(link, bus))
+            found += _positions(robot, Master(link, bus))
         return findings + found
     finally:
         link.close()
 
 
 def look(link: Wire, bus: Bus) -> list[Finding]:
-    """What drives say over a link that is open; nothing is sent where another master is heard first."""
+    """Findings of the drives and of SYNC over an open link; nothing is sent if another master is heard first."""
     master = Master(link, bus)
     sign = other_master(master)
     if sign is not None:
-        told = (
+        text = (
             f"{sign}: nothing was sent, so nothing is known of states, PDOs, supervision, scales, identity, rated values "
-            "and SYNC; `robot-acquire record --passive` records beside it"
+            "and SYNC; `robot-acquire record --passive` records while it is active"
         )
-        return [Finding(subject=ANOTHER, found=told, ok=False)]
+        return [Finding(subject=ANOTHER, found=text, ok=False)]
     findings = []
     everyone = True
     for drive in bus.drives:
         subject = f"node {drive.node} ({drive.name})"
         try:
             state = master.state(drive)
-            told = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
-            findings.append(Finding(subject=subject, found=told, ok=state is not State.FAULT))
+            text = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
+            findings.append(Finding(subject=subject, found=text, ok=state is not State.FAULT))
         except AcquisitionError as error:
             everyone = False
             findings.append(Finding(subject=subject, found=str(error), ok=False))
@@ -99,26 +109,26 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
 
 
 def _scale(master: Master, drive: Drive) -> str:
-    """What the drive holds on its position units, beside what the description says: makers combine them in their own ways."""
+    """The drive's objects of position units, and the units of the description: manufacturers combine them differently."""
     entries = drive.dictionary.entries if drive.dictionary is not None else {}
-    said = []
+    values = []
     for index, name in SCALES.items():
         try:
             if (index, 2) in entries:
-                said.append(
+                values.append(
                     f"{name} {index:04X} {master.read(drive.node, index, 1)}/{master.read(drive.node, index, 2)}"
                 )
             elif (index, 0) in entries:
-                said.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
+                values.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
         except AcquisitionError:
-            said.append(f"{name} {index:04X} not told")
+            values.append(f"{name} {index:04X} not answered")
     counts = drive.position_codec.counts_per_unit
-    told = f"robot.toml: {counts * 2 * np.pi:g} counts per turn or {counts:g} per m; see that they agree"
-    return ", ".join([*said, told]) if said else ""
+    text = f"robot.toml: {counts * 2 * np.pi:g} counts per turn or {counts:g} per m; see that they agree"
+    return ", ".join([*values, text]) if values else ""
 
 
 def _agreement(bus: Bus) -> str:
-    """What was compared, so that nobody takes for checked what was not."""
+    """Which values were compared: only these are checked."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     rated = [d.name for d in bus.drives if d.rated]
     parts = [
@@ -132,7 +142,7 @@ def _agreement(bus: Bus) -> str:
 
 
 def _mapped(master: Master, node: int) -> str:
-    """PDOs that are switched on now; an active session maps its own."""
+    """PDOs that are enabled now; an active session maps its own."""
     on = []
     for way, (communication, _) in PARAMETERS.items():
         for k in range(4):
@@ -148,39 +158,39 @@ def _mapped(master: Master, node: int) -> str:
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
-    told = (
+    text = (
         f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, at most {fastest_hz:.0f} Hz"
     )
-    return Finding(subject="bus load", found=told, ok=bus.load <= LARGEST_LOAD)
+    return Finding(subject="bus load", found=text, ok=bus.load <= LARGEST_LOAD)
 
 
 def _jitter(master: Master) -> Finding:
-    """How evenly SYNC is sent from here, or arrives from its producer."""
+    """The jitter of SYNC, as sent from here or as received from its producer."""
     try:
         found = sync_jitter(master)
     except AcquisitionError as error:
         return Finding(subject="SYNC", found=str(error), ok=False)
     period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, found.sd_s * 1e3, found.worst_s * 1e3
-    told = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
+    text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not found.fit_for_motion:
-        told += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
+        text += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
     ok = found.off <= LARGEST_OFF and found.fit_for_motion
-    return Finding(subject="SYNC", found=f"{told}; {found.off:.1%} off by more than half a period", ok=ok)
+    return Finding(subject="SYNC", found=f"{text}; {found.off:.1%} off by more than half a period", ok=ok)
 
 
-def _stand(robot: Robot, master: Master) -> list[Finding]:
-    """Where the drives say that the robot stands, and whether they are homed."""
+def _positions(robot: Robot, master: Master) -> list[Finding]:
+    """Joint positions as the drives report them, and whether the drives are homed."""
     findings = []
     try:
         words = position_words(robot, joint_positions(robot, master))
-        told = f"{', '.join(words)}: see that the robot stands like that"
-        findings.append(Finding(subject="joint positions", found=told, ok=True))
+        text = f"{', '.join(words)}: see that the robot stands like that"
+        findings.append(Finding(subject="joint positions", found=text, ok=True))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             is_homed = homed(master, drive, file)
-            told = "not described: the drive's zero may be where it was switched on"
+            text = "not described: the drive's zero may be where it was switched on"
             if is_homed is not None:
-                told = f"{'yes' if is_homed else 'NO'} ({file.homed})"
-            findings.append(Finding(subject=f"node {drive.node} homed", found=told, ok=is_homed is not False))
+                text = f"{'yes' if is_homed else 'NO'} ({file.homed})"
+            findings.append(Finding(subject=f"node {drive.node} homed", found=text, ok=is_homed is not False))
     except AcquisitionError as error:
         findings.append(Finding(subject="joint positions", found=str(error), ok=False))
     return findings

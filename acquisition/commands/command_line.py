@@ -1,7 +1,7 @@
-"""The program that both packages share: one parser made of commands, standard streams, errors in one line, exit statuses.
+"""The command line of both packages: parser of all commands, standard streams, errors in one line, exit statuses.
 
-Each command is a module with `add(commands)`, which declares its options and sets `run`, and `run(options)`, which does
-it: parse, one library call, print. Libraries are imported by `run`, so that `--help` loads nothing heavy.
+Each command is a module with `add(commands)`, which declares its options and sets `run`, and `run(options)`, which carries
+it out: parse, one library call, print. Libraries are imported by `run`, so that `--help` loads nothing heavy.
 """
 
 import argparse
@@ -23,7 +23,7 @@ Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 T = TypeVar("T", bound="DataclassInstance")
 
 STATUSES = (
-    "exit status: 0 done; 1 an error, told in one line on standard error; 2 wrong usage; "
+    "exit status: 0 done; 1 an error, in one line on standard error; 2 wrong usage; "
     "3 done, but the result is not to be trusted (robot-identify fit, validate); 130 interrupted by Ctrl-C"
 )
 DISTRIBUTION = "robot-idim"
@@ -34,12 +34,12 @@ class CommandModule(Protocol):
     """What a module of one command has: `add`."""
 
     def add(self, commands: Commands, /) -> None:
-        """Declare the command's options, and set `run` to what it does: a function of the options that gives a status."""
+        """Declare the command's options, and set `run`: a function of the options that returns the exit status (None is 0)."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """A command line: its name, one line about it, its commands in the order of the help, the errors it tells in one line."""
+    """A command line: its name, one line about it, its commands in the order of the help, the errors it prints in one line."""
 
     name: str
     description: str
@@ -47,9 +47,11 @@ class Program:
     errors: tuple[type[Exception], ...]
 
     def parser(self) -> argparse.ArgumentParser:
-        """The parser of all commands; what it parses has `run`."""
+        """The parser of all commands; the options that it returns have `run`."""
         parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
-        parser.add_argument("--version", action=_Versions, nargs=0, help="versions of this and of what it rests on")
+        parser.add_argument(
+            "--version", action=_Versions, nargs=0, help="versions of this program and its dependencies"
+        )
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for command in self.commands:
             command.add(commands)
@@ -67,7 +69,7 @@ class Program:
 
 
 class _Versions(argparse.Action):
-    """Print versions, one a line, and leave."""
+    """Print versions, one per line, and exit."""
 
     def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
         from importlib.metadata import PackageNotFoundError, version
@@ -84,7 +86,7 @@ class _Versions(argparse.Action):
 
 
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
-    """A dataclass made of the options that bear the names of its fields, and of `others`.
+    """A dataclass made of the options that have the names of its fields, and of `others`.
 
     An option that was not given (None) leaves the field's default.
     """
@@ -93,7 +95,7 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
 
 
 class Progress:
-    """A line on standard error that says what is being done, if `shown`: on a terminal only."""
+    """A line on standard error that shows progress; only on a terminal (`shown`)."""
 
     def __init__(self, text: str) -> None:
         self.shown = sys.stderr.isatty()
@@ -109,7 +111,7 @@ class Progress:
 
     @contextmanager
     def cleared(self) -> Iterator[None]:
-        """Without the line for the time of the block, so that something else can be told and asked."""
+        """Remove the line inside the block, so that other lines can be printed and read."""
         self.__exit__()
         try:
             yield
@@ -127,13 +129,13 @@ class Progress:
 
 
 class _Stream:
-    """A text stream that drops what it cannot write and keeps the first error, so that no command ends at a print."""
+    """A text stream that drops what cannot be written and stores the first error, so that no `print` ends a command."""
 
     def __init__(self, stream: TextIO) -> None:
         self.stream = stream
         self.error: OSError | None = None
         if isinstance(stream, io.TextIOWrapper):
-            stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? where it has no sign
+            stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? for other characters
 
     def write(self, text: str) -> int:
         if self.error is None:
@@ -155,8 +157,8 @@ class _Stream:
 
     def _fail(self, error: OSError) -> None:
         self.error = error
-        # Python flushes once more at its end, and would complain: what is left goes nowhere.
-        with suppress(OSError):  # a stream of a test has no descriptor
+        # Python flushes again at exit and would report the error: the rest is written to /dev/null.
+        with suppress(OSError):  # the stream of a test has no descriptor
             null = os.open(os.devnull, os.O_WRONLY)
             os.dup2(null, self.stream.fileno())
             os.close(null)
@@ -165,7 +167,7 @@ class _Stream:
 def run_command(program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]) -> int:
     """Run `command` and return the exit status: its own (None is 0), 1 after one of `errors` in one line, 130 on Ctrl-C.
 
-    A reader of standard output that goes away (`| head -1`) changes nothing. Standard output that cannot be written for
+    A pipe of standard output that is closed early (`| head -1`) is no error. Standard output that cannot be written for
     another reason (a full disk) is status 1 and one line, after the command has done everything else.
     """
     with _standard_streams() as (out, err):
@@ -192,12 +194,12 @@ def _refuse(err: _Stream, program: str, text: str, status: int) -> int:
 
 @contextmanager
 def _standard_streams() -> Iterator[tuple[_Stream, _Stream]]:
-    """Standard output and error, guarded for the time of the block; what is closed (`>&-`) goes nowhere."""
+    """Standard output and error, guarded inside the block; output to a closed stream (`>&-`) is discarded."""
     for descriptor in range(3):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.open(os.devnull, os.O_RDWR)  # takes this number, which otherwise the next file to be written would get
+            os.open(os.devnull, os.O_RDWR)  # takes this number, which the next file to be written would get otherwise
     before = sys.stdout, sys.stderr
     with suppress(OSError):
         null = open(os.devnull, "w")  # noqa: SIM115

@@ -22,7 +22,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Decode, and say what came of it."""
+    """Decode, and print what was decoded."""
     with Progress("decoding"):
         from ..files import refuse_clash
         from ..importing import decode_recording
@@ -32,11 +32,11 @@ def run(options: argparse.Namespace) -> None:
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)
-    tell_converted(options.output, found)
+    print_converted(options.output, found)
 
 
-def tell_converted(out: Path, found: "Converted") -> None:
-    """Print the warnings of frames that became samples, and what became of them."""
+def print_converted(out: Path, found: "Converted") -> None:
+    """Print warnings and size of a recording made of CAN frames."""
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     reference = ", with reference" if found.has_reference else ""

@@ -20,7 +20,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Disable the drives; 1, and first of all which ones, when some did not confirm it."""
+    """Disable the drives. If some do not confirm it, the first line says which ones, and the status is 1."""
     from ..master import not_disabled
     from ..robot import load_robot
 
@@ -39,10 +39,22 @@ def run(options: argparse.Namespace) -> int:
 
 
 def disable(robot: "Robot", place: str) -> list[int]:
-    """Node ids of the drives that did not confirm that they are disabled. Afterwards every node is in PRE-OPERATIONAL.
+    """Stop and disable every drive of the description, then set every node to PRE-OPERATIONAL.
 
-    Nothing is asked first and nothing is refused: a session that still runs ends with a fault, and cannot enable again.
-    Raises `AcquisitionError` where the bus cannot be opened.
+    It is never refused, also when another program controls the drives: a session that still runs ends with a fault.
+
+    Parameters
+    ----------
+    place : the name of the description in errors.
+
+    Returns
+    -------
+    Node ids of the drives that did not confirm that they are disabled.
+
+    Raises
+    ------
+    AcquisitionError
+        The description is refused, or the bus cannot be opened.
     """
     from ..master import Master, leave_operational, safe_stop
     from ..robot import resolve

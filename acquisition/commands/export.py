@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write the table, and say how long it is."""
+    """Write the table, and print its number of rows."""
     with Progress("exporting"):
         from ..files import refuse_clash
         from ..importing import export_csv

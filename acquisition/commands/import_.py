@@ -1,11 +1,11 @@
-"""`robot-acquire import`: a recording out of tables (CSV, MAT) or out of a CAN log."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT) or from a CAN log."""
 
 import argparse
 from pathlib import Path
 
 from ..errors import AcquisitionError, one_line
 from .command_line import Commands, Progress
-from .decode import tell_converted
+from .decode import print_converted
 
 
 def add(commands: Commands) -> None:
@@ -27,7 +27,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import, and say what was imported; without a map, a CAN log."""
+    """Import tables, or a CAN log where no map is given, and print what was imported."""
     if options.map is None:
         _import_log(options)
         return
@@ -60,4 +60,4 @@ def _import_log(options: argparse.Namespace) -> None:
             raise AcquisitionError(f"{options.tables[1]}: a second CAN log: expected one")
         refuse_clash([options.robot, *options.tables], options.output)
         found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
-    tell_converted(options.output, found)
+    print_converted(options.output, found)

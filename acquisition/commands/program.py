@@ -1,4 +1,4 @@
-"""`robot-acquire`: its commands, each in a file of its own, in the order of the help. A new command is a line here."""
+"""`robot-acquire`: its commands, each in a file of its own, in the order of the help. A new command is listed here."""
 
 from ..errors import AcquisitionError
 from . import check, decode, disable, export, import_, info, record, recover, replay, simulate

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; options bear the names of `RecordOptions`."""
+    """Declare the command; options have the names of the fields of `RecordOptions`."""
     parser = commands.add_parser("record", help="record drives; nothing moves without --track")
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument("robot", type=Path, metavar="ROBOT.toml")
@@ -40,7 +40,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Record, say how it goes and what was recorded; 1 when the session ended by a fault."""
+    """Record, show the status, and print what was recorded; 1 when the session ended with a fault."""
     from ..robot import load_robot
     from ..session import Operator, RecordOptions, Stop, record, stop_on_signals
 
@@ -65,7 +65,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded") -> int:
-    if outcome.fault:  # the reason comes before what was recorded
+    if outcome.fault:  # the reason is printed before what was recorded
         reason = "; ".join((outcome.reason, *outcome.reports))
         print(one_line(f"robot-acquire: {out}: ended by a fault: {reason}"), file=sys.stderr, flush=True)
     for text in () if outcome.fault else recorded.warnings:
@@ -82,13 +82,13 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded")
 
 
 def _announce(outcome: "Outcome") -> None:
-    """Say at once which drives may still be enabled: before the recording is closed, and before all else."""
+    """Print at once which drives may still be enabled, before the recording is closed."""
     if outcome.alarm:
         print(one_line(outcome.alarm), file=sys.stderr, flush=True)
 
 
 def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
-    """Show joint positions, and wait until somebody says yes or something else; a stop asked for is no."""
+    """Show the joint positions and ask for confirmation; a stop in the meantime means no."""
     import select
 
     with progress.cleared():
@@ -103,14 +103,14 @@ def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
 
 
 def _shown_by(robot: "Robot", progress: Progress) -> "ShowStatus":
-    """Where to a session reports twice a second: to the terminal, if there is one."""
+    """The function that shows the status of a session: on the terminal, if there is one."""
     if not progress.shown:
         return lambda status, left_s: None
     return lambda status, left_s: progress.say(live_line(robot, status, left_s))
 
 
 def live_line(robot: "Robot", status: "Status", left_s: float | None) -> "Text":
-    """Rate, losses, each joint's range so far, time left. Losses stand out."""
+    """Rate, losses (bold where there are any), range of each joint so far, time left."""
     from rich.text import Text
 
     line = Text(f"{status.rate_hz:.0f} frames/s")

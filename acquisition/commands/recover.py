@@ -16,7 +16,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Write what is whole, and say what it holds."""
+    """Write the undamaged part of the recording, and print what it holds."""
     with Progress("recovering"):
         from ..files import refuse_clash
         from ..recording import recover

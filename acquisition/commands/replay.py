@@ -19,7 +19,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Send the frames, and say how many."""
+    """Send the frames, and print their number."""
     from ..robot import BusFile
     from ..session import Stop, replay, stop_on_signals
 

@@ -21,7 +21,7 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Serve until the duration is over or a signal comes."""
+    """Simulate the drives until the duration is over, or until a signal."""
     import time
 
     from ..recording import read_recording

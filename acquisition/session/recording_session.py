@@ -1,9 +1,9 @@
-"""A recording session as the command runs it: link, recorder, and status reports while it runs."""
+"""A recording session as the command runs it: link, recorder, and status while it runs."""
 
 import signal
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from contextlib import closing, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
@@ -11,8 +11,8 @@ from types import FrameType
 from ..errors import AcquisitionError
 from ..master import Confirm, Master, confirm_positions, second_stop
 from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role, Status
-from ..robot import Robot, refuse_load, resolve
-from ..simulated import DryRun, SimulatedDrives, dry_run, mechanism_of
+from ..robot import Bus, Robot, refuse_load, resolve
+from ..simulated import SimulatedDrives, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
 from ..transport import SHARED, Link, open_link
 from .scheduling import refuse_jitter, steady
@@ -71,9 +71,36 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
         Errors of the options, the description, the bus or the file, before the session runs.
     """
     assert robot.bus is not None
+    task = _task_of(robot, place, options, operator)
+    if options.passive and any(drive.mapping == "traffic" for drive in robot.bus.drive):
+        return _listen(robot, place, out, task, operator)
+    bus = resolve(robot, place)  # refuses what it can before anything is opened
+    if options.passive:
+        return _listen(robot, place, out, task, operator)
+    refuse_load(bus, place)
+    with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
+        link, log = ends
+        started_ns = link.now_ns()
+        watched = _StatusLog(log, operator.show, lambda now_ns: _left(task, bus, now_ns - started_ns))
+        with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
+            if granted is not None and isinstance(log, ProcessLog):
+                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
+                log.granted(granted.counters)
+            outcome = run_active(robot, Master(link, bus), watched, task, operator.stop, operator.announce)
+        try:
+            return outcome, log.finish(link.now_ns())
+        except AcquisitionError as error:
+            if outcome.fault:  # it comes before what it did to the recorder
+                raise AcquisitionError(outcome.reason) from error
+            raise
+
+
+def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operator) -> Task:
+    """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
+    assert robot.bus is not None
+    by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
     if options.passive and (options.track is not None or options.dry_run):
         raise AcquisitionError("--passive: sends nothing: expected it without --track and --dry-run")
-    by_traffic = [drive for drive in robot.bus.drive if drive.mapping == "traffic"]
     if by_traffic and not options.passive:
         raise AcquisitionError(
             f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
@@ -84,63 +111,40 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
         raise AcquisitionError(f"--speed {options.speed:g}: is that of a reference: expected it with --track")
     if not 0 < options.speed <= 1:
         raise AcquisitionError(f"--speed {options.speed:g}: expected more than 0, and 1 at most")
-    task = Task(duration_s=options.duration_s)
-    if options.track is not None:
-        reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
-        check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))  # before there is a file
-        task = Task(reference=reference, place=str(options.track))
-        if not options.dry_run:
-            task = replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
-    if not by_traffic:
-        resolve(robot, place)  # what can be refused is refused before anything is opened
-    if options.passive:
-        return _listen(robot, place, out, task, operator)
-    bus = resolve(robot, place)
-    refuse_load(bus, place)
-    simulated: DryRun | None = None
-    link: Link
-    log: InlineLog | ProcessLog
+    if options.track is None:
+        return Task(duration_s=options.duration_s)
+    reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
+    check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))
+    task = Task(reference=reference, place=str(options.track))
     if options.dry_run:
-        mechanism = mechanism_of(robot, bus)
-        log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
-        simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
-        link = simulated.link
+        return task
+    return replace(task, before_motion=lambda master: _before_motion(robot, master, options, operator.confirm))
+
+
+@contextmanager
+def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[Link, InlineLog]]:
+    """Link to simulated drives in simulated time, and the log of its frames."""
+    mechanism = mechanism_of(robot, bus)
+    log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
+    with closing(log), closing(dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)) as run:
         if mechanism.warning is not None:
-            log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
-    else:
-        shared = robot.bus.interface in SHARED
-        # The link first: a bus that cannot be opened leaves no file behind.
-        link = open_link(robot.bus, passive=False, tap=None if shared else lambda frame: log.tap(frame))
-        try:
-            role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
-            log = ProcessLog(out, robot, place, role)
-        except BaseException:
-            link.close()
-            raise
-    try:
-        started_ns = link.now_ns()
-        watched = _StatusLog(
-            log, operator.show, lambda now: _left(task, robot.bus.sync_period_s if robot.bus else 1.0, now - started_ns)
-        )
-        with nullcontext() if simulated is not None else steady() as granted:  # after the recorder has started
-            if granted is not None and isinstance(log, ProcessLog):
-                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
-                log.granted(granted.counters)
-            outcome = run_active(robot, Master(link, bus), watched, task, operator.stop, operator.announce)
-        try:
-            return outcome, log.finish(link.now_ns())
-        except AcquisitionError as error:
-            raise AcquisitionError(outcome.reason if outcome.fault else str(error)) from error
-    finally:
-        log.close()
-        if simulated is not None:
-            simulated.close()
-        else:
-            link.close()
+            log.event(run.link.now_ns(), "warning", f"dry run: {mechanism.warning}")
+        yield run.link, log
+
+
+@contextmanager
+def _on_bus(bus: Bus, robot: Robot, out: Path, place: str, options: RecordOptions) -> Iterator[tuple[Link, ProcessLog]]:
+    """Link to the drives, and the recorder in its own process. The link is first: without a bus no file is written."""
+    shared = bus.file.interface in SHARED
+    with closing(open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))) as link:
+        role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
+        log = ProcessLog(out, robot, place, role)
+        with closing(log):
+            yield link, log
 
 
 def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm: Confirm) -> list[str]:
-    """What is looked at before a real robot moves, in words for `/events`."""
+    """Check homing, joint positions and jitter before a real robot moves; texts for `/events`."""
     marks = [f"confirmed: {', '.join(confirm_positions(robot, master, confirm))}"]
     jitter = refuse_jitter(master)
     marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
@@ -183,7 +187,7 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
 
 
 class _StatusLog:
-    """A log that passes statuses on to whoever shows them."""
+    """A log that also shows each status of the recorder."""
 
     def __init__(self, log: InlineLog | ProcessLog, show: ShowStatus, left: Callable[[int], float | None]) -> None:
         self._log, self._show, self._left = log, show, left
@@ -200,23 +204,21 @@ class _StatusLog:
         return status
 
 
-def _left(task: Task, period_s: float, elapsed_ns: int) -> float | None:
-    whole_s = task.duration_s if task.reference is None else len(task.reference) * period_s
+def _left(task: Task, bus: Bus, elapsed_ns: int) -> float | None:
+    """Seconds left of the task, None where it has no end."""
+    whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
     return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
 
 
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
-    """Ctrl-C, SIGTERM and a closed terminal end the session in order instead of terminating the program.
-
-    Ctrl-C after any of them is a quick stop.
-    """
+    """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them asks for a quick stop."""
 
     def asked(number: int, _: FrameType | None) -> None:
         stop.at_once |= number == signal.SIGINT and stop.reason.startswith(STOPPED)
         stop.reason = stop.reason or f"{STOPPED} {signal.Signals(number).name}"
 
-    # A hangup that is ignored already stays so, as `nohup` has it. A shell's background jobs ignore SIGINT: not these.
+    # SIGHUP that is ignored already stays ignored (`nohup`). SIGINT is handled also in background jobs, where shells ignore it.
     numbers = [n for n in STOPPING if n != signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
     before = {number: signal.signal(number, asked) for number in numbers}
     try:
