@@ -12,8 +12,8 @@ from .results import print_results
 def add(commands: Commands) -> None:
     """Declare the command."""
     parser = commands.add_parser("base", help="base parameters of a robot, with their expressions")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.toml")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write them as JSON")
+    parser.add_argument("robot", type=Path, metavar="ROBOT.toml", help="the robot's description")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the parameters as JSON")
     parser.set_defaults(run=run)
 
 

@@ -12,8 +12,8 @@ from .results import print_results
 def add(commands: Commands) -> None:
     """Declare the command."""
     parser = commands.add_parser("compare", help="parameters of two fits side by side")
-    parser.add_argument("a", type=Path, metavar="A.json")
-    parser.add_argument("b", type=Path, metavar="B.json")
+    parser.add_argument("a", type=Path, metavar="A.json", help="a fit, as `fit --json` writes it")
+    parser.add_argument("b", type=Path, metavar="B.json", help="another fit")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the comparison as JSON")
     parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the comparison as a Rerun file")
     parser.set_defaults(run=run)

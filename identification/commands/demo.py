@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("session"), metavar="DIR", help="folder for results (default: session)"
     )
-    parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="default tx40")
+    parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="the simulated robot (default tx40)")
     parser.add_argument(
         "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
     )

@@ -43,8 +43,10 @@ def add(commands: Commands) -> None:
         metavar="regular|ls|FIT.json",
         help="first parameters: unit inertias (default), least squares, or those of a fit's JSON file",
     )
-    iv.add_argument("--tolerance-percent", type=above_zero, metavar="P", help="default 2.5")
-    iv.add_argument("--max-iterations", type=positive, metavar="N", help="default 10")
+    iv.add_argument(
+        "--tolerance-percent", type=above_zero, metavar="P", help="passes end when changes are smaller (default 2.5)"
+    )
+    iv.add_argument("--max-iterations", type=positive, metavar="N", help="most passes (default 10)")
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")

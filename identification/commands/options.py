@@ -28,13 +28,13 @@ def add_simulation_options(
         metavar="F",
         help="sample rate (default 1000)",
     )
-    group.add_argument("--seed", type=whole, default=1, metavar="K", help="of reference and noise (default 1)")
+    group.add_argument("--seed", type=whole, default=1, metavar="K", help="seed of reference and noise (default 1)")
     group.add_argument(
         "--encoder-step",
         type=not_negative,
         default=encoder_step,
         metavar="Q",
-        help=f"rad or m per count (default {encoder_step:g})",
+        help=f"step of the encoder, rad or m (default {encoder_step:g})",
     )
     group.add_argument(
         "--position-noise",
@@ -42,7 +42,7 @@ def add_simulation_options(
         type=not_negative,
         default=0.0,
         metavar="Q",
-        help="rad or m, rms (default 0)",
+        help="noise of the position, rad or m rms (default 0)",
     )
     group.add_argument(
         "--effort-noise-percent",
@@ -50,7 +50,7 @@ def add_simulation_options(
         type=not_negative,
         default=effort_noise_percent,
         metavar="P",
-        help=f"of each torque's rms (default {effort_noise_percent:g})",
+        help=f"noise of the torque, %% of its rms (default {effort_noise_percent:g})",
     )
 
 
@@ -58,8 +58,10 @@ def add_recording(parser: argparse.ArgumentParser, *before: str) -> None:
     """The group of inputs: files that come before, the recording, and a description used instead of its own."""
     inputs = parser.add_argument_group("inputs")
     for name in before:
-        inputs.add_argument(name, type=Path, metavar=f"{name.upper()}.json")
-    inputs.add_argument("recording", type=Path, metavar="LOG.mcap")
+        inputs.add_argument(
+            name, type=Path, metavar=f"{name.upper()}.json", help=f"the {name}, as `fit --json` writes it"
+        )
+    inputs.add_argument("recording", type=Path, metavar="LOG.mcap", help="the recording")
     inputs.add_argument(
         "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recording's own"
     )

@@ -18,10 +18,16 @@ def add(commands: Commands) -> None:
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
     varied = parser.add_argument_group("what is varied")
-    varied.add_argument("--runs", type=positive, metavar="N", help="default 100")
-    varied.add_argument("--cutoffs", type=cutoffs, metavar="A,B,none", help="x bandwidth (default 5,10,none)")
-    varied.add_argument("--starts", type=factors, metavar="A,B", help="x each joint's true inertia (default 0.05,1,20)")
-    varied.add_argument("--gain-errors", type=factors, metavar="A,B", help="x true gains (default 0.7,1,1.3)")
+    varied.add_argument("--runs", type=positive, metavar="N", help="number of runs (default 100)")
+    varied.add_argument(
+        "--cutoffs", type=cutoffs, metavar="A,B,none", help="cut-offs, times the bandwidth (default 5,10,none)"
+    )
+    varied.add_argument(
+        "--starts", type=factors, metavar="A,B", help="first inertias, times the true ones (default 0.05,1,20)"
+    )
+    varied.add_argument(
+        "--gain-errors", type=factors, metavar="A,B", help="gains, times the true ones (default 0.7,1,1.3)"
+    )
     varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
     add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)
     outputs = parser.add_argument_group("outputs")
