@@ -1,4 +1,4 @@
-"""One report, three renderers: the same numbers in a terminal, in Markdown and as JSON."""
+"""One report, its renderers: the same numbers in a terminal, in Markdown and as JSON; files by their ending."""
 
 import json
 import math
@@ -7,7 +7,8 @@ import re
 import msgspec
 import pytest
 
-from identification.report import Document, Section, print_whole, to_markdown
+from identification.errors import IdentificationError
+from identification.report import Document, Section, print_whole, to_html, to_markdown, write_report
 from identification.report.document import Number, Table, columns, document_json
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
@@ -88,3 +89,16 @@ def test_a_wide_table_is_printed_whole_in_a_narrow_terminal(capsys, monkeypatch)
 def test_a_row_has_a_cell_for_each_column():
     with pytest.raises(ValueError, match="a row of 1 cells in a table of 2 columns"):
         Table(columns=columns("a", "b"), rows=(("x",),))
+
+
+def test_a_report_file_has_the_format_of_its_ending(tmp_path):
+    for ending, text in ((".md", to_markdown(REPORT)), (".html", to_html(REPORT))):
+        path = tmp_path / f"report{ending}"
+        write_report(path, REPORT)
+        assert text in path.read_text(encoding="utf-8")
+    assert '<meta charset="utf-8">' in (tmp_path / "report.html").read_text(encoding="utf-8")
+    with pytest.raises(IdentificationError) as caught:
+        write_report(tmp_path / "report.pdf", REPORT)
+    assert (caught.value.place, caught.value.value) == (str(tmp_path / "report.pdf"), ".pdf")
+    assert caught.value.expected == ".md or .html"
+    assert not (tmp_path / "report.pdf").exists()

@@ -50,6 +50,7 @@ def add(commands: Commands) -> None:
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
+    outputs.add_argument("--report", type=Path, metavar="FILE", help="write the printed report, as .md or .html")
     outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
     parser.set_defaults(run=run)
 
@@ -65,10 +66,12 @@ def run(options: argparse.Namespace) -> int:
                 expected="--method iv with it",
             )
     inputs = [options.recording, options.robot, Path(options.start or "regular")]
-    refuse_outputs(inputs, options.json, picture=options.rrd)
+    refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
     with Progress("reading") as progress:
-        from ..report import fit_document, fit_file, write_json
+        from ..report import check_report_file, fit_document, fit_file, write_json, write_report
 
+        if options.report:
+            check_report_file(options.report)
         signals = load(options)
         progress.say("fitting")
         fit = _identify(options, signals, progress.say)
@@ -76,6 +79,8 @@ def run(options: argparse.Namespace) -> int:
     try:
         if options.json:
             write_json(options.json, fit_file(signals, fit, document))
+        if options.report:
+            write_report(options.report, document)
         if options.rrd:
             with Progress("writing the Rerun file"):
                 from ..view import write_fit_rrd

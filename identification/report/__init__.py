@@ -15,7 +15,7 @@ from .document import Cell, Document, Number, Section, Table, columns, write_jso
 from .fit_files import fit_file, fit_schema, validation_file
 from .fit_report import fit_document
 from .recording_report import recording_document, validation_document
-from .renderers import print_whole, to_html, to_markdown
+from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report
 from .stored_fit import StoredFit, doubts, frame_lines, read_fit
 from .study_report import base_document, base_file, study_document, study_file, truth_document
 
@@ -30,6 +30,7 @@ __all__ = [
     "Table",
     "base_document",
     "base_file",
+    "check_report_file",
     "columns",
     "comparison_document",
     "comparison_file",
@@ -54,4 +55,5 @@ __all__ = [
     "validation_document",
     "validation_file",
     "write_json",
+    "write_report",
 ]

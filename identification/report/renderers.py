@@ -1,8 +1,13 @@
-"""Renders a report: whole in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook."""
+"""Renders a report: whole in a terminal of any width, as Markdown for the text panel of a viewer, as HTML for a notebook.
+
+A new renderer to a file is a function from a `Document` to text, and a line in `RENDERERS`.
+"""
 
 import re
 import textwrap
+from collections.abc import Callable
 from html import escape
+from pathlib import Path
 
 from rich import box
 from rich.cells import cell_len
@@ -13,7 +18,9 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 from acquisition.errors import one_line
+from acquisition.files import atomic_write
 
+from ..errors import IdentificationError
 from .document import Document, Section, Table, cell_text
 
 _LONGEST_WORD = 16  # that keeps its column as wide; longer ones, such as a file's name, are broken
@@ -152,3 +159,29 @@ def _html_table(table: Table) -> str:
 
 def _element(tag: str, text: str) -> str:
     return f"<{tag}>{escape(one_line(text))}</{tag}>"
+
+
+def _html_page(document: Document) -> str:
+    return f'<!doctype html>\n<meta charset="utf-8">\n{to_html(document)}\n'
+
+
+RENDERERS: dict[str, Callable[[Document], str]] = {".md": to_markdown, ".html": _html_page}  # by a file's ending
+
+
+def check_report_file(path: Path) -> None:
+    """Raises `IdentificationError` where no renderer is for the file's ending."""
+    if path.suffix not in RENDERERS:
+        raise IdentificationError(place=str(path), key="ending", value=path.suffix, expected=" or ".join(RENDERERS))
+
+
+def write_report(path: Path, document: Document) -> None:
+    """Write a report to a file, whole or not at all, in the format that the file's ending names.
+
+    Raises
+    ------
+    IdentificationError : where no renderer is for that ending.
+    AcquisitionError : where the file cannot be written.
+    """
+    check_report_file(path)
+    with atomic_write(path) as partial:
+        partial.write_text(RENDERERS[path.suffix](document), encoding="utf-8")
