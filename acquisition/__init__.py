@@ -2,7 +2,7 @@
 
 The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
 
-    files        files written whole or not at all, columns of tables
+    files        files written whole or not at all, columns of tables, meshes of a URDF
     protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO, object dictionaries
     robot        the description (robot.toml): joints, motors, limits, the bus and its drives
     recording    the MCAP format: rows, reader, writer, recovery, summary

@@ -145,6 +145,7 @@ class RobotFile(TomlTable, frozen=True):
     controller: Controller
     gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -9.81)
     urdf: str | None = None
+    urdf_meshes: bool = False
     motor_matrix: tuple[tuple[float, ...], ...] | None = None
     identification: Identification = Identification()
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
@@ -160,6 +161,8 @@ def check_description(f: RobotFile, place: str) -> None:
 
     if len(f.motor) != n:
         refuse("motor", f"{len(f.motor)} tables", f"one per joint: {n}")
+    if f.urdf_meshes and f.urdf is None:
+        refuse("urdf_meshes", True, "a urdf that names them")
     for kind, names in (("joint", [j.name for j in f.joint]), ("motor", [m.name for m in f.motor])):
         for i, name in enumerate(names):
             if name in names[:i]:

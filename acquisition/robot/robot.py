@@ -9,9 +9,12 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
+from ..files import read_meshes
 from .bus import BusFile, dictionary_label
 from .description import Controller, Identification, Joint, Motor, RobotFile, check_description
 from .toml import parse_toml
+
+_MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -24,7 +27,8 @@ class Robot:
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
         bus: the drives and how they are reached, as the file has it; `drives` resolves it. None where it has no `[bus]`.
-        files: the description itself, by name (`robot.toml`, the URDF, object dictionaries), as recordings carry it.
+        files: the description itself, by name (`robot.toml`, the URDF and its meshes, object dictionaries), as recordings
+            carry it.
     """
 
     name: str
@@ -42,6 +46,10 @@ class Robot:
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
+
+    def mesh(self, name: str) -> bytes | None:
+        """Content of the mesh that the URDF names so; None where the robot does not carry it."""
+        return self.files.get(f"{_MESH}{name}")
 
     @property
     def n(self) -> int:
@@ -83,7 +91,7 @@ class Robot:
 
 
 def load_robot(path: str | PathLike[str]) -> Robot:
-    """Read a robot description, and the URDF and object dictionaries it names.
+    """Read a robot description, and the URDF (with its meshes where `urdf_meshes` asks for them) and dictionaries it names.
 
     Parameters
     ----------
@@ -107,6 +115,9 @@ def load_robot(path: str | PathLike[str]) -> Robot:
     _refuse_idle_keys(document.controller, str(path))
     if document.urdf is not None:
         files["robot.urdf"] = _companion(path, "urdf", document.urdf)
+        if document.urdf_meshes:
+            meshes = read_meshes(files["robot.urdf"], (path.parent / document.urdf).parent, str(path))
+            files |= {f"{_MESH}{name}": content for name, content in meshes.items()}
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         if drive.dictionary is not None:
             key = f"bus.drive[{i}].dictionary"
@@ -142,7 +153,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
 
     Parameters
     ----------
-    files : content by name: `robot.toml`, and where it names them `robot.urdf` and `dictionary:<name>`.
+    files : content by name: `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and
+        `dictionary:<name>`.
     place : the name of the description in errors.
 
     Raises
@@ -166,6 +178,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     arrays = (R, np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float))
     names = ["robot.toml", "robot.urdf"]
+    names += [name for name in files if name.startswith(_MESH)]
     if f.bus is not None:
         names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]
     for array in arrays:

@@ -5,12 +5,17 @@ modified Denavit-Hartenberg table goes (d along x, then r along z) and how most 
 their axes, or a slide on its rail; the last link ends in a tool.
 """
 
-import os
+import hashlib
 import xml.etree.ElementTree as ET
-from pathlib import Path
+from functools import cache
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
+from acquisition.files import MESHES, find_mesh
+from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..data import Signals
@@ -20,7 +25,6 @@ from .panels import Moving, Part, Scene, Solid
 
 POSES_PER_S = 50.0  # as smooth as a screen shows it
 MOST_POSES = 15_000  # five minutes of them; a longer recording has fewer a second
-MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # that Rerun reads
 _SMALL = 1e-6
 
 
@@ -37,7 +41,7 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
         t_s[0] = signals.t_s[0]  # until it sets out, it stands where it will
         robots.append(_moving(dynamics, "simulated", t_s, m.q[k], ghost=True))
     solids, floor = _solids(dynamics, signals.q)
-    up, urdf = _up(dynamics), _drawable(signals.robot.urdf)
+    up, urdf = _up(dynamics), _drawable(signals.robot)
     corners = _reached(solids, robots[0])
     target = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -86,40 +90,41 @@ def _moving(dynamics: InverseModel, key: str, t_s: Array, q: Array, *, ghost: bo
     return Moving(key=key, t_s=t_s, q=q, places=places, turns=quaternions, ghost=ghost)
 
 
-def _drawable(urdf: str | None) -> str | None:
+def _drawable(robot: Robot) -> str | None:
     """A URDF with shapes of its own, its meshes named by their files; None without shapes, or where a mesh is not found.
 
-    A recording holds the text of the URDF, not the meshes, and not the folder that relative names are relative to.
+    A mesh is taken from the recording. One that is not there is found by its name, unless this is relative: a recording does
+    not hold the folder of the URDF.
     """
-    if urdf is None:
+    if robot.urdf is None:
         return None
-    root = ET.fromstring(urdf)
+    root = ET.fromstring(robot.urdf)
     for link in root.iter("link"):
         for collision in link.findall("collision"):
             link.remove(collision)  # a viewer hides them
     shapes = [shape for visual in root.iter("visual") for geometry in visual.iter("geometry") for shape in geometry]
     for mesh in (shape for shape in shapes if shape.tag == "mesh"):
-        if (file := _mesh_file(mesh.get("filename", ""))) is None:
+        name = mesh.get("filename", "")
+        content = robot.mesh(name)
+        file = find_mesh(name) if content is None else _file_of(content, PurePosixPath(name).suffix)
+        if file is None:
             return None
         mesh.set("filename", str(file))
     return ET.tostring(root, encoding="unicode") if shapes else None
 
 
-def _mesh_file(name: str) -> Path | None:
-    """The file that a URDF names: by an absolute path, or as package://, in the folders where ROS looks for packages."""
-    if name.startswith("package://"):
-        package, _, rest = name.removeprefix("package://").partition("/")
-        sources, installed = (
-            [Path(folder).resolve() for folder in os.environ.get(variable, "").split(os.pathsep) if folder]
-            for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
-        )
-        folders = [folder if folder.name == package else folder / package for folder in sources]
-        folders += [folder / "share" / package for folder in installed]
-        files = [folder / rest for folder in folders]
-    else:
-        files = [Path(name.removeprefix("file://"))]
-    found = (file for file in files if file.is_absolute() and file.suffix.lower() in MESHES and file.is_file())
-    return next(found, None)
+def _file_of(content: bytes, suffix: str) -> Path | None:
+    """A file with a recording's mesh, for Rerun, which reads meshes from files only; removed when the program ends."""
+    if suffix.lower() not in MESHES:
+        return None
+    file = Path(_folder().name) / (hashlib.sha256(content).hexdigest() + suffix)
+    file.write_bytes(content)
+    return file
+
+
+@cache
+def _folder() -> TemporaryDirectory[str]:
+    return TemporaryDirectory(prefix="robot-idim-meshes-")
 
 
 def _up(dynamics: InverseModel) -> Array:

@@ -1,0 +1,79 @@
+"""Meshes that a URDF names: their names, and the files that the names mean."""
+
+import os
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+from ..errors import AcquisitionError
+
+MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # that viewers read
+LARGEST_MESHES = 64 * 2**20  # bytes of all meshes of a robot
+
+
+def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
+    """The meshes of a URDF's visual shapes.
+
+    Parameters
+    ----------
+    urdf : the file's content.
+    folder : of the URDF; relative names are relative to it, and `package://` names are looked for in it first.
+    place : the description, in errors.
+
+    Returns
+    -------
+    The content of each file, by its name in the URDF.
+
+    Raises
+    ------
+    AcquisitionError
+        The URDF is not XML, or a mesh is not found, cannot be read, or is too large; with the mesh's name as `value`.
+    """
+    try:
+        visuals = ET.fromstring(urdf).iter("visual")
+    except (ET.ParseError, ValueError, LookupError) as error:  # the last two of an encoding that is not known
+        raise AcquisitionError(f"not valid XML: {error}", place=place, key="urdf") from error
+    names = dict.fromkeys(mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh"))
+    meshes, size = dict[str, bytes](), 0
+    for name in names:
+        file = find_mesh(name, folder)
+        if file is None:
+            expected = f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}"
+            raise AcquisitionError("is not found", place=place, key="urdf: mesh", value=name, expected=expected)
+        try:
+            size += file.stat().st_size
+            if size > LARGEST_MESHES:
+                raise AcquisitionError(
+                    f"{size} bytes with those before it",
+                    place=place,
+                    key="urdf: mesh",
+                    value=name,
+                    expected=f"{LARGEST_MESHES} at most; leave out urdf_meshes",
+                )
+            meshes[name] = file.read_bytes()
+        except OSError as error:
+            problem = f"cannot be read: {error.strerror}"
+            raise AcquisitionError(problem, place=place, key="urdf: mesh", value=name) from error
+    return meshes
+
+
+def find_mesh(name: str, folder: Path | None = None) -> Path | None:
+    """The mesh file that a URDF names, None where there is none of a known format.
+
+    A name is a path, absolute or relative to the `folder` of the URDF, or `package://PACKAGE/REST`: of a package beside the
+    URDF, in a folder that the URDF is in, or in `ROS_PACKAGE_PATH` or `AMENT_PREFIX_PATH`.
+    """
+    if name.startswith("package://"):
+        package, _, rest = name.removeprefix("package://").partition("/")
+        sources, installed = (
+            [Path(path).resolve() for path in os.environ.get(variable, "").split(os.pathsep) if path]
+            for variable in ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
+        )
+        if folder is not None:
+            near = folder.resolve()
+            sources = [near, *near.parents, *sources]
+        folders = [path if path.name == package else path / package for path in sources]
+        files = [path / rest for path in (*folders, *(path / "share" / package for path in installed))]
+    else:
+        path = Path(name.removeprefix("file://"))
+        files = [path if folder is None else folder.resolve() / path]
+    return next((f for f in files if f.is_absolute() and f.suffix.lower() in MESHES and f.is_file()), None)
