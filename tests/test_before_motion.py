@@ -62,8 +62,11 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     node.more_status = 0
     node.values |= dict.fromkeys([key for key in node.values if key[0] == 0x2000], 0)
     node.tick()
-    with pytest.raises(AcquisitionError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set"):
+    with pytest.raises(AcquisitionError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set") as caught:
         confirm_positions(robot, master, lambda _: True)
+    error = caught.value
+    assert (error.place, error.key, error.value) == ("node 2 (motor_2)", "homed", robot.bus.drive[1].homed)
+    assert error.expected == "a homed drive before motion"
     run.close()
 
 
@@ -172,7 +175,7 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
     master = Master(Late(link=run.link, late_ns=4_000_000), bus_of(robot))
     monkeypatch.setattr(scheduling, "largest_delay_s", lambda _: bound_s)
     if refused:
-        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd 4.000 ms: 3 of it are more than 11.9 ms"):
+        with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 of it are more than 11.9 ms"):
             refuse_jitter(master)
     else:
         found = refuse_jitter(master)

@@ -99,8 +99,11 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
     assert enabled("inside.mcap", 1.02 * sag_deg).outcome.reason == "finished"
     beyond = enabled("beyond.mcap", 0.98 * sag_deg)
     assert beyond.outcome.fault
-    assert beyond.outcome.reason.startswith("joint_1: moved -0.00")
-    assert "rad while drives were enabled: expected" in beyond.outcome.reason
+    error = beyond.outcome.error
+    assert (error.place, error.key) == ("joint_1", "motion while drives were enabled")
+    assert -0.98 * sag_deg / DEG > error.value > -1.2 * sag_deg / DEG
+    assert error.expected == f"{0.98 * sag_deg / DEG:.4g} at most"
+    assert str(error) == beyond.outcome.reason
     assert beyond.drives.all_disabled
 
 

@@ -79,7 +79,7 @@ def test_over_speed_in_both_directions(tmp_path):
     assert SPEED_MARGIN == 1.2
     # There and back: both directions.
     assert outcome_of(tmp_path, there_and_back(0.1, within), text) == "finished"
-    expected = "joint_1: speed 4.231 rad/s: expected 3.491 at most"
+    expected = "joint_1: speed = 4.231 rad/s: expected 3.491 at most"
     assert outcome_of(tmp_path, lambda t: min(t * beyond, 0.1), text) == expected
     assert outcome_of(tmp_path, lambda t: max(-t * beyond, -0.1), text) == expected
 
@@ -91,7 +91,7 @@ def test_both_ends_of_the_range(tmp_path):
     assert outcome_of(tmp_path, lambda t: up(t) if t < 0.24 else down(t - 0.24), text) == "finished"
     for beyond in (high, low):
         reason = outcome_of(tmp_path, there_and_back(1.05 * beyond, 3.0), text)
-        value = float(reason.removeprefix("joint_1: position ").split()[0])
+        value = float(reason.removeprefix("joint_1: position = ").split()[0])
         assert 1.0 < value / beyond < 1.05
         assert reason.endswith("rad: expected -0.1745 to 0.3491")
 
@@ -103,7 +103,7 @@ def test_following_errors_of_both_signs(tmp_path):
     assert outcome_of(tmp_path, lambda t: up(t) if t < 0.04 else down(t - 0.04), text) == "finished"
     for sign in (1, -1):
         reason = outcome_of(tmp_path, there_and_back(sign * 1.15 * largest, 1.0), text)
-        assert reason.startswith("joint_1: following error 0.01")
+        assert reason.startswith("joint_1: following error = 0.01")
         assert reason.endswith("rad: expected 0.01745 at most")
 
 

@@ -148,7 +148,7 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
 
 
 def test_replay_onto_hardware_must_be_asked_for(tracked):
-    with pytest.raises(AcquisitionError, match=r"--interface socketcan: hardware .* expected --onto-bus"):
+    with pytest.raises(AcquisitionError, match=r"--interface = 'socketcan': hardware .* expected --onto-bus"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
     with pytest.raises(AcquisitionError, match="nowhere0: cannot be opened"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop(), onto_bus=True)

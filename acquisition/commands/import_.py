@@ -54,10 +54,10 @@ def _import_log(options: argparse.Namespace) -> None:
 
         tables = [path for path in options.tables if not is_log(path)]
         if tables:
-            expected = "expected MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
-            raise AcquisitionError(f"{tables[0]}: a table, and --map is not there: {expected}")
+            expected = "MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
+            raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)
         if len(options.tables) > 1:
-            raise AcquisitionError(f"{options.tables[1]}: a second CAN log: expected one")
+            raise AcquisitionError("a second CAN log", place=str(options.tables[1]), expected="one")
         refuse_clash([options.robot, *options.tables], options.output)
         found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
     print_converted(options.output, found)

@@ -45,13 +45,12 @@ def run(options: argparse.Namespace) -> int:
     from ..session import Operator, RecordOptions, Stop, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
-        raise AcquisitionError(f"--duration {options.duration_s:g}: expected more than 0, and an end")
+        raise AcquisitionError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
     robot = load_robot(options.robot)
-    if robot.bus is None:
-        raise AcquisitionError(f"{options.robot}: bus is missing: expected a [bus] section with one drive per motor")
     moves = options.track is not None and not options.dry_run
     if moves and not options.yes and not sys.stdin.isatty():
-        raise AcquisitionError("--track: nobody is here to confirm the joint positions: expected a terminal, or --yes")
+        text = "nobody is here to confirm the joint positions"
+        raise AcquisitionError(text, place="--track", expected="a terminal, or --yes")
     stop = Stop()
     with stop_on_signals(stop), Progress("starting") as progress:
 
@@ -75,9 +74,9 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded")
     if outcome.fault:
         return 1
     if outcome.alarm:
-        raise AcquisitionError(f"{out}: {outcome.alarm}")
+        raise AcquisitionError(outcome.alarm, place=str(out))
     if recorded.no_samples:
-        raise AcquisitionError(f"no samples, the frames are kept: {recorded.no_samples}")
+        raise AcquisitionError(f"no samples, but the frames are in the recording: {recorded.no_samples}")
     return 0
 
 

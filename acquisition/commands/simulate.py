@@ -44,7 +44,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
-            raise AcquisitionError(f"{options.replay}: holds no joint samples: expected some to replay")
+            raise AcquisitionError("holds no joint samples", place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
         mechanism = Mechanism(plant=plant, loops=typical_loops(robot, rated_motor_effort(bus)))
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))

@@ -65,7 +65,7 @@ class MasterHeartbeat:
                 entries = consumers(self._master, node)
                 sub = free_entry(entries, self._file.master_node)
                 if sub is None:
-                    raise AcquisitionError(f"node {node}: object 1016: no free sub-index: expected one")
+                    raise AcquisitionError("no free sub-index", place=f"node {node}: object 1016", expected="one")
                 before = entries[sub - 1]
                 # An entry of this master was left by a session that was killed: it is removed at the end.
                 self._before[node] = (sub, 0 if before == entry else before)

@@ -59,7 +59,11 @@ def refuse_unhomed(master: Master) -> None:
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if homed(master, drive, file) is False:
             raise AcquisitionError(
-                f"node {drive.node} ({drive.name}): homed = {file.homed!r}: not set: expected a homed drive before motion"
+                "not set",
+                place=f"node {drive.node} ({drive.name})",
+                key="homed",
+                value=file.homed,
+                expected="a homed drive before motion",
             )
 
 

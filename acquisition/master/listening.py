@@ -88,8 +88,9 @@ def refuse_other_master(master: Master) -> None:
     found = other_master(master)
     if found is not None:
         raise AcquisitionError(
-            f"bus: {found}: another master is active: expected none; `robot-acquire record --passive` records without sending. "
-            "Nothing was sent"
+            f"{found}: another master is active",
+            place="bus",
+            expected="none; `robot-acquire record --passive` records without sending. Nothing was sent",
         )
 
 
@@ -110,8 +111,9 @@ def refuse_enabled(master: Master) -> list[int]:
         state = master.state(drive)
         if state not in DISABLED:
             raise AcquisitionError(
-                f"node {drive.node}: {state.words} before the session began, and no other master is heard: expected "
-                "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+                f"{state.words} before the session began, and no other master is heard",
+                place=f"node {drive.node}",
+                expected="switch on disabled; `robot-acquire disable` with this robot.toml disables it",
             )
         if state is State.FAULT:
             in_fault.append(drive.node)

@@ -217,7 +217,7 @@ class Master:
             frame = self.link.receive(until_ns)
             if frame is None:
                 raise AcquisitionError(
-                    f"{place}: no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+                    f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?", place=place
                 )
             self.dispatch(frame)
 
@@ -257,9 +257,11 @@ class Master:
                 until_ns = self.link.now_ns() + 500_000_000
                 while (shown := self.read(drive.node, display)) != mode:
                     if self.link.now_ns() > until_ns:
-                        problem = f"node {drive.node}: mode of operation ({display:04X}:0) = {shown}"
                         raise AcquisitionError(
-                            f"{problem}: expected {int(mode)} ({mode.name.lower().replace('_', ' ')})"
+                            place=f"node {drive.node}",
+                            key=f"mode of operation ({display:04X}:0)",
+                            value=shown,
+                            expected=f"{int(mode)} ({mode.name.lower().replace('_', ' ')})",
                         )
                     self.wait(self.link.now_ns() + 10_000_000)
 

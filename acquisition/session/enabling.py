@@ -65,7 +65,7 @@ def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
         for w in master.nodes
         if w.state is not State.OPERATION_ENABLED
     )
-    raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {states}: expected operation enabled")
+    raise AcquisitionError(f"not enabled after {ENABLE_S:g} s: {states}", expected="operation enabled")
 
 
 def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
@@ -78,4 +78,4 @@ def disable(master: Master, targets: list[int]) -> Iterator[Orders]:
             Command.DISABLE_VOLTAGE if state is None else _DOWN.get(state, Command.DISABLE_VOLTAGE) for state in states
         ]
         yield [(command.controlword, target) for command, target in zip(downs, targets, strict=True)]
-    raise AcquisitionError(f"not disabled after {ENABLE_S:g} s: expected switch on disabled")
+    raise AcquisitionError(f"not disabled after {ENABLE_S:g} s", expected="switch on disabled")

@@ -1,10 +1,11 @@
-"""Conditions that must hold while drives are enabled. Each function returns the reason to stop, or None."""
+"""Conditions that must hold while drives are enabled. Each function returns the error that stops the session, or None."""
 
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..arrays import Array
+from ..errors import AcquisitionError
 from ..master import FOLLOWS, OPERATIONAL, REMOTE, Master, error_words, status_words
 from ..protocol import State
 from ..robot import Joint, Robot
@@ -46,43 +47,44 @@ class MotionState:
     noted: set[tuple[int, str]] = field(default_factory=set)
 
 
-def node_fault(master: Master, now_ns: int) -> str | None:
-    """Emergency, restart, lost heartbeat, missed answers or error of the bus: the reason to end any active session, or None."""
+def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
+    """Emergency, restart, lost heartbeat, missed answers or error of the bus: ends any active session."""
     if master.bus_error is not None:
-        return f"bus: {master.bus_error}"
+        return AcquisitionError(master.bus_error, place="bus")
     lost_ns = LOST_HEARTBEATS * master.bus.file.heartbeat_s * 1e9
     for watch in master.nodes:
         node = f"node {watch.drive.node} ({watch.drive.name})"
         if watch.emergency is not None:
-            return f"{node}: emergency {error_words(watch.emergency)}"
+            return AcquisitionError(f"emergency {error_words(watch.emergency)}", place=node)
         if watch.booted:
-            return f"{node}: has restarted"
+            return AcquisitionError("has restarted", place=node)
         if watch.started and watch.nmt != OPERATIONAL:
-            return f"{node}: left operational (NMT state {watch.nmt})"
+            return AcquisitionError(f"left operational (NMT state {watch.nmt})", place=node)
         # A heartbeat that left the drive before START may arrive after it.
         if watch.unstarted >= LOST_HEARTBEATS:
-            return f"{node}: not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            text = f"not operational {watch.unstarted} heartbeats after START (NMT state {watch.nmt})"
+            return AcquisitionError(text, place=node)
         if watch.heard_ns and now_ns - watch.heard_ns > lost_ns:
-            return f"{node}: heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s"
+            return AcquisitionError(f"heartbeat lost for {(now_ns - watch.heard_ns) * 1e-9:.2f} s", place=node)
         if watch.silent_syncs >= SILENT_SYNCS:
-            return f"{node}: {watch.silent_syncs} SYNC not answered"
+            return AcquisitionError(f"{watch.silent_syncs} SYNC not answered", place=node)
     return None
 
 
-def motion_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
-    """State, limit or following error: the reason to stop motion, or None. Called once per SYNC."""
+def motion_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
+    """State, limit or following error: ends motion. Called once per SYNC."""
     return state_fault(master, motion) or joint_fault(master, robot, motion)
 
 
-def state_fault(master: Master, motion: MotionState) -> str | None:
-    """A drive has left operation enabled, or its statusword shows that it does not follow commands: the reason, or None."""
+def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
+    """A drive has left operation enabled, or its statusword shows that it does not follow commands."""
     for watch in master.nodes:
         node, word = watch.drive.node, watch.statusword
         name = f"node {node} ({watch.drive.name})"
         if watch.state is not State.OPERATION_ENABLED or word is None:
             if not motion.enabling or node in motion.enabled:
                 state = "unknown" if word is None else status_words(word)
-                return f"{name}: {state} in motion: expected operation enabled"
+                return AcquisitionError(f"{state} in motion", place=name, expected="operation enabled")
             continue
         motion.enabled.add(node)
         motion.seen[node] = motion.seen.get(node, 0) | word
@@ -90,33 +92,40 @@ def state_fault(master: Master, motion: MotionState) -> str | None:
             clear = motion.clear.get((node, bit), 0) + 1 if motion.seen[node] & ~word & bit else 0
             motion.clear[node, bit] = clear
             if clear >= CLEAR_SYNCS:
-                return f"{name}: {text} for {clear} SYNC"
+                return AcquisitionError(f"{text} for {clear} SYNC", place=name)
     return None
 
 
-def joint_fault(master: Master, robot: Robot, motion: MotionState) -> str | None:
-    """Limits of position, speed, following error, and of motion while drives are enabled: the reason, or None."""
+def joint_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
+    """Limits of position, speed, following error, and of motion while drives are enabled."""
     q = motion.measured[-1]
     dq = None
     if len(motion.measured) > SPEED_SYNCS:
         dq = (q - motion.measured[-1 - SPEED_SYNCS]) / (SPEED_SYNCS * master.bus.file.sync_period_s)
     for i, joint in enumerate(robot.joints):
-        unit = joint.position_unit
         low, high = joint.si("position")
         if not low <= q[i] <= high:
-            return f"{joint.name}: position {q[i]:.4g} {unit}: expected {low:.4g} to {high:.4g}"
+            return _beyond(joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}")
         largest = _enable_motion(master, joint)
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
             moved = q[i] - motion.start[i]
-            return f"{joint.name}: moved {moved:.4g} {unit} while drives were enabled: expected {largest:.4g} at most"
+            return _beyond(
+                joint, "motion while drives were enabled", moved, joint.position_unit, f"{largest:.4g} at most"
+            )
         largest = joint.si("following_error")
         if motion.target is not None and abs(q[i] - motion.target[i]) > largest:
             error = abs(q[i] - motion.target[i])
-            return f"{joint.name}: following error {error:.4g} {unit}: expected {largest:.4g} at most"
+            return _beyond(joint, "following error", error, joint.position_unit, f"{largest:.4g} at most")
         largest = joint.si("speed")
         if dq is not None and abs(dq[i]) > SPEED_MARGIN * largest:
-            return f"{joint.name}: speed {abs(dq[i]):.4g} {unit}/s: expected {largest:.4g} at most"
+            return _beyond(joint, "speed", abs(dq[i]), f"{joint.position_unit}/s", f"{largest:.4g} at most")
     return None
+
+
+def _beyond(joint: Joint, key: str, value: float, unit: str, expected: str) -> AcquisitionError:
+    return AcquisitionError(
+        place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected
+    )
 
 
 def _enable_motion(master: Master, joint: Joint) -> float:

@@ -49,7 +49,7 @@ class Pace:
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 waited = f"{patience_ns / self._period_ns:.3g} periods"
                 raise AcquisitionError(
-                    f"bus: no SYNC in {waited}: expected the other producer's; or sync_producer = 'recorder'"
+                    f"no SYNC in {waited}", place="bus", expected="the other producer's; or sync_producer = 'recorder'"
                 )
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
@@ -60,8 +60,8 @@ class Pace:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
             raise AcquisitionError(
-                f"SYNC {late_ns * 1e-9:.3g} s late in motion: expected {self._latest_ns * 1e-9:.3g} s at most: this "
-                "computer was busy or stopped"
+                f"SYNC {late_ns * 1e-9:.3g} s late in motion",
+                expected=f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped",
             )
 
 

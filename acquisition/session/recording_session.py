@@ -70,7 +70,9 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
     AcquisitionError
         Errors of the options, the description, the bus or the file, before the session runs.
     """
-    assert robot.bus is not None
+    if robot.bus is None:
+        expected = "a [bus] section with one drive per motor"
+        raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
     task = _task_of(robot, place, options, operator)
     if options.passive and any(drive.mapping == "traffic" for drive in robot.bus.drive):
         return _listen(robot, place, out, task, operator)
@@ -90,9 +92,7 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
         try:
             return outcome, log.finish(link.now_ns())
         except AcquisitionError as error:
-            if outcome.fault:  # it comes before what it did to the recorder
-                raise AcquisitionError(outcome.reason) from error
-            raise
+            raise outcome.error or error from error  # the first error may be the cause of the second
 
 
 def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operator) -> Task:
@@ -100,17 +100,16 @@ def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operato
     assert robot.bus is not None
     by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
     if options.passive and (options.track is not None or options.dry_run):
-        raise AcquisitionError("--passive: sends nothing: expected it without --track and --dry-run")
+        raise AcquisitionError("sends nothing", place="--passive", expected="it without --track and --dry-run")
     if by_traffic and not options.passive:
-        raise AcquisitionError(
-            f"{place}: mapping = 'traffic': expected 'table' or 'dictionary' where we are the master"
-        )
+        expected = "'table' or 'dictionary' in an active session"
+        raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
     if options.track is not None and options.duration_s is not None:
-        raise AcquisitionError("--track: lasts as long as its reference: expected it without --duration")
+        raise AcquisitionError("lasts as long as its reference", place="--track", expected="it without --duration")
     if options.track is None and options.speed != 1.0:
-        raise AcquisitionError(f"--speed {options.speed:g}: is that of a reference: expected it with --track")
+        raise AcquisitionError("is that of a reference", key="--speed", value=options.speed, expected="it with --track")
     if not 0 < options.speed <= 1:
-        raise AcquisitionError(f"--speed {options.speed:g}: expected more than 0, and 1 at most")
+        raise AcquisitionError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
         return Task(duration_s=options.duration_s)
     reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
@@ -162,7 +161,6 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
     try:
         started_s = time.monotonic()
         log.event(time.time_ns(), "phase", "record")
-        reason, fault = "", False
         try:
             while not stop.reason:
                 elapsed_s = time.monotonic() - started_s
@@ -174,14 +172,14 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
                     if status.disk_full:
                         stop.reason = "disk nearly full"
                 time.sleep(0.02)
-            reason = stop.reason or "finished"
         except AcquisitionError as error:
-            reason, fault = str(error), True
+            with suppress(AcquisitionError):
+                log.event(time.time_ns(), "fault", str(error))
+            raise
+        reason = stop.reason or "finished"
         with suppress(AcquisitionError):
-            log.event(time.time_ns(), "fault" if fault else "end", reason)
-        if fault:
-            raise AcquisitionError(reason)
-        return Outcome(reason=reason, fault=fault), log.finish(time.time_ns())
+            log.event(time.time_ns(), "end", reason)
+        return Outcome(reason=reason, fault=False), log.finish(time.time_ns())
     finally:
         log.close()
 

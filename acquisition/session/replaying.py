@@ -40,11 +40,13 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
         before the first is sent, or the bus takes no frames.
     """
     if not speed > 0:
-        raise AcquisitionError(f"--speed {speed:g}: expected more than 0")
+        raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
         raise AcquisitionError(
-            f"--interface {file.interface}: hardware may be on this bus: expected --onto-bus, or one of "
-            f"{', '.join(WITHOUT_HARDWARE)}"
+            "hardware may be on this bus",
+            key="--interface",
+            value=file.interface,
+            expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
         )
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
@@ -58,7 +60,9 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
         for frame in listen(link, listen_s, lambda: bool(stop.reason)):
             service = service_of(frame, recording.robot.bus.sync_can_id)
             raise AcquisitionError(
-                f"{file.interface} {file.channel}: {service} is heard: expected a silent bus; nothing was sent"
+                f"{service} is heard",
+                place=f"{file.interface} {file.channel}",
+                expected="a silent bus; nothing was sent",
             )
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
@@ -82,7 +86,7 @@ def from_drives(recording: Recording, place: str) -> Block:
     remote requests and 29-bit frames are left out. Raises `AcquisitionError` where no frame is left.
     """
     if not recording.frames:
-        raise AcquisitionError(f"{place}: holds no CAN frames: expected a recording of drives")
+        raise AcquisitionError("holds no CAN frames", place=place, expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
     bus = resolve(recording.robot, f"{place}: robot.toml", written_by_master(frames))
     ids = [bus.file.sync_can_id]
@@ -92,5 +96,5 @@ def from_drives(recording: Recording, place: str) -> Block:
     plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):
-        raise AcquisitionError(f"{place}: holds no frame of its drives, nor SYNC: expected some to send")
+        raise AcquisitionError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")
     return found

@@ -126,7 +126,7 @@ def sync_jitter(master: Master) -> Jitter:
         first = len(master.sync_times)
         for _ in range(count):
             if not master.wait_for_sync(link.now_ns() + 50 * period_ns):
-                raise AcquisitionError("bus: no SYNC in 50 periods: expected the other producer's")
+                raise AcquisitionError("no SYNC in 50 periods", place="bus", expected="the other producer's")
         times = master.sync_times[first:]
     deviation_s = np.abs(np.diff(times) - period_ns) * 1e-9
     return Jitter(
@@ -142,7 +142,11 @@ def refuse_jitter(master: Master) -> Jitter:
     found = sync_jitter(master)
     if not found.fit_for_motion:
         raise AcquisitionError(
-            f"bus: SYNC jitter sd {found.sd_s * 1e3:.3f} ms: {DEVIATIONS} of it are more than {found.largest_s * 1e3:g} ms, "
-            "the largest delay in motion: expected less; end other programs, or permit SCHED_FIFO (acquisition/README.md)"
+            f"{DEVIATIONS} of it are more than {found.largest_s * 1e3:g} ms, the largest delay in motion",
+            place="bus",
+            key="SYNC jitter sd",
+            value=found.sd_s,
+            shown=f"{found.sd_s * 1e3:.3f} ms",
+            expected="less; end other programs, or permit SCHED_FIFO (acquisition/README.md)",
         )
     return found

@@ -61,17 +61,18 @@ def run_active(
     ------
     BaseException
         Any exception other than `AcquisitionError` that ended the session, after the drives were disabled. An
-        `AcquisitionError` is not raised: it is the reason of an outcome with `fault`.
+        `AcquisitionError` is not raised: it is the `error` of the outcome.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
     reason, fault = "", True
+    failure: AcquisitionError | None = None
     try:
         session.prepare()
         session.phases()
         reason, fault = stop.reason or "finished", False
     except AcquisitionError as error:
-        reason = str(error)
+        reason, failure = str(error), error
     except BaseException as error:
         reason = f"{type(error).__name__}: {error}"
         raise
@@ -79,7 +80,7 @@ def run_active(
         with suppress(AcquisitionError):  # drives are disabled also when the recorder has ended
             log.event(link.now_ns(), "fault" if fault else "end", reason)
         unconfirmed = session.make_safe()
-        outcome = Outcome(reason=reason, fault=fault, unconfirmed=tuple(unconfirmed))
+        outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
             announce(outcome)  # at once: the requests that follow take time
         if session.addressed:
@@ -173,24 +174,24 @@ class _Session:
             self._sync()
 
     def _sync(self) -> None:
-        """Send or await SYNC, take the answers, check the guards. Raises `AcquisitionError` where one gives a reason."""
+        """Send or await SYNC, take the answers, check the guards. Raises the `AcquisitionError` of a guard."""
         motion = self._motion
         self._pace.sync(in_motion=motion is not None and bool(motion.enabled))
         now_ns = self._link.now_ns()
-        reason = node_fault(self._master, now_ns)
-        if reason is None and motion is not None:
+        error = node_fault(self._master, now_ns)
+        if error is None and motion is not None:
             q = self._positions()
             if q is not None:
                 motion.start = q if motion.start is None else motion.start
                 motion.measured = [*motion.measured[-10:], q]
                 # A drive takes a period to reach a target: its position now belongs to the target before the last.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
-                reason = motion_fault(self._master, self._robot, motion)
-            if reason is None and self._stop.at_once:
-                reason = f"{self._stop.reason}, then again: quick stop"
+                error = motion_fault(self._master, self._robot, motion)
+            if error is None and self._stop.at_once:
+                error = AcquisitionError(f"{self._stop.reason}, then again: quick stop")
             self._note(motion)
-        if reason is not None:
-            raise AcquisitionError(reason)
+        if error is not None:
+            raise error
         step_s = self._clock.step_s()
         if step_s:
             warning = f"this computer's clock was set by {step_s:+.3g} s: the receive times of frames jump by that"

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ..arrays import Array
+from ..errors import AcquisitionError
 from ..master import Master, not_disabled
 from ..recorder import Status
 
@@ -54,12 +55,14 @@ class Outcome:
     Attributes:
         reason: in words.
         fault: whether an error ended it.
+        error: the `AcquisitionError` that ended it, with the drive or joint, value and expectation that it names.
         unconfirmed: node ids of commanded drives that did not confirm to be disabled.
         reports: error reports of drives in fault, one line each.
     """
 
     reason: str
     fault: bool
+    error: AcquisitionError | None = None
     unconfirmed: tuple[int, ...] = ()
     reports: tuple[str, ...] = ()
 

@@ -50,7 +50,8 @@ def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
     try:
         plant_of: PlantOf = offered[0].load()
     except (ImportError, AttributeError) as error:
-        raise AcquisitionError(f"entry point {GROUP} {offered[0].value}: cannot be loaded: {error}") from error
+        place = f"entry point {GROUP} {offered[0].value}"
+        raise AcquisitionError(f"cannot be loaded: {error}", place=place) from error
     plant, loops = plant_of(robot)
     return Mechanism(plant=plant, loops=loops)
 

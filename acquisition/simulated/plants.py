@@ -93,7 +93,7 @@ class TablePlant:
 
     def __init__(self, samples: Block, sample_rate_hz: float) -> None:
         if len(samples) == 0:
-            raise AcquisitionError("the table to replay holds no samples: expected some")
+            raise AcquisitionError("the table to replay holds no samples", expected="some")
         self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
 
     @property
