@@ -369,6 +369,6 @@ def test_samples_at_real_times_are_made_uniform(tmp_path):
     for x in (signals.q, signals.q_ref, signals.effort):
         np.testing.assert_allclose(x[:, 1], 0.3 * np.sin(3.0 * signals.t_s + 1), atol=1e-8)
     rewritten(path, robot, np.delete(made, [5000, 5001, 5002, 5003]))
-    with pytest.raises(IdentificationError, match=r"1 gap\(s\) in the samples, the first after 5\.\d+ s: a step of"):
+    with pytest.raises(IdentificationError, match=r"samples: 1 gap\(s\), the first after 5\.\d+ s: a step of"):
         load_signals(path)
     assert load_signals(SCARA).off_grid <= 0.05
