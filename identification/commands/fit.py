@@ -50,7 +50,9 @@ def add(commands: Commands) -> None:
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
-    outputs.add_argument("--report", type=Path, metavar="FILE", help="write the printed report, as .md or .html")
+    outputs.add_argument(
+        "--report", type=Path, metavar="FILE", help="write the printed report; its ending names the format: .md, .html"
+    )
     outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
     parser.set_defaults(run=run)
 
