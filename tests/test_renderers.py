@@ -10,6 +10,7 @@ import pytest
 from identification.errors import IdentificationError
 from identification.report import Document, Section, print_whole, to_html, to_markdown, write_report
 from identification.report.document import Number, Table, columns, document_json
+from identification.report.renderers import RENDERERS
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)
 FORMS = (".4f", "+.2g", ".1f")
@@ -100,5 +101,5 @@ def test_a_report_file_has_the_format_of_its_ending(tmp_path):
     with pytest.raises(IdentificationError) as caught:
         write_report(tmp_path / "report.pdf", REPORT)
     assert (caught.value.place, caught.value.value) == (str(tmp_path / "report.pdf"), ".pdf")
-    assert caught.value.expected == ".md or .html"
+    assert caught.value.expected == " or ".join(RENDERERS)
     assert not (tmp_path / "report.pdf").exists()
