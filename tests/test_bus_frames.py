@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, check_frames
+from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, check_frames
 from acquisition.robot.bus import BusFile, DriveFile
 from acquisition.transport import sockets
 from acquisition.transport.bus import open_bus
@@ -24,7 +24,7 @@ def test_a_row_byte_for_byte():
     """The layout that recordings hold: time, identifier, length, flags, data, little-endian, without gaps."""
     block = block_of([Frame(0x0102030405060708, 0x185, bytes.fromhex("3712FB"), SENT | EXTENDED)])
     assert block.tobytes().hex(" ") == "08 07 06 05 04 03 02 01 85 01 00 00 03 03 37 12 fb 00 00 00 00 00"
-    assert (SENT, EXTENDED, ERROR, REMOTE) == (1, 2, 4, 8)
+    assert (SENT, EXTENDED, ERROR, REMOTE_REQUEST) == (1, 2, 4, 8)
     assert len(block_of([])) == 0
     assert block_of([]).dtype == FRAME
 
@@ -49,7 +49,7 @@ MESSAGES = [
     ("85 01 00 00 02 FF FF FF 37 12 AA AA AA AA AA AA", (2, 999_999_999), 0, (2_999_999_999, 0x185, 2, 0, "3712")),
     ("80 00 00 00 00 00 00 00 AA 00 00 00 00 00 00 00", (3, 0), 4, (3_000_000_000, 0x080, 0, SENT, "")),
     ("78 56 34 92 01 00 00 00 01 00 00 00 00 00 00 00", (4, 0), 0, (4_000_000_000, 0x12345678, 1, EXTENDED, "01")),
-    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0, (5_000_000_000, 0x185, 8, REMOTE, "00" * 8)),
+    ("85 01 00 40 08 00 00 00 00 00 00 00 00 00 00 00", (5, 0), 0, (5_000_000_000, 0x185, 8, REMOTE_REQUEST, "00" * 8)),
     ("04 00 00 20 08 00 00 00 00 10 00 00 00 00 00 00", (6, 0), 0, (6_000_000_000, 4, 8, ERROR, "0010" + "00" * 6)),
     ("FF 0F 00 00 0F 00 00 00 01 02 03 04 05 06 07 08", (7, 0), 0, (7_000_000_000, 0x7FF, 8, 0, "0102030405060708")),
 ]  # fmt: skip
@@ -144,7 +144,7 @@ FRAMES = [
     (message(time_s=1700000000.123456), Frame(1700000000123456001, 0x185, b"\1\2", 0)),
     (message(0x12345678, is_extended_id=True), Frame(1_500_000_000, 0x12345678, b"\1\2", EXTENDED)),
     (message(4, bytes(8), is_error_frame=True), Frame(1_500_000_000, 4, bytes(8), ERROR)),
-    (message(0x185, b"", is_remote_frame=True), Frame(1_500_000_000, 0x185, b"", REMOTE)),
+    (message(0x185, b"", is_remote_frame=True), Frame(1_500_000_000, 0x185, b"", REMOTE_REQUEST)),
     (message(0x80, b"", is_rx=False), Frame(1_500_000_000, 0x80, b"", SENT)),
 ]
 
@@ -376,7 +376,7 @@ def test_a_candump_by_hand(tmp_path):
         ("can0", Frame(1000, 0x080, b"", 0)),
         ("can0", Frame(1_500_000_000, 0x185, bytes.fromhex("3712FBFFFFFFD4FE"), 0)),
         ("can1", Frame(2_250_000_000, 0x12345678, b"\1\2", EXTENDED)),
-        ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE)),
+        ("can0", Frame(3_000_000_000, 0x185, b"", REMOTE_REQUEST)),
         (None, Frame(4_000_000_000, 0, b"", ERROR)),
         ("can0", None),
         ("can0", Frame(6_000_000_000, 0, b"\1\5", 0)),

@@ -10,7 +10,7 @@ from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of
 from acquisition.errors import AcquisitionError
 from acquisition.recorder.decoding import Decoded, decode, unwrapped
 from acquisition.recorder.traffic import written_by_master
-from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE, SENT, gaps
+from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, gaps
 from acquisition.robot.resolving import resolve
 
 ROBOT = robot_of(bus_text())
@@ -110,7 +110,7 @@ def test_frames_of_others_do_not_matter():
     noise = []
     for k in range(50):
         t = 1_000_000_000 + k * 2_000_000
-        noise += [frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE)]
+        noise += [frame(t + 1, 0x181, b"12345678", flag) for flag in (EXTENDED, ERROR, REMOTE_REQUEST)]
         noise += [frame(t + 2, 0x701, b"\5"), frame(t + 3, 0x581, bytes(8)), frame(t + 4, 0x80, b"", EXTENDED)]
     both = np.concatenate([clean, block(noise)])
     found = decode(both[np.argsort(both["time_ns"], kind="stable")], ROBOT, BUS, "log")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from acquisition.protocol.error_frames import error_words
+from acquisition.protocol.error_frames import error_frame_words
 
 
 @pytest.mark.parametrize(
@@ -40,7 +40,7 @@ from acquisition.protocol.error_frames import error_words
     ],
 )  # fmt: skip
 def test_words(can_id, data, words):
-    assert error_words(can_id, bytes.fromhex(data)) == words
+    assert error_frame_words(can_id, bytes.fromhex(data)) == words
 
 
 # CAN_ERR_PROT_LOC_* of the header, in its order.
@@ -55,12 +55,12 @@ PLACES = (
 def test_places_in_a_frame():
     places = {int(code, 16): words for code, _, words in (place.partition(" ") for place in PLACES.split(", "))}
     for code in range(256):
-        told = error_words(0x008, bytes([0, 0, 1, code]))
+        told = error_frame_words(0x008, bytes([0, 0, 1, code]))
         assert told == "protocol: single bit" + (f", in {places[code]}" if code in places else "")
 
 
 def test_states_of_the_wires():
     states = {4: "no wire", 5: "short to battery", 6: "short to supply", 7: "short to ground"}
     for code, words in states.items():
-        assert error_words(0x010, bytes([0, 0, 0, 0, code])) == f"transceiver: CAN_H {words}"
-        assert error_words(0x010, bytes([0, 0, 0, 0, code << 4])) == f"transceiver: CAN_L {words}"
+        assert error_frame_words(0x010, bytes([0, 0, 0, 0, code])) == f"transceiver: CAN_H {words}"
+        assert error_frame_words(0x010, bytes([0, 0, 0, 0, code << 4])) == f"transceiver: CAN_L {words}"

@@ -16,7 +16,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.master.listening import service_of, sign_of_master
 from acquisition.protocol.states import State
 from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import EXTENDED, REMOTE, SENT
+from acquisition.recording.rows import EXTENDED, REMOTE_REQUEST, SENT
 from acquisition.robot.bus import BusFile
 from acquisition.session.replaying import replay
 from acquisition.session.task import Stop, Task
@@ -98,7 +98,7 @@ def test_sync_of_a_producer_that_is_described_and_own_identifiers_are_no_sign():
 rpdo = [{ objects = ["6040", "607A"], can_id = 0x181 }]""")))  # fmt: skip
     assert sign_of_master(Frame(0, 0x201, bytes(8)), swapped) is None
     assert sign_of_master(Frame(0, 0x181, bytes(6)), swapped) == "TPDO 1 of node 1"
-    assert sign_of_master(Frame(0, 0x701, b"", REMOTE), swapped) == "remote request for heartbeat of node 1"
+    assert sign_of_master(Frame(0, 0x701, b"", REMOTE_REQUEST), swapped) == "remote request for heartbeat of node 1"
 
 
 def test_replay_onto_drives_is_refused_and_nothing_is_sent(tracked):

@@ -9,17 +9,27 @@ from ..arrays import Array
 from ..errors import AcquisitionError, listed
 from .mat import read_variables
 
-Array = Array
-
 
 def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
-    """The asked columns of a table, side by side: (N, number of columns), in the units of the file.
+    """Columns of a table, side by side.
 
-    A string names a column of a CSV file's header line, or a variable of a MAT file (see `mat`): there one name may give
-    several of the `count` columns that are expected. A number is a place in a CSV file, from 1. CSV cells are parted by
-    comma, semicolon, tab or blanks, as found in the first line; lines beginning with # are skipped, except a header.
+    Parameters
+    ----------
+    path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
+        line; lines that begin with # are skipped, except a header.
+    columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file, as
+        `mat.read_variables` reads them: one name may give several columns.
+    count : columns expected in all.
 
-    Raises `AcquisitionError` when the file cannot be read, a column is not there, or a cell is not a finite number.
+    Returns
+    -------
+    (N, columns) numbers, in the units of the file.
+
+    Raises
+    ------
+    AcquisitionError
+        With the file and the line or row as `place`: it cannot be read, a column does not exist, or a cell is not a finite
+        number.
     """
     try:
         data = path.read_bytes()

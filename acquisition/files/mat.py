@@ -12,7 +12,6 @@ import numpy as np
 from ..arrays import Array
 from ..errors import AcquisitionError, listed
 
-Array = Array
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
 
@@ -31,14 +30,14 @@ class _Part:
 
 
 def read_variables(data: bytes, names: Sequence[str | int], count: int, place: str) -> tuple[Array, list[str]]:
-    """The named parts of a MAT file side by side, (N, count), and a label of each column.
+    """The named parts of a MAT file, side by side (N, count), and a label of each column.
 
     A name is that of a variable, or a field of a struct by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind it
-    takes some of its columns or rows. Matrices may lie either way round, samples by joints or joints by samples: the
-    number of samples is that with which all parts are as long and have `count` columns in all.
+    takes some of its columns or rows. Matrices may be samples by joints or joints by samples: the number of samples is the
+    one with which all parts have the same length and `count` columns in all.
 
-    Raises `AcquisitionError` where the file cannot be read, a name is not there or is not of real numbers, or it cannot
-    be told which way round a matrix lies.
+    Raises `AcquisitionError` if the file cannot be read, a name does not exist or is not of real numbers, or rows and columns
+    of a matrix cannot be told apart.
     """
     asked = [_NAME.fullmatch(str(name)) for name in names]
     variables = _load(data, [match["path"].split(".")[0] for match in asked if match], place)

@@ -26,9 +26,19 @@ class Converted:
 
 
 def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Converted:
-    """Decode the frames of a recording again, as `robot` (or its own description) has them, into the recording `out`.
+    """Decode the frames of a recording again, into a new recording.
 
-    Raises `AcquisitionError` where there are no frames, or they do not decode.
+    Parameters
+    ----------
+    path : the recording.
+    out : the new one, with the same frames and events; written whole or not at all.
+    robot : a corrected description; None: that of the recording.
+    place : the name of the description in errors.
+
+    Raises
+    ------
+    AcquisitionError
+        There are no frames, or they do not decode with these drives.
     """
     recording = read_recording(path)
     robot = robot or recording.robot
@@ -61,9 +71,19 @@ def is_log(path: Path) -> bool:
 
 
 def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
-    """A candump, ASC, BLF or TRC log of one interface into the recording `out`, decoded as `robot` has its drives.
+    """Write the recording `out` from a CAN log of another tool.
 
-    Of a log of several interfaces those frames are taken whose interface the description names.
+    Parameters
+    ----------
+    log : candump, ASC, BLF or TRC. If it has several interfaces, the frames of `bus.channel` are used.
+    out : written whole or not at all.
+    robot : its drives decode the frames.
+    place : the name of the description in errors.
+
+    Raises
+    ------
+    AcquisitionError
+        The log cannot be read, none of its frames are of the described interface, or they do not decode.
     """
     frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
@@ -83,7 +103,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
 
 
 def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
-    """The frames of a log, and what is left out of them. Two buses in one would make two samples of every SYNC."""
+    """The frames of a log, and what is left out. Frames of two buses together would give two samples for every SYNC."""
     found: list[tuple[str | None, Frame]] = []
     fd = 0
     for interface, frame in read_log(log):
@@ -111,7 +131,23 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
 
 
 def export_csv(path: Path, out: Path) -> int:
-    """Joint samples of a recording as CSV: `time_s`, then position, effort, reference of each joint, and extra objects."""
+    """Write the joint samples of a recording as CSV.
+
+    Parameters
+    ----------
+    path : the recording.
+    out : `time_s` from the first sample, then position, effort and reference of each joint in SI, and the extra objects of
+        the drives; the unit is in the name of the column. Written whole or not at all.
+
+    Returns
+    -------
+    The number of samples.
+
+    Raises
+    ------
+    AcquisitionError
+        The recording has no samples, or a file cannot be read or written.
+    """
     recording = read_recording(path)
     samples, robot = recording.samples, recording.robot
     if samples is None:

@@ -11,9 +11,8 @@ from typing import Annotated, Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..files import atomic_write, read_columns
 from ..recording import LARGEST_STAMP_NS, Block, Header, RecordingWriter, sample_dtype
@@ -231,7 +230,7 @@ def _one(units: Sequence[str]) -> str:
     return units[0] if len(set(units)) == 1 else ", ".join(units)
 
 
-def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) -> tuple[NDArray[np.int64], float]:
+def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) -> tuple[Ints, float]:
     """Stamps (N,) in ns on a uniform grid, and its rate in Hz."""
     rate_hz, start_s = table_map.sample_rate_hz, 0.0
     if rows < 2:

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 
 from ..errors import AcquisitionError
 from ..protocol import DISABLED, State, usual_can_id
-from ..recording import ERROR, EXTENDED, REMOTE
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus
 from ..transport import Frame
 from .master import Master, Wire
@@ -31,7 +31,7 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
     """Service and node of a frame in words: `SYNC`, `NMT command`, `heartbeat of node 5`."""
     if frame.flags & EXTENDED:
         return f"29-bit frame 0x{frame.can_id:08X}"
-    remote = "remote request for " if frame.flags & REMOTE else ""
+    remote = "remote request for " if frame.flags & REMOTE_REQUEST else ""
     function, node = frame.can_id & 0x780, frame.can_id & 0x7F
     if frame.can_id == 0:
         return "NMT command"
@@ -64,7 +64,7 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     if frame.can_id == bus.file.sync_can_id:
         return service if bus.file.sync_producer == "recorder" else None
-    if frame.flags & REMOTE or frame.can_id == 0 or frame.can_id in to_drives or (function == 0x600 and node):
+    if frame.flags & REMOTE_REQUEST or frame.can_id == 0 or frame.can_id in to_drives or (function == 0x600 and node):
         return service
     if function == 0x700 and node and node not in ours and not _is_boot_up(frame):
         return f"{service}, which is no drive of robot.toml"

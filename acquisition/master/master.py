@@ -17,13 +17,13 @@ from ..protocol import (
     answer_of,
     check_answer,
     configuration,
-    error_words,
+    error_frame_words,
     interpolation_period,
     read_request,
     state_of,
     write_request,
 )
-from ..recording import ERROR, EXTENDED, REMOTE
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from ..transport import Frame
 
@@ -112,9 +112,9 @@ class Master:
     def dispatch(self, frame: Frame) -> None:
         """Update the values of the node that sent a frame."""
         if frame.flags & ERROR:
-            self.bus_error = f"error frame: {error_words(frame.can_id, frame.data)}"
+            self.bus_error = f"error frame: {error_frame_words(frame.can_id, frame.data)}"
             return
-        if frame.flags & (EXTENDED | REMOTE):
+        if frame.flags & (EXTENDED | REMOTE_REQUEST):
             return
         function, node = frame.can_id & 0x780, frame.can_id & 0x7F
         if frame.can_id in self._by_pdo:

@@ -1,7 +1,7 @@
 """CANopen (CiA 301) and CiA 402 without I/O and without robots: states, objects, SDO, PDO, object dictionaries."""
 
 from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
-from .error_frames import error_words
+from .error_frames import error_frame_words
 from .objects import (
     ABORT_CONNECTION,
     BITS,
@@ -118,7 +118,7 @@ __all__ = [
     "check_answer",
     "command_of",
     "configuration",
-    "error_words",
+    "error_frame_words",
     "frame_bits",
     "interpolation_period",
     "load_dictionary",

@@ -54,14 +54,27 @@ class ObjectDictionary:
 
 @lru_cache(maxsize=32)
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Read an EDS or DCF for the node id `node`.
+    """Read an object dictionary (EDS or DCF, CiA 306).
 
-    Raises `AcquisitionError` naming the file, the place in it and what was expected.
+    Parameters
+    ----------
+    data : the file's content.
+    place : its name, in errors.
+    node : node id, which `$NODEID` stands for in the file.
+
+    Returns
+    -------
+    Types, access and values by index and sub-index.
+
+    Raises
+    ------
+    AcquisitionError
+        With the file and the line as `place`: it cannot be read, holds an entry twice, or holds no objects.
     """
     import canopen
     from canopen import objectdictionary
 
-    # Its warnings about files that are read all the same would stand among our own output.
+    # Its warnings about files that it can read would be printed among our own output.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
     if len(data) > LARGEST_DICTIONARY:
         raise AcquisitionError(f"{len(data)} bytes", place=place, expected=f"{LARGEST_DICTIONARY} at most")
@@ -79,7 +92,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     except configparser.DuplicateSectionError as error:
         problem = f"[{error.section}] is there twice"
         raise AcquisitionError(problem, place=f"{place}: line {error.lineno}", expected="once; remove one") from error
-    except Exception as error:  # the importer meets damage with whatever its parts raise
+    except Exception as error:  # on a damaged file the importer raises errors of any kind
         problem = str(error) or type(error).__name__
         raise AcquisitionError(f"not an EDS or DCF that can be read: {problem[:200]}", place=place) from error
     entries = {}

@@ -61,7 +61,7 @@ _SHORT_TO_EACH_OTHER = 0x80  # of byte 4
 _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 
 
-def error_words(can_id: int, data: bytes) -> str:
+def error_frame_words(can_id: int, data: bytes) -> str:
     """The classes of an error frame and their details; its bytes in hex where no class is known (another adapter's frame)."""
     data = data.ljust(8, b"\0")
     details = {

@@ -3,9 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 
 # Integer types of object dictionaries by their number in CiA 301: name, numpy dtype.
@@ -162,11 +161,11 @@ class EffortCodec:
         """SI per raw unit, sign included."""
         return self.sign * self.rule.factor * self.rated
 
-    def si(self, raw: NDArray[np.int64]) -> Array:
+    def si(self, raw: Ints) -> Array:
         """A, V, N m or N, of any shape."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 
-    def raw(self, value: Array) -> NDArray[np.int64]:
+    def raw(self, value: Array) -> Ints:
         """Nearest raw integers, held at the ends of the object's type as a drive does."""
         return saturated(value / self.scale, self.entry.type)
 
@@ -182,7 +181,7 @@ class PositionCodec:
     sign: int | Array
     zero_counts: int | Array
 
-    def si(self, raw: NDArray[np.int64]) -> Array:
+    def si(self, raw: Ints) -> Array:
         """Motor position in rad or m, of any shape."""
         return np.asarray((raw - self.zero_counts) * (self.sign / self.counts_per_unit), dtype=np.float64)
 
@@ -190,12 +189,12 @@ class PositionCodec:
         """Counts before they are rounded and held."""
         return np.asarray(value * (self.sign * self.counts_per_unit) + self.zero_counts, dtype=np.float64)
 
-    def raw(self, value: Array) -> NDArray[np.int64]:
+    def raw(self, value: Array) -> Ints:
         """Nearest counts, held at the ends of 32 bits."""
         return saturated(self.exact(value), "I32")
 
 
-def saturated(value: Array, kind: str) -> NDArray[np.int64]:
+def saturated(value: Array, kind: str) -> Ints:
     """Nearest integers that the type `kind` can hold."""
     low, high = (0, 2 ** BITS[kind] - 1) if kind[0] == "U" else (-(2 ** (BITS[kind] - 1)), 2 ** (BITS[kind] - 1) - 1)
     return np.rint(np.clip(value, low, high)).astype(np.int64)

@@ -1,8 +1,8 @@
 """Which PDO answers which SYNC: SYNC frames that were not recorded, and PDOs that are late, duplicate or missing.
 
-A drive answers every SYNC once and in order, so answers are counted from the first SYNC on. An interval without an
-answer is made up by a later one with two; answers that no empty interval is waiting for show a SYNC that was not
-recorded, where every drive has them and the interval lasts about as long as several periods.
+An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, so an interval without
+an answer is matched with a later interval that has two. Answers beyond that show a SYNC that was not recorded, if every drive
+has one and the interval lasts about as long as several periods.
 """
 
 from bisect import bisect_left
@@ -12,12 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Ints
 from ..recording import Block
 
-Ints = NDArray[np.int64]
-
 LONGEST_LATE = 3  # SYNCs by which one PDO may be late; a later one counts as missing and duplicate
-LONGEST_RUN = 200  # SYNCs after which a drive whose PDOs are late has caught up; else one of them is missing
+LONGEST_RUN = 200  # SYNCs within which late PDOs must end; after more, one PDO counts as missing
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,7 +40,7 @@ class Answers:
 
     Attributes:
         slot: (grid,) row of the frame that answers each SYNC, -1 where there is none.
-        late: frames that came after the next SYNC.
+        late: frames received after the next SYNC.
         duplicate: frames that answer a SYNC which has its answer already.
         missing: SYNCs without an answer between the first and the last that have one.
     """
@@ -55,17 +54,18 @@ class Answers:
 def sync_steps(syncs: Block, times: Ints, drives: list[Ints], before: Ints, frames: Block) -> Ints:
     """Periods from each SYNC frame to the next: 1, or more where SYNCs were not recorded. One more entry for the last.
 
-    Args:
-        syncs: the SYNC frames; a counter in them (1019h) tells how many are missing.
-        times: (len(syncs),) their times, ns.
-        drives: rows of each drive's PDO in `frames`, by identifier.
-        before: (len(frames),) SYNC frames up to and with each row.
-        frames: all frames.
+    Parameters
+    ----------
+    syncs : (k,) the SYNC frames; a counter in them (object 1019h) tells how many are missing.
+    times : (k,) their times, ns.
+    drives : rows of each PDO in `frames`.
+    before : (len(frames),) SYNC frames up to and with each frame.
+    frames : all frames.
     """
     steps = np.ones(len(times), np.int64)
     if (syncs["length"] >= 1).all():
         counter = syncs["data"][:, 0].astype(np.int64)
-        top = int(counter.max())  # it runs from 1 to its overflow value
+        top = int(counter.max())  # the counter goes from 1 to its overflow value
         steps[:-1] = (np.diff(counter) - 1) % top + 1 if top > 1 else 1
         return steps
     if not drives:
@@ -80,7 +80,7 @@ def sync_steps(syncs: Block, times: Ints, drives: list[Ints], before: Ints, fram
         near = slice(k, k + LONGEST_LATE + 1)
         lost = min(int(surplus.late_or_lost[near].sum()) for surplus in found)
         if not lost and all(surplus.count[k] >= 2 for surplus in found):
-            # One drive has more answers than SYNCs; others had one missing a while ago.
+            # One drive has more answers than SYNCs; the others lost an answer earlier.
             lost = int(any(surplus.lost[near].any() for surplus in found))
         lost = min(lost, int(periods[k]) - 1)
         steps[k] += lost
@@ -94,7 +94,7 @@ def answers(rows: Ints, grid: SyncGrid, frames: Block) -> Answers:
     rows, interval = _after_first_sync(rows, grid.before)
     first = np.searchsorted(interval, interval)  # place of the first PDO in the same interval
     place = np.arange(len(rows)) - first
-    # Where SYNCs were lost the PDOs of one recorded interval belong to as many SYNCs.
+    # Where SYNCs were not recorded, the PDOs of one interval answer as many SYNCs.
     span = np.append(np.diff(grid.index_of), 1)[interval]
     on_time = grid.index_of[interval] + np.minimum(place, span - 1)
     count = np.bincount(on_time, minlength=grid.size)
@@ -110,13 +110,13 @@ def answers(rows: Ints, grid: SyncGrid, frames: Block) -> Answers:
 
 
 def _after_first_sync(rows: Ints, before: Ints) -> tuple[Ints, Ints]:
-    """Rows and their intervals; what came before the first SYNC answers none."""
+    """Rows and their intervals; frames before the first SYNC answer none and are left out."""
     interval = before[rows] - 1
     return rows[interval >= 0], interval[interval >= 0]
 
 
 def _paired(rows: Ints, at: Ints, count: Ints, frames: Block) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Empty intervals that a later frame makes up (grid,), and frames that answer nothing (len(rows),)."""
+    """Empty intervals that a later frame fills (grid,), and frames that answer no SYNC (len(rows),)."""
     made_up, extra = np.zeros(len(count), np.bool_), np.zeros(len(rows), np.bool_)
     for place, _, empty in _more_than_one(rows, at, count, frames):
         if empty is None:
@@ -127,17 +127,17 @@ def _paired(rows: Ints, at: Ints, count: Ints, frames: Block) -> tuple[NDArray[n
 
 
 def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tuple[int, bool, int | None]]:
-    """Frames beyond one for each interval, as (place in `rows`, no sign of a lost SYNC, empty interval made up).
+    """Frames beyond one for each interval, as (place in `rows`, no sign of a lost SYNC, empty interval that it fills).
 
-    A frame is no sign of a lost SYNC where it repeats the one before or is too late. The interval that it makes up is the
-    nearest empty one before; None where there is none near enough.
+    A frame is no sign of a lost SYNC if it repeats the one before or is too late. It fills the nearest empty interval before
+    it; None if there is none near enough.
     """
     found: list[tuple[int, bool, int | None]] = []
     crowded = np.flatnonzero(count >= 2).tolist()
     if not crowded:
         return found
     empty = np.flatnonzero(count == 0).tolist()
-    waiting: deque[int] = deque(maxlen=LONGEST_LATE)  # more than these cannot be made up in time
+    waiting: deque[int] = deque(maxlen=LONGEST_LATE)  # a PDO is late by no more than these
     seen = 0
     for k, begin in zip(crowded, np.searchsorted(at, crowded).tolist(), strict=True):
         until = bisect_left(empty, k)
@@ -151,7 +151,7 @@ def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tup
         made_up: list[int] = []
         while len(made_up) < len(single) - 1 and waiting and k - waiting[-1] <= LONGEST_RUN:
             made_up.append(waiting.pop())
-        # Of duplicates the first stays; after a silence too long to be made up the last ones do.
+        # Of duplicates the first is used; after a silence longer than a PDO may be late, the last ones are.
         spare = len(single) - 1 - len(made_up)
         own = len(single) - spare
         surplus = single[:spare] if too_late else single[own:]
@@ -162,7 +162,7 @@ def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tup
 
 
 def _repeats(frames: Block, rows: Ints, place: int) -> bool:
-    """Whether a frame is the one before once more: the same bytes, from a drive whose bytes change before and after."""
+    """Whether a frame repeats the one before: the same bytes, from a drive whose bytes change before and after."""
     data = frames["data"][rows[max(place - 2, 0) : place + 2]]
     here = min(place, 2)
     if place < 2 or not (data[here] == data[here - 1]).all() or (data[here - 1] == data[here - 2]).all():
@@ -176,8 +176,8 @@ class _Surplus:
 
     Attributes:
         count: frames in each interval.
-        lost: those for which no empty interval is waiting: there were more answers than SYNCs.
-        late_or_lost: those and the ones whose empty interval lies so far back that it may well be a missing answer.
+        lost: those that fill no empty interval: there were more answers than SYNCs.
+        late_or_lost: those, and frames whose empty interval lies so far back that its answer may be missing, not late.
     """
 
     count: Ints

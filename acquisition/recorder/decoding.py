@@ -1,7 +1,7 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC, whenever its PDO arrives, so a sample's time is that of its SYNC: `sync_times` has it, and
-`association` assigns each PDO to the SYNC it answers.
+A drive samples at SYNC and sends its PDO afterwards, so the time of a sample is that of its SYNC. `sync_times` computes the
+times, `association` assigns each PDO to the SYNC that it answers.
 """
 
 from dataclasses import dataclass
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..protocol import Pdo
 from ..recording import SENT, Block, sample_dtype
@@ -18,8 +18,6 @@ from .association import SyncGrid, answers, sync_steps
 from .sync_times import SyncTimes, sync_times
 from .traffic import Traffic
 
-Ints = NDArray[np.int64]
-
 LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
 FEWEST_SYNCS = 10  # with fewer their period is not checked
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
@@ -27,7 +25,7 @@ FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
 @dataclass(frozen=True, kw_only=True)
 class PdoCount:
-    """What came of one PDO: frames, and those late, duplicate, too short; `missing` between its first and last."""
+    """Frames of one PDO: received, late, duplicate and too short ones, and SYNCs without one between the first and the last."""
 
     name: str
     received: int
@@ -39,7 +37,7 @@ class PdoCount:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoded:
-    """Joint samples and the evidence for them.
+    """Joint samples, and counters that tell how complete and how even they are.
 
     Attributes:
         samples: rows of `sample_dtype`; SYNCs that a drive did not answer are left out.
@@ -47,7 +45,7 @@ class Decoded:
         syncs, syncs_lost: SYNC frames recorded; SYNCs that drives answered but that were not recorded.
         period_s: between SYNCs, pauses left out.
         jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
-        warnings: what a user should look at.
+        warnings: for the user, one line each.
     """
 
     samples: Block
@@ -61,7 +59,7 @@ class Decoded:
 
     @property
     def counters(self) -> dict[str, float]:
-        """For the recording's health channel."""
+        """Counters for `/health` of a recording, by name."""
         return {
             "syncs": self.syncs,
             "syncs_lost": self.syncs_lost,
@@ -72,10 +70,25 @@ class Decoded:
 
 
 def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
-    """Joint samples out of the frames of one channel, in the order in which they were received.
+    """Joint samples from the raw frames of one CAN channel.
 
-    Raises `AcquisitionError` naming `place` where there is no SYNC, a drive never answered, too few samples remain, or
-    SYNC came at another period than the description's.
+    Parameters
+    ----------
+    frames : (m,) rows of `FRAME` in the order in which they were received.
+    robot : from motors to joints.
+    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
+    place : the file or session, in errors.
+
+    Returns
+    -------
+    One sample for each SYNC that all drives answered: rad or m, and N m or N (A or V where no drive gain is known), at the
+    joints; with `reference` where all drives were sent targets (607Ah or as described).
+
+    Raises
+    ------
+    AcquisitionError
+        With `place`: there is no SYNC, a drive never answered, fewer than two samples remain, or the SYNC period is not
+        that of the description.
     """
     traffic = Traffic(frames)
     is_sync = traffic.ids == bus.file.sync_can_id
@@ -126,13 +139,13 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     n = robot.n
     raw = np.empty((2, n, len(answered)), np.int64)
     motor = np.empty((2, len(answered), n))
-    counts_on = np.empty((n, len(answered)), np.int64)  # positions, going on where a counter wraps
+    counts_on = np.empty((n, len(answered)), np.int64)  # positions, continued where a counter wraps
     wrapped = []
     everywhere = len(answered) == grid.size
     for i, drive in enumerate(bus.drives):
         for k, entry in enumerate((drive.position, drive.effort.entry)):
             carrier = drive.carrier(entry, "tpdo")
-            assert carrier is not None  # `resolve` has seen to it
+            assert carrier is not None  # `resolve` refuses drives without one
             slot = slots[carrier.can_id]
             raw[k, i] = traffic.integers(slot if everywhere else slot[answered], carrier, entry)
         counts_on[i], wraps = unwrapped(raw[0, i], drive.position.bits)
@@ -171,7 +184,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
 
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
-    """PDOs that hold positions, efforts and extra objects, and whose they are."""
+    """PDOs that hold positions, efforts and extra objects, each with its name for messages."""
     found = {}
     for drive in bus.drives:
         for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
@@ -182,9 +195,9 @@ def _carriers(bus: Bus) -> dict[Pdo, str]:
 
 
 def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
-    """Counts that go on where a counter of `bits` wraps from one end to the other, and the rows at which it does.
+    """Counts continued where a counter of `bits` wraps from one end to the other, and the rows at which it wraps.
 
-    No motor goes half of what a counter holds between two answers: a larger step is a wrap.
+    Between two answers no motor moves by half of the range of a counter, so a larger step is a wrap.
     """
     steps = np.diff(counts)
     wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
@@ -227,7 +240,7 @@ def _targets(traffic: Traffic, grid: SyncGrid, answered: Ints, bus: Bus, counts_
 
 
 def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
-    """Refuse a SYNC period that is not the described one: every rate and filter would follow the description."""
+    """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
     stated_s = bus.file.sync_period_s
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
         raise AcquisitionError(

@@ -10,8 +10,8 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Ints
 from ..errors import AcquisitionError
 from ..master import HEARTBEAT_ID
 from ..protocol import REQUEST
@@ -78,7 +78,7 @@ def run(
             bus.shutdown()
 
 
-def _master_ids(robot: Robot, place: str) -> NDArray[np.int64]:
+def _master_ids(robot: Robot, place: str) -> Ints:
     """Identifiers that only the master sends: in an active session these frames are ours."""
     bus = resolve(robot, place)
     ids = [0, HEARTBEAT_ID + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
@@ -91,7 +91,7 @@ def _record(
     connection: Connection,
     recorder: Recorder,
     receiver: Receiver | None,
-    ours: NDArray[np.int64],
+    ours: Ints,
     dead_man: DeadMan | None,
 ) -> Recorded | None:
     """Record until the session asks to stop, or has died and its drives are stopped."""

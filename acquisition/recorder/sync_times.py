@@ -1,24 +1,20 @@
 """Time of each SYNC: the send time where we produce it, else the receive time corrected for delays of reception.
 
-Drives sample at SYNC. A SYNC that we send is as uneven as it leaves, and its time is that of sending. That of another
-producer comes from a controller's timer; what is uneven in its receive times is delay of reception, which is never
-negative and passes. So a SYNC was at the latest where the ones after it say, counted back by whole periods. What lasts,
-a pause of the producer, stays in the times as the gap it is.
+Drives sample at SYNC. The time of a SYNC that we send is the time of sending. Another producer sends SYNC by the timer of
+its controller: its receive times are uneven by delays of reception, which are never negative and do not last. So a SYNC came
+no later than each SYNC after it minus the whole periods between them. A pause of the producer lasts, and stays in the
+times as a gap.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
-
-Ints = NDArray[np.int64]
-Floats = Array
+from ..arrays import Array, Ints
 
 PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
-_MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs say nothing of the period
-_LOOKED_AHEAD = (15, 127)  # SYNCs that free one of its delay, pass by pass
+_MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs are not used for the period
+_LOOKED_AHEAD = (15, 127)  # SYNCs by which the delay of one is removed, in the first and the second pass
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,12 +22,11 @@ class SyncTimes:
     """The grid of SYNC in time.
 
     Attributes:
-        stamps: (grid,) time of each SYNC in ns, strictly growing; SYNCs that were not recorded stand between their
-            neighbours.
+        stamps: (grid,) time of each SYNC in ns, strictly growing; interpolated for SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
         jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
         pauses: grid indices after which a pause of more than 1.5 periods follows.
-        set_back: grid index and seconds of each time that the clock was set back; times go on by one period there.
+        set_back: grid index and seconds of each time that the clock was set back; the step there counts as one period.
     """
 
     stamps: Ints
@@ -42,21 +37,22 @@ class SyncTimes:
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
-    """The grid's times out of those of the recorded SYNCs.
+    """Times of all SYNCs of the grid from those of the recorded ones.
 
-    Args:
-        times: (k,) time of each recorded SYNC, ns.
-        index_of: (k,) its index on the grid.
-        grid: SYNCs in all, those not recorded included.
-        ours: whether we sent them.
-        nominal_ns: the period that the description states; tells which of two measures of the period is disturbed.
+    Parameters
+    ----------
+    times : (k,) time of each recorded SYNC, ns.
+    index_of : (k,) its index on the grid.
+    grid : SYNCs in all, those included that were not recorded.
+    ours : whether we sent them.
+    nominal_ns : period of the description; of two estimates of the period the one nearer to it is used.
     """
     index = index_of.astype(np.float64)
     times, set_back = _without_set_back(times, index_of)
     since = (times - times[0]).astype(np.float64)
     freed, run, within = _even(index, since)
     overall = _slope(index, since, np.zeros_like(run)) if run[-1] else within
-    # Pauses lengthen the second, delays may disturb the first; a wrong description is neither.
+    # Pauses lengthen the second estimate, delays may disturb the first; a wrong description changes neither.
     period = min((within, overall), key=lambda p: abs(p - nominal_ns))
     deviation = since - index * within
     deviation -= _mean_of_run(deviation, run)
@@ -78,7 +74,7 @@ def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns
 
 
 def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[int, float], ...]]:
-    """Times that go on by one period where they went back."""
+    """Times with each step back replaced by one period, and where the steps back are."""
     steps = np.diff(times)
     back = np.flatnonzero(steps < 0)
     if not len(back):
@@ -90,14 +86,14 @@ def _without_set_back(times: Ints, index_of: Ints) -> tuple[Ints, tuple[tuple[in
     return times + np.cumsum(jumps), found
 
 
-def _even(index: Floats, since: Floats) -> tuple[Floats, Ints, float]:
+def _even(index: Array, since: Array) -> tuple[Array, Ints, float]:
     """Times without delays, the run between pauses that each SYNC belongs to, and the period within runs.
 
-    A delay passes: what the next SYNCs do not make up for is a pause.
+    A delay does not last: a lateness that the next SYNCs keep is a pause.
     """
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
-    for ahead in _LOOKED_AHEAD:  # the better the period is known, the farther
+    for ahead in _LOOKED_AHEAD:  # with a better period, over more SYNCs
         freed = _without_delay(since - index * period, ahead) + index * period
         paused = np.diff(freed) - np.diff(index) * period > (PAUSE - 1) * period
         run = np.concatenate([[0], np.cumsum(paused)])
@@ -108,22 +104,22 @@ def _even(index: Floats, since: Floats) -> tuple[Floats, Ints, float]:
     return _without_delay(since - index * period, ahead) + index * period, run, period
 
 
-def _mean_of_run(values: Floats, run: Ints) -> Floats | float:
+def _mean_of_run(values: Array, run: Ints) -> Array | float:
     """For each value the mean of its run."""
     if not run[-1]:
         return float(values.mean())
-    found: Floats = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
+    found: Array = (np.bincount(run, values) / np.maximum(np.bincount(run), 1))[run]
     return found
 
 
-def _slope(index: Floats, since: Floats, run: Ints) -> float:
+def _slope(index: Array, since: Array, run: Ints) -> float:
     """Least-squares slope over the index, one for all runs, each with an offset of its own."""
     k = index - _mean_of_run(index, run)
     square = float(k @ k)
     return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
 
 
-def _without_delay(lateness: Floats, ahead: int) -> Floats:
+def _without_delay(lateness: Array, ahead: int) -> Array:
     """Least of each value and those of the next `ahead` SYNCs, a power of two less one."""
     least = lateness.copy()
     step = 1

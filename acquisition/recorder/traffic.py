@@ -3,12 +3,10 @@
 from collections.abc import Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
+from ..arrays import Ints
 from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
-from ..recording import ERROR, EXTENDED, FRAME, REMOTE, Block
-
-Ints = NDArray[np.int64]
+from ..recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, Block
 
 _DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
 _NO_ID = 0xFFFFFFFF  # of frames that CANopen does not use
@@ -20,7 +18,7 @@ class Traffic:
     """
 
     def __init__(self, frames: Block) -> None:
-        plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
+        plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
         self.frames, self.ids = frames, np.where(plain, frames["can_id"], _NO_ID).astype(np.uint32)
 
     def of(self, pdo: Pdo) -> tuple[Ints, int]:

@@ -1,4 +1,4 @@
-"""A whole file of what a cut recording still holds."""
+"""A whole recording from one that was cut by a kill or a power failure."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,9 +10,21 @@ from .writer import RecordingWriter
 
 
 def recover(cut_path: Path, out_path: Path) -> Recording:
-    """Write to `out_path` a whole file of what the cut file `cut_path` still holds; return what that is.
+    """Write a whole recording from one without its end.
 
-    Raises `AcquisitionError` as `read_recording` does, when the file is not cut, and when `out_path` cannot be written.
+    Parameters
+    ----------
+    cut_path : the recording that was cut.
+    out_path : a whole one with everything before the cut.
+
+    Returns
+    -------
+    What was read before the cut.
+
+    Raises
+    ------
+    AcquisitionError
+        As `read_recording`; also if the file is not cut, or `out_path` cannot be written.
     """
     recording = read_recording(cut_path)
     if not recording.cut:

@@ -14,7 +14,7 @@ FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("fla
 SENT = 1  # by us; not set: received
 EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
-REMOTE = 8  # remote request
+REMOTE_REQUEST = 8  # remote request
 LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]

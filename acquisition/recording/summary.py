@@ -4,12 +4,12 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.console import Console, ConsoleOptions, Group, RenderResult
 from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
+from ..arrays import Ints
 from ..errors import one_line
 from ..robot import extra_columns
 from .reader import Event, Health, Recording
@@ -139,7 +139,7 @@ def _extras(recording: Recording) -> tuple[ExtraRange, ...]:
     )
 
 
-def _step_jitter(stamps: NDArray[np.int64]) -> tuple[float, float]:
+def _step_jitter(stamps: Ints) -> tuple[float, float]:
     """Standard deviation and worst deviation of the steps between samples from the usual one, gaps left out; s."""
     steps = np.diff(stamps).astype(np.float64)
     if not len(steps):

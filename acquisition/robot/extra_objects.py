@@ -7,9 +7,8 @@ else as the description says, or not at all. Values are those of the motor.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from ..arrays import Array
+from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..protocol import EFFORT_OBJECTS, RULES, ObjectEntry
 from .bus import DriveFile, ExtraFile, parse_object
@@ -40,7 +39,7 @@ class ExtraObject:
     column: ExtraColumn
     scale: float
 
-    def si(self, raw: NDArray[np.int64]) -> Array:
+    def si(self, raw: Ints) -> Array:
         """Values of any shape."""
         return np.asarray(raw * self.scale, dtype=np.float64)
 

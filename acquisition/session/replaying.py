@@ -9,7 +9,7 @@ from ..errors import AcquisitionError
 from ..master import LISTEN_S, listen, service_of
 from ..protocol import ANSWER
 from ..recorder import written_by_master
-from ..recording import ERROR, EXTENDED, REMOTE, Block, Recording, read_recording
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording
 from ..robot import BusFile, resolve
 from ..transport import open_link
 from .task import Stop
@@ -93,7 +93,7 @@ def from_drives(recording: Recording, place: str) -> Block:
     for drive in bus.drives:
         ids += [pdo.can_id for pdo in drive.tpdos]
         ids += [service + drive.node for service in (EMERGENCY, ANSWER, HEARTBEAT)]
-    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE)) == 0
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
     found: Block = frames[plain & np.isin(frames["can_id"], ids)]
     if not len(found):
         raise AcquisitionError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")

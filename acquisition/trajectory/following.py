@@ -7,15 +7,22 @@ import numpy as np
 from ..arrays import Array
 from ..robot import Robot
 
-SLOW_STOP_S = (
-    0.5  # in which a stop asked for comes to rest along the path, where acceleration limits do not need longer
-)
+SLOW_STOP_S = 0.5  # from a stop request to rest; longer where acceleration limits need it
 
 
 def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
-    """Joint positions (n,) along `path` (N, n), from the moment `stopping()` on slower and slower.
+    """Joint positions along a path, one for each SYNC; once `stopping()` is true, the motion slows down along the path to rest.
 
-    Slowing down takes at most half of each joint's acceleration limit, beside what the path itself takes.
+    Parameters
+    ----------
+    path : (N, n) joint positions, rad or m, one row each `period_s`.
+    robot : its acceleration limits; slowing down uses at most half of them, in addition to the path's own acceleration.
+    period_s : the SYNC period.
+    stopping : asked after each position.
+
+    Yields
+    ------
+    (n,) joint positions, rad or m; the last one is that of rest.
     """
     at, rate = 0.0, 1.0
     speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
@@ -29,7 +36,7 @@ def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bo
 
 
 def _between(path: Array, at: float) -> Array:
-    """Row of a path at a place between rows."""
+    """Row of a path at a fractional index, by linear interpolation."""
     k = min(int(at), len(path) - 2) if len(path) > 1 else 0
     then = path[min(k + 1, len(path) - 1)]
     q: Array = path[k] + (at - k) * (then - path[k])

@@ -42,9 +42,23 @@ class FourierReference:
 
 
 def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierReference:
-    """A random series of five harmonics, scaled into 0.8 of each joint's stated range, speed and acceleration.
+    """A random Fourier series of five harmonics for each joint, from rest to rest.
 
-    Raises `AcquisitionError` when the period is not positive.
+    Parameters
+    ----------
+    robot : its limits; the series stays within 0.8 of each joint's range, speed and acceleration. A joint without a stated
+        range has 1 rad or 1 m to each side of zero.
+    period_s : of the series, which repeats after it.
+    seed : the same seed gives the same series.
+
+    Returns
+    -------
+    Positions, speeds and accelerations at any time by `FourierReference.at`; rad or m.
+
+    Raises
+    ------
+    AcquisitionError
+        The period is not positive.
     """
     if not period_s > 0:
         raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")

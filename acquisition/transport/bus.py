@@ -37,9 +37,21 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """python-can's bus object for a description; where `passive`, one that cannot send.
+    """Open the bus of a description.
 
-    Raises `AcquisitionError` when it cannot be opened.
+    Parameters
+    ----------
+    file : `[bus]` of robot.toml: interface, channel, bitrate.
+    passive : the bus object cannot send, and an slcan adapter does not even acknowledge.
+
+    Returns
+    -------
+    python-can's bus object, with a receive queue of `QUEUE_BYTES` where the kernel grants it.
+
+    Raises
+    ------
+    AcquisitionError
+        It cannot be opened.
     """
     import can
 

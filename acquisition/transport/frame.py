@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..recording import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block
+from ..recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
 
 
 class Frame(NamedTuple):
@@ -37,7 +37,7 @@ def frame_of(message: Any) -> Frame:
     flags = (
         (EXTENDED if message.is_extended_id and not message.is_error_frame else 0)
         | (ERROR if message.is_error_frame else 0)
-        | (REMOTE if message.is_remote_frame else 0)
+        | (REMOTE_REQUEST if message.is_remote_frame else 0)
         | (0 if message.is_rx else SENT)
     )
     return Frame(round(message.timestamp * 1e9), message.arbitration_id, bytes(message.data)[:8], flags)

@@ -11,11 +11,11 @@ from .frame import Frame, frame_of
 
 SUFFIXES = (".log", ".asc", ".blf", ".trc")
 LARGEST_PAYLOAD = 8  # bytes, of classic CAN
-_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # that python-can reads; it takes any other for 1.0
+_TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # that python-can reads; it reads any other as 1.0
 
 
 class _Doubts(logging.Handler):
-    """Keeps the first warning of python-can's reader of TRC, which passes over lines that it cannot read."""
+    """Keeps the first warning of python-can's TRC reader, which skips lines that it cannot read."""
 
     def __init__(self) -> None:
         super().__init__(logging.WARNING)
@@ -28,11 +28,22 @@ class _Doubts(logging.Handler):
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Interface and frame, one after the other, of a candump (.log), Vector ASC or BLF, or PCAN .trc log.
+    """Frames of a log of another tool.
 
-    The interface of a candump's error frame is None: python-can's reader does not tell it. In the place of a frame, None
-    stands for a CAN FD frame, which CANopen does not have. Raises `AcquisitionError` naming the file, and the frame
-    (from 1) where its time is none that a recording holds, or where it has more bytes than a CAN frame.
+    Parameters
+    ----------
+    path : candump (.log), Vector ASC or BLF, or PCAN TRC; the suffix decides.
+
+    Yields
+    ------
+    Interface and frame. The interface of an error frame in a candump log is None, because python-can does not give it. The
+    frame is None for CAN FD, which CANopen does not use.
+
+    Raises
+    ------
+    AcquisitionError
+        With the file, and the frame (from 1), as `place`: the log cannot be read or is damaged, a time does not fit into a
+        recording, or a frame has more than 8 bytes.
     """
     import can
 

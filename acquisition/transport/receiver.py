@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..recording import ERROR, EXTENDED, FRAME, REMOTE, SENT, Block
+from ..recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Block
 from .bus import is_no_frame
 from .frame import block_of, frame_of
 from .sockets import socket_of
@@ -99,7 +99,10 @@ def _block_of_raw(items: list[Any]) -> Block:
     block["can_id"] = np.where(extended, word & 0x1FFFFFFF, word & 0x7FF)
     ours = np.array([item[2] & socket.MSG_DONTROUTE for item in items]) != 0  # made on this machine
     block["flags"] = (
-        extended * EXTENDED | ((word & 0x40000000) != 0) * REMOTE | ((word & 0x20000000) != 0) * ERROR | ours * SENT
+        extended * EXTENDED
+        | ((word & 0x40000000) != 0) * REMOTE_REQUEST
+        | ((word & 0x20000000) != 0) * ERROR
+        | ours * SENT
     )
     block["length"] = np.minimum(raw["length"], 8)
     block["data"] = raw["data"] * (np.arange(8) < block["length"][:, None])
