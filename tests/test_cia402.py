@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from acquisition.protocol.objects import PositionCodec
-from acquisition.protocol.states import AUTOMATIC, Command, State, after, state_of, toward
+from acquisition.protocol.states import AUTOMATIC, TRANSITIONS, Command, State, state_of, toward
 
 
 def walked(state: State, goal: State) -> list[State]:
@@ -15,7 +15,7 @@ def walked(state: State, goal: State) -> list[State]:
     while way[-1] is not goal:
         assert len(way) < 8
         command = toward(way[-1], goal)
-        way.append(AUTOMATIC[way[-1]] if command is None else after(way[-1], command))
+        way.append(AUTOMATIC[way[-1]] if command is None else TRANSITIONS[way[-1], command])
     return way
 
 

@@ -1,13 +1,22 @@
 """CiA 402-2 as tables typed out of the standard: no expectation here goes through a table of the package."""
 
 import itertools
-import re
 
 import pytest
 
 from acquisition.errors import AcquisitionError
 from acquisition.protocol.objects import BITS, EFFORT_OBJECTS, INTEGERS, STANDARD, ObjectEntry
-from acquisition.protocol.states import AUTOMATIC, DISABLED, Command, Mode, State, after, command_of, state_of, toward
+from acquisition.protocol.states import (
+    AUTOMATIC,
+    DISABLED,
+    TRANSITIONS,
+    Command,
+    Mode,
+    State,
+    command_of,
+    state_of,
+    toward,
+)
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state.
 STATUSWORDS = {
@@ -30,7 +39,7 @@ CONTROLWORDS = {
     "FAULT_RESET": "1xxxxxxx",
 }
 # Number, from, command, to. 12 is by command here; a drive may also do it by itself, as 605Ah says.
-TRANSITIONS = """
+DIAGRAM = """
  2  SWITCH_ON_DISABLED  SHUTDOWN          READY_TO_SWITCH_ON
  3  READY_TO_SWITCH_ON  SWITCH_ON         SWITCHED_ON
  4  SWITCHED_ON         ENABLE_OPERATION  OPERATION_ENABLED
@@ -49,7 +58,7 @@ TRANSITIONS = """
 """
 COMMANDED = {
     (State[was], Command[command]): State[then]
-    for _, was, command, then in (line.split() for line in TRANSITIONS.strip().splitlines())
+    for _, was, command, then in (line.split() for line in DIAGRAM.strip().splitlines())
 }
 # What to command next on the way to each goal, out of the diagram of the standard; "-": the drive goes on by itself.
 UP = {
@@ -131,16 +140,7 @@ def test_the_word_written_for_each_command(command, word):
 
 @pytest.mark.parametrize(("state", "command"), list(itertools.product(State, Command)))
 def test_each_command_in_each_state(state, command):
-    if (state, command) in COMMANDED:
-        assert after(state, command) is COMMANDED[state, command]
-    else:
-        legal = [c.name for c in Command if (state, c) in COMMANDED]
-        with pytest.raises(AcquisitionError) as caught:
-            after(state, command)
-        told, _, expected = str(caught.value).partition(": expected ")
-        assert told == f"{command.name} in {state.name.lower().replace('_', ' ')}"
-        assert sorted(re.findall("[A-Z_]{4,}", expected)) == sorted(legal)
-        assert ("goes on by itself" in expected) == (not legal)
+    assert TRANSITIONS.get((state, command)) is COMMANDED.get((state, command))
 
 
 def test_what_a_drive_does_by_itself():

@@ -250,7 +250,7 @@ def test_an_empty_number_is_read_as_0_with_a_warning():
     assert (dictionary.vendor, dictionary.product) == (0, 0)
     assert dictionary.identity == []
     assert dictionary.warnings == tuple(
-        f"a.eds: line {line}: {key} is empty: read as 0, which says nothing"
+        f"a.eds: line {line}: {key} is empty: read as 0, which is not checked"
         for line, key in ((3, "VendorNumber"), (5, "ProductNumber"), (6, "NrOfRXPDO"), (8, "Granularity"))
     )
     assert len(dictionary.entries) == len(found(DEVICE + EDS).entries)

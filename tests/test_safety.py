@@ -434,7 +434,7 @@ def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
                 log.poll(time.time_ns())
             except AcquisitionError as error:
                 text = str(error)
-        assert text.startswith("the recorder tells nothing for")
+        assert text.startswith("no status from the recorder for")
         monkeypatch.setattr(recorder_logs, "HUNG_FINISH_S", 0.5)
         with pytest.raises(AcquisitionError, match=r"the recorder did not answer in 0.5 s"):
             log.finish(time.time_ns())

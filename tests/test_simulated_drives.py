@@ -67,7 +67,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert count == 1
     robot = dataclasses.replace(robot, files={**robot.files, label: emptied})
     line = robot.files[label][: robot.files[label].index(b"ProductNumber=")].count(b"\n") + 1
-    warning = f"{name}: line {line}: ProductNumber is empty: read as 0, which says nothing"
+    warning = f"{name}: line {line}: ProductNumber is empty: read as 0, which is not checked"
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
     assert session.recorded.warnings == (warning,)
     assert session.events("warning") == [warning]

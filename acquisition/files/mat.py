@@ -18,7 +18,7 @@ _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Part:
-    """What a name means; `upright` where the name itself says that samples are the rows."""
+    """The values of a name; `upright`: the name itself says that samples are the rows."""
 
     name: str
     values: Array
@@ -69,14 +69,14 @@ def read_variables(data: bytes, names: Sequence[str | int], count: int, place: s
 
 
 def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
-    """Only what is asked for: objects of MATLAB's classes beside it cannot be read, and need not be."""
+    """The variables with these names. No others are read: objects of MATLAB's classes cannot be."""
     import scipy.io
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of what scipy thinks of variables that were not asked for
+            warnings.simplefilter("ignore")  # about variables that are not read
             found: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names)))
-    except Exception as error:  # scipy's reader meets damage with whatever its parts raise
+    except Exception as error:  # on a damaged file scipy's reader raises errors of any kind
         raise AcquisitionError(
             f"not a MAT file that can be read: {error or type(error).__name__}", place=place
         ) from error
@@ -137,8 +137,8 @@ def _present(data: bytes) -> str:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             variables = scipy.io.loadmat(io.BytesIO(data))
-    except Exception:  # an object that scipy cannot pass over: what is there cannot be listed
-        return "the file's variables (an object among them keeps them from being listed)"
+    except Exception:  # scipy cannot skip objects of MATLAB classes
+        return "the file's variables (they cannot be listed, because one of them is an object)"
     names: list[str] = []
     waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]  # objects have no name
     while waiting:

@@ -14,7 +14,7 @@ from .objects import INTEGERS
 
 IDENTITY = 0x1018
 LARGEST_DICTIONARY = 4 * 2**20  # bytes
-# Numbers of [DeviceInfo] that a file leaves empty; the importer stops at them.
+# Numbers of [DeviceInfo] that files leave empty; the importer fails on them.
 _EMPTY = re.compile(
     r"^(VendorNumber|ProductNumber|RevisionNumber|NrOf[RT]XPDO|BaudRate_\d+|SimpleBootUp(?:Master|Slave)|Granularity"
     r"|DynamicChannelsSupported|GroupMessaging|LSS_Supported)[ \t]*=[ \t]*(?=(?:;.*)?\r?$)",
@@ -34,7 +34,7 @@ class DictionaryEntry:
 
 @dataclass(frozen=True, kw_only=True)
 class ObjectDictionary:
-    """Entries by (index, sub-index), the identity the file states (0 where it states none), and what was read with doubt."""
+    """Entries by (index, sub-index), the identity the file states (0 where it states none), and warnings."""
 
     entries: Mapping[tuple[int, int], DictionaryEntry]
     vendor: int
@@ -113,5 +113,5 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         entries=entries,
         vendor=about.vendor_number or 0,
         product=about.product_number or 0,
-        warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which says nothing" for line, key in empty),
+        warnings=tuple(f"{place}: line {line}: {key} is empty: read as 0, which is not checked" for line, key in empty),
     )

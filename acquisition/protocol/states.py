@@ -69,7 +69,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
     (_S.QUICK_STOP_ACTIVE, _C.ENABLE_OPERATION): _S.OPERATION_ENABLED,  # 16
 }
 
-# What a drive does by itself (transitions 1 and 14); 13 leads from anywhere to FAULT_REACTION_ACTIVE.
+# Transitions that a drive makes without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
 AUTOMATIC: dict[State, State] = {
     _S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED,
     _S.FAULT_REACTION_ACTIVE: _S.FAULT,
@@ -97,18 +97,8 @@ def command_of(controlword: int) -> Command | None:
     return None
 
 
-def after(state: State, command: Command) -> State:
-    """State that `command` leads to. Raises `AcquisitionError` for a transition that CiA 402 does not define."""
-    try:
-        return TRANSITIONS[state, command]
-    except KeyError:
-        legal = [c.name for s, c in TRANSITIONS if s is state]
-        expected = f"one of {', '.join(legal)}" if legal else "no command: the drive goes on by itself"
-        raise AcquisitionError(f"{command.name} in {state.words}", expected=expected) from None
-
-
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way from `state` to `goal`; None: there already, or the drive goes on by itself.
+    """First command on the shortest way from `state` to `goal`; None: already there, or the drive needs no command.
 
     Raises `AcquisitionError` when no way leads there.
     """

@@ -128,7 +128,7 @@ class ProcessLog:
         silent_s = time.monotonic() - self._heard_s
         self._hangs = silent_s > SILENT_S
         if self._hangs:
-            raise AcquisitionError(f"the recorder tells nothing for {silent_s:.1f} s", expected="news every 0.5 s")
+            raise AcquisitionError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
         return status
 
     def finish(self, stamp_ns: int) -> Recorded:
@@ -144,7 +144,7 @@ class ProcessLog:
         return found
 
     def close(self) -> None:
-        """Disconnect from the process, which then ends its file by itself."""
+        """Disconnect from the process, which then ends its file."""
         if self._signs is not None:
             self._signs.close()
         self._connection.close()

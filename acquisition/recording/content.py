@@ -1,7 +1,7 @@
 """The content of an MCAP file, whole or cut, with every checksum checked: the container, not the meaning.
 
-The records are walked here, not by mcap's own readers: those stop with the same errors at a cut and at damage, check no
-attachment's CRC, and let a chunk unpack to any size. Format: https://mcap.dev/spec.
+The records are read here, not by mcap's own readers: these raise the same errors for a cut and for damage, do not check the
+CRCs of attachments, and unpack chunks of any size. Format: https://mcap.dev/spec.
 """
 
 import hashlib
@@ -31,9 +31,9 @@ _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError
 
 @dataclass(frozen=True, kw_only=True)
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents end to end.
+    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents.
 
-    Contents lie in one growing buffer, because an hour of samples is too much to be held twice.
+    All contents are in one growing buffer, each up to its entry in `ends`: an hour of samples is too much to be held twice.
     """
 
     layout: str
@@ -57,7 +57,7 @@ class Messages:
 
 @dataclass(frozen=True, kw_only=True)
 class Content:
-    """`metadata` is `None` where the record asked for is missing; `cut`: the file has no proper end."""
+    """What a file holds. `metadata` is None if the file does not have the record; `cut`: the file has no proper end."""
 
     metadata: Mapping[str, str] | None
     attachments: Mapping[str, bytes]
@@ -71,8 +71,8 @@ def read_content(
 ) -> Content:
     """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
 
-    `accept(metadata, place)` raises to refuse the file before its data is looked at. A file without its end gives what
-    was written before the cut. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
+    `accept(metadata, place)` raises to refuse the file before its data is read. Of a file without its end, what was written
+    before the cut is returned. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
     """
     place = str(path)
     try:
@@ -118,7 +118,7 @@ def _read(
                 break
         except _DAMAGE as error:
             if not records.has_end and records.only_zeros_follow():
-                break  # the last record of a cut file: torn, with nothing or unwritten disk space behind it
+                break  # the last record of a cut file: incomplete, followed by nothing or by unwritten disk space
             what = str(error) or type(error).__name__
             raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not complete:
@@ -133,9 +133,9 @@ def _read(
 
 
 class _Records:
-    """The records of a file, one at a time: opcode, place and content of each that is all there.
+    """The complete records of a file, one at a time: opcode, byte at which the content begins, content.
 
-    `crc_before` is the CRC of all bytes before the record at hand. Opcode 0 is unwritten disk space and ends the walk.
+    `crc_before` is the CRC of all bytes before the current record. Opcode 0 is unwritten disk space and ends the iteration.
     """
 
     def __init__(self, file: BinaryIO) -> None:
@@ -181,7 +181,7 @@ class _Records:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode, first and last byte of every record of a chunk whose content is all there."""
+    """Opcode, first byte and end of the content of every complete record of a chunk."""
     at = 0
     while at + 9 <= len(data) and data[at] != 0:
         begin = at + 9
@@ -208,7 +208,7 @@ class _Chunks:
     def __init__(self, wanted: Callable[[str], bool]) -> None:
         self._wanted, self._size = wanted, 0
         self._schemas: dict[int, str] = {}
-        self._channels: dict[int, Messages | None] = {}  # where messages go; None: they are not wanted
+        self._channels: dict[int, Messages | None] = {}  # by channel id; None: not of a wanted topic
         self.messages: dict[str, Messages] = {}
 
     def add(self, chunk: Any) -> None:

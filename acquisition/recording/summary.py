@@ -204,14 +204,14 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
     yield "robot", found.robot
     yield "source", found.source
     yield "created", f"{found.created} by {found.software}"
-    yield "end", "missing: this is what stands before the cut" if found.cut else "whole"
+    yield "end", "missing: this is what was written before the cut" if found.cut else "whole"
     if found.samples:
         reference = "with reference" if found.has_reference else "without reference"
         yield "samples", f"{found.samples} at {found.sample_rate_hz:g} Hz, {found.duration_s:g} s, {reference}"
         missing = sum(gap.missing for gap in found.gaps)
         yield "gaps", f"{len(found.gaps)}, {missing} samples missing" if found.gaps else "none"
         sd, worst = (1e3 * value for value in found.step_jitter_s)
-        yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms beside gaps"
+        yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
     yield "effort", found.effort_provenance
     for count in found.frames:
         yield f"CAN {count.channel}", f"{count.frames} frames, {count.sent} of them sent, {count.duration_s:g} s"
@@ -231,5 +231,5 @@ def _table(*columns: str) -> Table:
 
 
 def _plain(text: str) -> Text:
-    """Text of the file as it stands: no markup, and nothing that moves a terminal's cursor."""
+    """Text of the file without markup and without control characters."""
     return Text(one_line(text))

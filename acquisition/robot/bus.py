@@ -46,7 +46,7 @@ class DriveFile(TomlTable, frozen=True):
     Attributes:
         node: CANopen node id.
         dictionary: EDS or DCF beside robot.toml.
-        objects: types of objects written out, `"30D0:0" = "I32"`, in place of or beside a dictionary.
+        objects: types of objects written out, `"30D0:0" = "I32"`, in place of a dictionary, or in addition to one.
         reference, actual: objects of the current or torque reference and of the actual value; one may be missing.
         reference_rule, actual_rule: how the raw integer becomes SI; CiA 402's rule where left out.
         rated_current_a, rated_torque_nm, rated_force_n: what the drive's 6075h or 6076h must say.

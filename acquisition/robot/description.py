@@ -137,7 +137,7 @@ def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
 
 
 class RobotFile(TomlTable, frozen=True):
-    """`robot.toml` as it stands in the file."""
+    """`robot.toml` as written in the file."""
 
     name: Name
     joint: Annotated[tuple[Joint, ...], msgspec.Meta(min_length=1)]

@@ -29,7 +29,7 @@ LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
 
 USUAL_SYNC = 0x80
 
-FREE_CAN_IDS = range(0x680, 0x6E0)  # those that CiA 301 gives to no service, beside those of PDOs
+FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
 
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
@@ -92,7 +92,7 @@ class Bus:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """What was read with doubt in the drives' dictionaries."""
+        """Warnings about the drives' dictionaries."""
         dictionaries = [drive.dictionary for drive in self.drives if drive.dictionary is not None]
         return tuple(dict.fromkeys(text for dictionary in dictionaries for text in dictionary.warnings))
 

@@ -33,7 +33,7 @@ class ExtraColumn:
 
 @dataclass(frozen=True, kw_only=True)
 class ExtraObject:
-    """An object that a PDO carries beside position and effort; value = raw · scale, in the unit of its column."""
+    """An object that a PDO carries in addition to position and effort; value = raw · scale, in the unit of its column."""
 
     entry: ObjectEntry
     column: ExtraColumn

@@ -23,7 +23,7 @@ class _Doubts(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         line = str(record.args[0]) if isinstance(record.args, tuple) and record.args else ""
-        if line.strip() and not line.startswith(";"):  # it takes the last line of a header for a frame
+        if line.strip() and not line.startswith(";"):  # it reads the last line of a header as a frame
             self.first = self.first or record.getMessage()
 
 

@@ -1,10 +1,10 @@
-"""Whether the machine's clock was set: frames are stamped by it, and a step must not be taken for a pause of SYNC."""
+"""Detects that the machine's clock was set: frames have its time, and a step must not be read as a pause of SYNC."""
 
 import time
 from collections.abc import Callable
 
-SMALLEST_STEP_NS = 50_000_000  # a clock that is only slewed (NTP) goes less off in half a second
-_SLOWEST_READ_NS = 5_000_000  # of the two clocks, one after the other; slower reads say nothing
+SMALLEST_STEP_NS = 50_000_000  # a clock that NTP only slews drifts less than this in half a second
+_SLOWEST_READ_NS = 5_000_000  # of the two clocks, one after the other; slower readings are not used
 
 
 class WallClock:
@@ -18,7 +18,7 @@ class WallClock:
         self.step_ns()
 
     def step_ns(self) -> int:
-        """By how much the clock was set since the last call, forth or back; 0 where it was not."""
+        """By how much the clock was set since the last call, forward or back; 0 where it was not."""
         before = self._monotonic_ns()
         offset = self._wall_ns() - before
         if self._monotonic_ns() - before > _SLOWEST_READ_NS:
@@ -30,4 +30,4 @@ class WallClock:
 
 def describe_step(step_ns: int) -> str:
     """For the events of a recording."""
-    return f"the clock was set {'forth' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"
+    return f"the clock was set {'forward' if step_ns > 0 else 'back'} by {abs(step_ns) * 1e-9:.3g} s"
