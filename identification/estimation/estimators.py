@@ -261,7 +261,7 @@ def _estimate(system: System, weights: Array, solution: _Solution, condition_sca
 def _refuse_few_rows(system: System) -> None:
     r, b = int(system.rows.sum()), len(system.names)
     if r <= b:
-        raise IdentificationError(f"{r} decimated rows for {b} parameters; expected more rows than parameters")
+        raise IdentificationError(key="decimated rows", value=r, expected=f"more than the {b} parameters")
 
 
 def _condition(W: Array) -> float:
