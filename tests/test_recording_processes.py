@@ -402,7 +402,7 @@ def test_known_errors_are_one_line(folder):
     for arguments, expected in (
         (["record", robot, "-o", str(folder / "there.mcap"), "--dry-run", "--duration", "1"], "is there already"),
         (["record", robot, "-o", str(folder / "a.mcap"), "--passive", "--dry-run"], "--passive: sends nothing"),
-        (["record", robot, "-o", str(folder / "a.mcap"), "--duration", "0"], "--duration 0: expected more than 0"),
+        (["record", robot, "-o", str(folder / "a.mcap"), "--duration", "0"], "--duration = 0.0: expected more than 0"),
         (["record", str(ROOT / "replay_data/emps/robot.toml"), "-o", str(folder / "a.mcap")], "bus is missing"),
         (["record", robot, "-o", str(folder / "no" / "a.mcap"), "--duration", "1"], "cannot be written: No such file"),
         (["record", robot, "-o", str(folder / "b.mcap"), "--duration", "1"], "node 1: object 6041:0: no answer"),

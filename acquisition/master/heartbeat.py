@@ -6,12 +6,11 @@ The heartbeat is sent only at SYNC: a session that hangs sends none, so the driv
 import math
 
 from ..errors import AcquisitionError
-from ..protocol import CONSUMER_HEARTBEAT
+from ..protocol import CONSUMER_HEARTBEAT, HEARTBEAT
 from ..robot import BusFile
 from .master import OPERATIONAL, Master
 
 HEARTBEATS_PER_TIMEOUT = 3
-HEARTBEAT_ID = 0x700  # of CAN identifiers, plus the node id
 
 
 def timeout_ms(file: BusFile) -> int:
@@ -104,4 +103,4 @@ class MasterHeartbeat:
 
     def _send(self) -> None:
         self._sent_ns = self._master.link.now_ns()
-        self._master.link.send(HEARTBEAT_ID + self._file.master_node, bytes([OPERATIONAL]))
+        self._master.link.send(HEARTBEAT + self._file.master_node, bytes([OPERATIONAL]))

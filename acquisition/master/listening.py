@@ -6,7 +6,7 @@ Services by identifier: CiA 301, predefined connection set.
 from collections.abc import Callable, Iterator
 
 from ..errors import AcquisitionError
-from ..protocol import DISABLED, State, usual_can_id
+from ..protocol import ANSWER, DISABLED, EMERGENCY, HEARTBEAT, REQUEST, State, usual_can_id
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus
 from ..transport import Frame
@@ -14,7 +14,7 @@ from .master import Master, Wire
 
 LISTEN_S = 0.5
 _SLICE_NS = 50_000_000  # a stop is noticed after this time at the latest
-_OF_NODES = {0x80: "emergency of", 0x580: "SDO answer of", 0x600: "SDO request to", 0x700: "heartbeat of"}
+_OF_NODES = {EMERGENCY: "emergency of", ANSWER: "SDO answer of", REQUEST: "SDO request to", HEARTBEAT: "heartbeat of"}
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
@@ -64,9 +64,9 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     if frame.can_id == bus.file.sync_can_id:
         return service if bus.file.sync_producer == "recorder" else None
-    if frame.flags & REMOTE_REQUEST or frame.can_id == 0 or frame.can_id in to_drives or (function == 0x600 and node):
+    if frame.flags & REMOTE_REQUEST or frame.can_id == 0 or frame.can_id in to_drives or (function == REQUEST and node):
         return service
-    if function == 0x700 and node and node not in ours and not _is_boot_up(frame):
+    if function == HEARTBEAT and node and node not in ours and not _is_boot_up(frame):
         return f"{service}, which is no drive of robot.toml"
     if frame.can_id not in from_drives and service.startswith("RPDO"):
         return service
@@ -74,7 +74,7 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
 
 
 def _is_boot_up(frame: Frame) -> bool:
-    return frame.can_id & 0x780 == 0x700 and frame.data == b"\0"
+    return frame.can_id & 0x780 == HEARTBEAT and frame.data == b"\0"
 
 
 def other_master(master: Master) -> str | None:

@@ -7,6 +7,8 @@ from typing import Protocol
 from ..errors import AcquisitionError
 from ..protocol import (
     ANSWER,
+    EMERGENCY,
+    HEARTBEAT,
     HEARTBEAT_TIME,
     IDENTITY,
     MODE_DISPLAY,
@@ -126,14 +128,14 @@ class Master:
             self._next_sync()
         elif function == ANSWER:
             self._answers[node] = frame.data
-        elif node in self._by_node and function == 0x700 and frame.data:
+        elif node in self._by_node and function == HEARTBEAT and frame.data:
             watch = self._by_node[node]
             # Time of the link: an adapter may stamp frames by its own clock.
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
-        elif node in self._by_node and function == 0x80 and len(frame.data) >= 2:
+        elif node in self._by_node and function == EMERGENCY and len(frame.data) >= 2:
             code = int.from_bytes(frame.data[:2], "little")
             if code:  # 0: the error is cleared
                 self._by_node[node].emergency = code

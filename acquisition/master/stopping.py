@@ -10,6 +10,8 @@ from dataclasses import dataclass, field
 
 from ..errors import AcquisitionError
 from ..protocol import Command, State, answer_of, read_request, state_of, write_request
+from ..robot import Bus
+from ..transport import open_link
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
 from .orders import send_order
 
@@ -126,6 +128,29 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
         with suppress(AcquisitionError):
             _ask(master, one, Command.DISABLE_VOLTAGE)
     return [one.watch.drive.node for one in unconfirmed]
+
+
+def stop_drives(bus: Bus) -> list[int]:
+    """Open the bus, stop and disable every drive (`safe_stop`), then set every node to PRE-OPERATIONAL.
+
+    Returns
+    -------
+    Node ids of the drives that did not confirm that they are disabled.
+
+    Raises
+    ------
+    AcquisitionError
+        The bus cannot be opened.
+    """
+    link = open_link(bus.file, passive=False)
+    try:
+        master = Master(link, bus)
+        unconfirmed = safe_stop(master)
+        leave_operational(master)
+    finally:
+        with suppress(AcquisitionError):
+            link.close()
+    return unconfirmed
 
 
 def not_disabled(nodes: Iterable[int]) -> str:

@@ -42,6 +42,8 @@ class ObjectEntry:
         return f"{self.index:04X}:{self.sub}"
 
 
+EMERGENCY, HEARTBEAT = 0x80, 0x700  # CAN identifiers of CiA 301, plus the node id
+
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
 
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061

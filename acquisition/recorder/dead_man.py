@@ -1,7 +1,7 @@
 """The second stop: the recorder's process stops the drives of a session that dies or hangs in motion.
 
 The session sends a sign of life through a pipe at every SYNC, from its SYNC loop alone. The first one arms; only a session
-that has ended in order disarms. When the pipe ends or stays silent, the bus is opened for sending and `safe_stop` runs.
+that has ended in order disarms. When the pipe ends or stays silent, the bus is opened for sending and `stop_drives` runs.
 """
 
 import os
@@ -14,9 +14,8 @@ from contextlib import suppress
 from multiprocessing.connection import Connection
 
 from ..errors import AcquisitionError
-from ..master import Master, leave_operational, not_disabled, safe_stop
+from ..master import not_disabled, stop_drives
 from ..robot import Bus, BusFile
-from ..transport import open_link
 
 SILENT_S = 0.3
 SILENT_PERIODS = 3  # of SYNC, where they are longer
@@ -95,13 +94,7 @@ class DeadMan:
         self._event("fault", self.reason)
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:
-            link = open_link(self._bus.file, passive=False)
-            try:
-                master = Master(link, self._bus)
-                unconfirmed = safe_stop(master)
-                leave_operational(master)
-            finally:
-                link.close()
+            unconfirmed = stop_drives(self._bus)
         except AcquisitionError as error:
             self._event("fault", f"the recorder's process could not stop the drives: {error}")
         if unconfirmed:

@@ -13,8 +13,7 @@ import numpy as np
 
 from ..arrays import Ints
 from ..errors import AcquisitionError
-from ..master import HEARTBEAT_ID
-from ..protocol import REQUEST
+from ..protocol import HEARTBEAT, REQUEST
 from ..recording import FRAME, SENT
 from ..robot import Robot, resolve, robot_from_files
 from ..transport import DRAIN_S, Receiver, WallClock, describe_step, kernel_drops, open_bus
@@ -81,7 +80,7 @@ def run(
 def _master_ids(robot: Robot, place: str) -> Ints:
     """Identifiers that only the master sends: in an active session these frames are ours."""
     bus = resolve(robot, place)
-    ids = [0, HEARTBEAT_ID + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
+    ids = [0, HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
     for drive in bus.drives:
         ids += [REQUEST + drive.node, *(pdo.can_id for pdo in drive.rpdos)]
     return np.array(ids)

@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import AcquisitionError
 from ..master import LISTEN_S, listen, service_of
-from ..protocol import ANSWER
+from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recorder import written_by_master
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording
 from ..robot import BusFile, resolve
@@ -15,7 +15,6 @@ from ..transport import open_link
 from .task import Stop
 
 WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
-EMERGENCY, HEARTBEAT = 0x80, 0x700
 
 
 def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:

@@ -11,7 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..protocol import DISABLED, HEARTBEAT_TIME, MODE_DISPLAY, QUICK_STOP_OPTION, Mode, PositionCodec, State, saturated
+from ..protocol import (
+    DISABLED,
+    HEARTBEAT,
+    HEARTBEAT_TIME,
+    MODE_DISPLAY,
+    QUICK_STOP_OPTION,
+    Mode,
+    PositionCodec,
+    State,
+    saturated,
+)
 from ..robot import Bus, Robot
 from .faults import FaultKind, SimulatedFault
 from .loops import SUBSTEPS, LoopMemory
@@ -123,9 +133,9 @@ class SimulatedDrives:
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
         sent: Sent = []
-        if 0x700 < can_id < 0x780 and data:
+        if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
             for supervision in self._supervisions:
-                supervision.heartbeat(now_ns, can_id - 0x700)
+                supervision.heartbeat(now_ns, can_id - HEARTBEAT)
         for i, node in enumerate(self.nodes):
             answers = node.receive(can_id, data)
             if i not in self._silent:

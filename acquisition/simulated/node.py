@@ -9,7 +9,9 @@ from ..protocol import (
     BITS,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
+    EMERGENCY,
     FOLLOWING_ERROR_WINDOW,
+    HEARTBEAT,
     HEARTBEAT_TIME,
     IDENTITY,
     MODE_DISPLAY,
@@ -20,6 +22,7 @@ from ..protocol import (
     NOT_VALID,
     PARAMETERS,
     READ_ONLY,
+    REQUEST,
     STANDARD,
     STOP_OPTIONS,
     TOO_LONG_PDO,
@@ -71,7 +74,7 @@ class SimulatedNode:
         self.nmt, self.state, self.waiting = 127, State.SWITCH_ON_DISABLED, {}
         self.boot_up_counts = bool(self.values.get((HEARTBEAT_TIME, 0)))
         self._map()
-        return [(0x700 + self.drive.node, b"\0")]
+        return [(HEARTBEAT + self.drive.node, b"\0")]
 
     @property
     def operational(self) -> bool:
@@ -80,7 +83,7 @@ class SimulatedNode:
 
     def heartbeat(self) -> Sent:
         """The heartbeat message."""
-        return [(0x700 + self.drive.node, bytes([self.nmt]))]
+        return [(HEARTBEAT + self.drive.node, bytes([self.nmt]))]
 
     def emergency(self, code: int, register: int = 1) -> Sent:
         """Go into fault and send an emergency message (CiA 301, 7.2.7)."""
@@ -92,7 +95,7 @@ class SimulatedNode:
         for key, value in (((0x1001, 0), register), ((0x1003, 1), code), ((0x603F, 0), code)):
             if key in self.values:
                 self.values[key] = value
-        return [(0x80 + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
+        return [(EMERGENCY + self.drive.node, code.to_bytes(2, "little") + bytes([register, 0, 0, 0, 0, 0]))]
 
     def receive(self, can_id: int, data: bytes) -> Sent:
         """The answers to a frame other than SYNC."""
@@ -107,7 +110,7 @@ class SimulatedNode:
                     self.state = (
                         State.SWITCH_ON_DISABLED
                     )  # no commands can be received any more: the power stage is switched off
-        elif can_id == 0x600 + node and self.nmt != 4:
+        elif can_id == REQUEST + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
         elif self.operational:
             for pdo in self.rpdos:
