@@ -5,7 +5,6 @@ period. Time is that of the frames passed in, so a run in lock-step repeats bit 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,19 +30,6 @@ from .supervision import Supervision, leave_unsupervised
 
 # 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
-
-
-@dataclass(kw_only=True)
-class _Agenda:
-    """Frames to be sent later: time, identifier, data."""
-
-    items: list[tuple[int, int, bytes]] = field(default_factory=list)
-
-    def due(self, now_ns: int) -> Sent:
-        """Remove the frames that are due and return them in order of time."""
-        ready = sorted((item for item in self.items if item[0] <= now_ns), key=lambda item: item[0])
-        self.items = [item for item in self.items if item[0] > now_ns]
-        return [(can_id, data) for _, can_id, data in ready]
 
 
 class SimulatedDrives:
@@ -93,7 +79,7 @@ class SimulatedDrives:
         self._effort_steps = np.array([drive.effort.scale for drive in bus.drives])
         self._answered = [0] * robot.n
         self._silent: set[int] = set()
-        self._agenda = _Agenda()
+        self._late: list[tuple[int, int, bytes]] = []  # frames sent later: time, identifier, data
         self._next_heartbeat = [0] * robot.n
         q, _ = self.plant.state()
         self._memory = LoopMemory(
@@ -144,14 +130,16 @@ class SimulatedDrives:
 
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
-        times = [item[0] for item in self._agenda.items]
+        times = [due_ns for due_ns, _, _ in self._late]
         times += [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
         times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
         """Heartbeats and delayed frames that are due; drives that supervise SYNC or a master react where it is lost."""
-        sent = self._agenda.due(now_ns)
+        late = sorted((frame for frame in self._late if frame[0] <= now_ns), key=lambda frame: frame[0])
+        self._late = [frame for frame in self._late if frame[0] > now_ns]
+        sent = [(can_id, data) for _, can_id, data in late]
         for i, node in enumerate(self.nodes):
             every_ns = self._heartbeat_ns(i)
             if node.boot_up_counts:
@@ -208,7 +196,7 @@ class SimulatedDrives:
                 return node.boot()
             elif fault.kind == "late":
                 late_ns = now_ns + round(1.1 * self.bus.period_ns)
-                self._agenda.items += [(late_ns, can_id, data) for can_id, data in frames]
+                self._late += [(late_ns, can_id, data) for can_id, data in frames]
                 frames = []
             elif fault.kind == "missing":
                 frames = []
