@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from ..arrays import Array
 from .f_test import f_tail, independent_share
@@ -145,12 +144,12 @@ def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float
     b = W.shape[1]
     d = np.linalg.norm(W, axis=0)
     Qw = np.linalg.qr(W / d)[0]
-    strength = float(min(1.0, linalg.svdvals(Q.T @ Qw)[-1]))
+    strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
     V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
     outside = V - Qw @ (Qw.T @ V)
-    U, R, _ = linalg.qr(outside, mode="economic", pivoting=True)
-    independent = int((np.abs(np.diag(R)) > 1e-6).sum())
+    U, singular, _ = np.linalg.svd(outside, full_matrices=False)
+    independent = int((singular > 1e-6).sum())
     nothing = InstrumentTests(
         dwh_F=None,
         dwh_p_value=None,

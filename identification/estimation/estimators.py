@@ -11,7 +11,6 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
@@ -116,7 +115,7 @@ def joint_weights(system: System) -> Array:
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.any(W_j != 0, axis=0)]
-        b_j, _, rank, _ = linalg.lstsq(W_j / _norms(W_j), Y_j, cond=RANK_TOLERANCE)
+        b_j, _, rank, _ = np.linalg.lstsq(W_j / _norms(W_j), Y_j, rcond=RANK_TOLERANCE)
         rho = Y_j - (W_j / _norms(W_j)) @ b_j
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves rounding only: its joints then weigh alike, not by the noise of the last digit.
@@ -229,16 +228,16 @@ class _Solution:
 
 def _factors(Z: Array, W: Array) -> _Factors:
     d = _norms(W)
-    Q = np.asarray(linalg.qr(Z / _norms(Z), mode="economic")[0])
+    Q = np.linalg.qr(Z / _norms(Z))[0]
     return _Factors(Q, Q.T @ (W / d), d)
 
 
 def _solution(factors: _Factors, W: Array, Y: Array) -> _Solution:
     """Solve for beta, with bread = (A d)⁻¹ from the QR factors of A."""
     Q, A, d = factors.Q, factors.A, factors.d
-    q, R = linalg.qr(A)
-    bread = linalg.solve_triangular(R, q.T) / d[:, None]
-    beta = linalg.solve_triangular(R, q.T @ (Q.T @ Y)) / d
+    q, R = np.linalg.qr(A)
+    bread = np.linalg.solve(R, q.T) / d[:, None]
+    beta = np.linalg.solve(R, q.T @ (Q.T @ Y)) / d
     return _Solution(beta, Q, bread, float(np.linalg.norm(Y - W @ beta)))
 
 
@@ -280,7 +279,7 @@ def _refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     unseen = [name for name, norm in zip(names, norms, strict=True) if norm <= 1e-12 * norms.max()]
     if unseen:
         raise IdentificationError(f"the trajectory does not excite {', '.join(unseen)}: no torque depends on them")
-    _, singular, Vt = linalg.svd(np.linalg.qr(W / norms, mode="r"))
+    _, singular, Vt = np.linalg.svd(np.linalg.qr(W / norms, mode="r"))
     lost = singular < RANK_TOLERANCE * singular[0]
     if lost.any():
         involved = np.abs(Vt[lost]).max(axis=0) > 0.05

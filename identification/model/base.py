@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from ..arrays import Array
 from .inverse import InverseModel
@@ -78,7 +77,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     diagonal = np.abs(np.diag(R))
     keep = diagonal > TOLERANCE * diagonal.max()
     # W_dependent = W_independent C, hence beta = chi_independent + C chi_dependent.
-    C = linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0] if (~keep).any() else np.zeros((keep.sum(), 0))
+    C = np.linalg.lstsq(scaled[:, keep], scaled[:, ~keep])[0] if (~keep).any() else np.zeros((keep.sum(), 0))
     independent, dependent = np.array(present)[keep], np.array(present, dtype=np.intp)[~keep]
     C = C * norms[dependent] / norms[independent][:, None]
     C[np.abs(C) < 1e-8] = 0.0
