@@ -12,7 +12,7 @@ from identification.methods.plausibility import inertias
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
 from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Control, ControlLaw, recorded_loop
+from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop
 from identification.study.synthetic import truth
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
@@ -99,7 +99,7 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     model, path = direct_model(dynamics, base.standard_parameters(truth(dynamics, base))), path_of(kind)
     references = [x[:, None].copy() for x in path]
     rest = (np.zeros(1), np.zeros(1))
-    done = simulate(model, recorded_loop(robot), *references, start=rest, bound=np.ones(1), substeps=4)
+    done = simulate(model, recorded_loop(robot), Reference(*references), start=rest, bound=np.ones(1), substeps=4)
     q, effort = by_hand(structure, estimate, path, saturation)
     assert (np.abs(effort) > 0.999 * saturation).any() == (saturation == 3.0)
     assert np.abs(q).max() > 5e-3
@@ -119,7 +119,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
         model = direct_model(dynamics, base.standard_parameters(factor * truth(dynamics, base)))
         loop = recorded_loop(robot).scaled(np.array([factor]))
         step = path_of("step")[0][:, None].copy()
-        moved.append(simulate(model, loop, step, zero, zero, start=(zero[0], zero[0]), bound=np.ones(1)))
+        moved.append(simulate(model, loop, Reference(step, zero, zero), start=(zero[0], zero[0]), bound=np.ones(1)))
     assert np.abs(moved[0].tau).max() == pytest.approx(3.0 * GAIN * RATIO)
     np.testing.assert_allclose(moved[1].q, moved[0].q, atol=1e-12)
     np.testing.assert_allclose(moved[1].tau, 2 * moved[0].tau, rtol=1e-9, atol=1e-9)
@@ -142,7 +142,7 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
         period_s=T, R=np.eye(1), G=one, Kp=0 * one, Kd=0 * one, Ki=0 * one, position_share=one, feedforward=0.0,
         saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
     )  # fmt: skip
-    done = simulate(model, loop, zero, zero, zero, start=(0 * one, way * 0.5 * one), bound=one, substeps=4)
+    done = simulate(model, loop, Reference(zero, zero, zero), start=(0 * one, way * 0.5 * one), bound=one, substeps=4)
     t = T / 4 * np.arange(4 * TICKS)
     np.testing.assert_allclose(way * done.dq[:, 0], (0.5 + Fc / Fv) * np.exp(-Fv / 95 * t) - Fc / Fv, atol=1e-4)
 
@@ -163,7 +163,9 @@ def test_a_loop_of_another_gain_and_motor_matrix_acts_at_the_motors():
     m1, m2 = 10.0 * 7.0 * 2.0 * 0.01, 5.0 * 11.0 * (3.0 * 0.01 - 4.0 * 0.02)
     for estimate in ("exact", "backward_difference"):  # the two ways through the law
         law = replace(loop, velocity_estimate=estimate)
-        done = simulate(model, law, reference, zero, zero, start=(np.zeros(2), np.zeros(2)), bound=np.ones(2))
+        done = simulate(
+            model, law, Reference(reference, zero, zero), start=(np.zeros(2), np.zeros(2)), bound=np.ones(2)
+        )
         np.testing.assert_allclose(done.tau[0], [2.0 * m1 + 3.0 * m2, -4.0 * m2], rtol=1e-12)
     # The joints' inertias that make these gains oscillators of 5 Hz: w² J = Rᵀ G Kp R on the diagonal.
     w2 = (2 * np.pi * 5.0) ** 2
@@ -178,7 +180,7 @@ def test_a_loop_begun_in_motion_along_its_reference_asks_for_nothing(estimate):
     model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
     path, speed = 0.1 + 0.2 * T * np.arange(20)[:, None], np.full((20, 1), 0.2)
     start = (path[0], speed[0])
-    done = simulate(model, recorded_loop(robot), path, speed, 0 * speed, start=start, bound=np.ones(1))
+    done = simulate(model, recorded_loop(robot), Reference(path, speed, 0 * speed), start=start, bound=np.ones(1))
     np.testing.assert_allclose(done.tau, 0.0, atol=1e-9)
     np.testing.assert_allclose(done.q, path, atol=1e-12)
 
@@ -191,7 +193,7 @@ def test_an_integral_starts_within_the_limit():
         model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
         pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
         loop = recorded_loop(robot)
-        control = Control(pushed, loop, zero, zero, zero, zero[0], zero[0])
+        control = Control(pushed, loop, Reference(zero, zero, zero), zero[0], zero[0])
         assert loop.Ki * control._integral == pytest.approx(effort)
         assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 
@@ -208,7 +210,7 @@ def test_friction_by_direction_holds_by_direction(force, moves):
         saturation=np.full(1, np.inf), velocity_estimate="exact", computed_torque=False,
     )  # fmt: skip
     pushed = replace(model, offset=np.array([-force]))
-    done = simulate(pushed, loop, zero, zero + 0.1, zero, start=(zero[0], zero[0]), bound=one)
+    done = simulate(pushed, loop, Reference(zero, zero + 0.1, zero), start=(zero[0], zero[0]), bound=one)
     assert (abs(done.dq[-1, 0]) > 2e-3) == moves
 
 

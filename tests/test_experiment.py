@@ -29,9 +29,11 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     e = make_experiment(make_problem(signals, Overrides()), true)
     at = np.rint(e.times_s * 1000).astype(int)
     np.testing.assert_allclose(e.times_s, at / 1000, atol=1e-9)
-    np.testing.assert_allclose(e.q_ref, reference.q[0, at], atol=1e-12)
+    np.testing.assert_allclose(e.reference.q, reference.q[0, at], atol=1e-12)
     inner = slice(1, -1)  # differences are one-sided at the ends
-    np.testing.assert_allclose(e.dq_ref[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max())
+    np.testing.assert_allclose(
+        e.reference.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max()
+    )
     grid = np.rint(e.grid_s * 1000).astype(int)
     found = simulated_motion(e, true)
     assert found.motion is not None

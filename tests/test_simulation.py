@@ -16,7 +16,7 @@ from identification.model.base import base_parameters
 from identification.model.inverse import DirectModel, InverseModel, direct_model
 from identification.regression.settings import Overrides
 from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Control, ControlLaw, recorded_loop, surrogate_loop
+from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
 
 RATE = 1000.0
@@ -45,7 +45,9 @@ def test_energy_is_kept_without_friction():
     _dynamics, _, model = model_of("tx40", Fv=0.0, Fc=0.0, Fvm=0.0, Fcm=0.0)
     nothing = still(6, 1.0)
     start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([0.5, 0.2, -0.4, 1.0, -0.5, 2.0]))
-    done = simulate(model, free(6), nothing, nothing, nothing, start=start, bound=np.full(6, 1e9), substeps=20)
+    done = simulate(
+        model, free(6), Reference(nothing, nothing, nothing), start=start, bound=np.full(6, 1e9), substeps=20
+    )
     kinetic = 0.5 * np.einsum("ti,tij,tj->t", done.dq, model.inertia(done.q), done.dq)
     # What gravity does is the work of -g(q): its torque at rest, summed along the path.
     g = np.array([model.inertia_and_bias(q, np.zeros(6))[1] for q in done.q])
@@ -63,7 +65,7 @@ def test_a_pd_loop_is_the_double_integrator_it_is_designed_as():
     t = np.arange(int(0.3 * rate)) / rate
     q_ref = np.full((len(t), 1), 0.01)
     zero = np.zeros_like(q_ref)
-    done = simulate(model, loop, q_ref, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+    done = simulate(model, loop, Reference(q_ref, zero, zero), start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
     w, z = 2 * np.pi * 5.0, 0.8
     wd = w * np.sqrt(1 - z**2)
     expected = 0.01 * (1 - np.exp(-z * w * t) * (np.cos(wd * t) + z / np.sqrt(1 - z**2) * np.sin(wd * t)))
@@ -75,9 +77,13 @@ def test_coulomb_friction_holds_a_joint_that_is_pushed_too_little():
     zero = still(1, 0.5)
     for force, moves in ((20.0, False), (21.0, True)):
         pushed = dataclasses.replace(model, offset=np.array([-force]))
-        done = simulate(pushed, free(1), zero, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+        done = simulate(
+            pushed, free(1), Reference(zero, zero, zero), start=(np.zeros(1), np.zeros(1)), bound=np.ones(1)
+        )
         assert (np.abs(done.q[-1]) > 1e-4).all() == moves
-    stopping = simulate(model, free(1), zero, zero, zero, start=(np.zeros(1), np.array([0.05])), bound=np.ones(1))
+    stopping = simulate(
+        model, free(1), Reference(zero, zero, zero), start=(np.zeros(1), np.array([0.05])), bound=np.ones(1)
+    )
     # M dv/dt = -Fv v - Fc from v0 stops at (M/Fv) (v0 - (Fc/Fv) ln(1 + Fv v0/Fc)), and stays.
     M, Fv, Fc, v0 = 95.1089, 203.5034, 20.3935, 0.05
     stop = M / Fv * (v0 - Fc / Fv * np.log(1 + Fv * v0 / Fc))
@@ -91,7 +97,7 @@ def test_a_light_wrist_does_not_chatter():
     q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
     zero = np.zeros_like(q_ref)
     loop = surrogate_loop(10.0, inertias(model, q_ref[:1]), RATE)
-    done = simulate(model, loop, q_ref, zero, zero, start=(q_ref[0], zero[0]), bound=np.ones(6))
+    done = simulate(model, loop, Reference(q_ref, zero, zero), start=(q_ref[0], zero[0]), bound=np.ones(6))
     assert np.abs(done.ddq[500:]).max() < 0.05
 
 
@@ -109,9 +115,7 @@ def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     done = simulate(
         model,
         loop,
-        q_ref,
-        dq_ref,
-        ddq_ref,
+        Reference(q_ref, dq_ref, ddq_ref),
         start=(q_ref[0], dq_ref[0]),
         bound=np.full(len(beta), 9.0)[: q_ref.shape[1]],
     )
@@ -161,7 +165,7 @@ def test_every_control_law_holds_against_a_push(structure, gains, settles, estim
     pushed = dataclasses.replace(model, offset=np.array([8.0]))
     if structure == "computed_torque":
         pushed = model  # the law knows the model: it has nothing to hold against
-    done = simulate(pushed, loop, zero, zero, zero, start=(np.array([0.01]), np.zeros(1)), bound=np.ones(1))
+    done = simulate(pushed, loop, Reference(zero, zero, zero), start=(np.array([0.01]), np.zeros(1)), bound=np.ones(1))
     assert done.reason is None
     assert abs(done.q[-1, 0]) < settles
     if structure in ("pd", "pd_velocity_feedforward", "cascade_p_p"):
@@ -176,7 +180,7 @@ def test_saturation_limits_the_torque():
     model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     zero = still(1, 0.3)
     done = simulate(
-        model, recorded_loop(robot), zero, zero, zero, start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
+        model, recorded_loop(robot), Reference(zero, zero, zero), start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
     )
     assert np.abs(done.tau).max() == pytest.approx(50.0 * 10.0 * 2.0)
     assert (np.abs(done.tau) > 999.9).sum() > 10
@@ -191,11 +195,13 @@ def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
     zero, t = still(1, 0.3), np.arange(300) / RATE
     for substeps in (1, 4):
         start = (np.array([1e-3]), np.zeros(1))
-        done = simulate(model, recorded_loop(robot), zero, zero, zero, start=start, bound=np.ones(1), substeps=substeps)
+        done = simulate(
+            model, recorded_loop(robot), Reference(zero, zero, zero), start=start, bound=np.ones(1), substeps=substeps
+        )
         np.testing.assert_allclose(done.q[::substeps, 0], 1e-3 * (1 + 30 * t) * np.exp(-30 * t), atol=2e-5)
     # From further off the drive is at its limit: 50 A of 10 N/A at a ratio of 2.
     start = (np.array([0.2]), np.zeros(1))
-    done = simulate(model, recorded_loop(robot), zero, zero, zero, start=start, bound=np.ones(1))
+    done = simulate(model, recorded_loop(robot), Reference(zero, zero, zero), start=start, bound=np.ones(1))
     assert np.abs(done.tau).max() == pytest.approx(50.0 * 10.0 * 2.0)
     assert (np.abs(done.tau) > 999.9).sum() > 10
 
@@ -213,7 +219,7 @@ def test_a_saturated_motor_holds_its_own_integral_only():
     """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
     model, loop = scara_pid(saturation=0.5)
     zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
-    control = Control(model, loop, reference, zero, zero, zero[0], zero[0])
+    control = Control(model, loop, Reference(reference, zero, zero), zero[0], zero[0])
     tau = np.array([control.torque(k, zero[0], zero[0]) for k in range(10)])
     np.testing.assert_allclose(tau[:, 0], 0.5)
     np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
@@ -223,7 +229,7 @@ def test_a_loop_with_an_integral_starts_in_balance():
     model, loop = scara_pid(saturation=np.inf)
     pushed = dataclasses.replace(model, offset=np.array([3.0, -0.5]))
     zero = still(2, 1.0)
-    done = simulate(pushed, loop, zero, zero, zero, start=(zero[0], zero[0]), bound=np.ones(2))
+    done = simulate(pushed, loop, Reference(zero, zero, zero), start=(zero[0], zero[0]), bound=np.ones(2))
     assert np.abs(done.q).max() < 1e-9
     np.testing.assert_allclose(done.tau[0], [3.0, -0.5], rtol=1e-12)
 
@@ -263,7 +269,9 @@ def test_a_simulation_that_runs_away_in_its_last_steps_is_told():
     _, _, model = model_of("emps")
     zero = still(1, 0.06)
     loop = dataclasses.replace(surrogate_loop(1.0, np.array([95.0]), RATE), Kp=np.array([9e8]), Kd=np.array([9e6]))
-    done = simulate(model, loop, zero, zero, zero, start=(np.array([1e-3]), np.zeros(1)), bound=np.array([0.1]))
+    done = simulate(
+        model, loop, Reference(zero, zero, zero), start=(np.array([1e-3]), np.zeros(1)), bound=np.array([0.1])
+    )
     assert "leaves its reference at joint 1" in done.reason
     assert (np.abs(done.q) < 0.1).all()
 
@@ -272,13 +280,13 @@ def test_noise_at_the_first_instant_does_not_go_into_the_integral():
     """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what is held is gravity only."""
     model, loop = scara_pid(saturation=np.inf)
     q_ref, off = still(2, 0.1) + 0.3, np.array([0.299, 0.301])
-    control = Control(model, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
+    control = Control(model, loop, Reference(q_ref, q_ref + 1.0, q_ref + 50.0), off, np.array([1.5, -2.0]))
     np.testing.assert_array_equal(control._integral, 0.0)  # the SCARA lies flat
     held = dataclasses.replace(model, offset=np.array([2.0, -0.3]))
-    control = Control(held, loop, q_ref, q_ref + 1.0, q_ref + 50.0, off, np.array([1.5, -2.0]))
+    control = Control(held, loop, Reference(q_ref, q_ref + 1.0, q_ref + 50.0), off, np.array([1.5, -2.0]))
     np.testing.assert_allclose(loop.Ki * control._integral, [2.0, -0.3])
     # Where the loop adds gravity along the reference itself, the integral holds none of it.
-    control = Control(held, dataclasses.replace(loop, gravity=True), q_ref, q_ref, q_ref, off, off)
+    control = Control(held, dataclasses.replace(loop, gravity=True), Reference(q_ref, q_ref, q_ref), off, off)
     np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
 
 
@@ -287,7 +295,9 @@ def test_substeps_show_the_motion_between_the_controllers_instants():
     zero = still(1, 0.2)
     loop = surrogate_loop(5.0, np.array([95.0]), RATE)
     start = (np.array([1e-3]), np.array([0.05]))
-    coarse, fine = (simulate(model, loop, zero, zero, zero, start=start, bound=np.ones(1), substeps=s) for s in (1, 8))
+    coarse, fine = (
+        simulate(model, loop, Reference(zero, zero, zero), start=start, bound=np.ones(1), substeps=s) for s in (1, 8)
+    )
     assert len(fine.q) == 8 * len(coarse.q)
     np.testing.assert_allclose(fine.q[::8], coarse.q, atol=5e-6)
     assert (np.diff(fine.tau.reshape(-1, 8), axis=1) == 0).all()  # held in between
@@ -353,7 +363,9 @@ def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated(
 def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
     _, _, model = model_of("emps", Off=500.0)
     zero = still(1, 1.0)
-    done = simulate(model, free(1), zero, zero, zero, start=(np.zeros(1), np.zeros(1)), bound=np.array([0.1]))
+    done = simulate(
+        model, free(1), Reference(zero, zero, zero), start=(np.zeros(1), np.zeros(1)), bound=np.array([0.1])
+    )
     assert "leaves its reference at joint 1" in done.reason
     assert 0 < len(done.q) < len(zero)
 
@@ -367,7 +379,7 @@ def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
     model = direct_model(dynamics, base.standard_parameters(beta))
     zero = still(2, 0.1)
     assert "not positive on the trajectory" in not_positive(model, zero[:1])
-    done = simulate(model, free(2), zero, zero, zero, start=(zero[0], zero[0]), bound=np.ones(2))
+    done = simulate(model, free(2), Reference(zero, zero, zero), start=(zero[0], zero[0]), bound=np.ones(2))
     assert done.reason == "the inertia matrix is not positive definite"
 
 

@@ -16,11 +16,12 @@ from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..model import direct_model
-from ..regression import Decimation, Motion, Problem, differentiate, measured_slip, rule_cutoff_hz
-from ..simulation import ControlLaw, has_controller, recorded_loop
+from ..regression import Decimation, Motion, Problem, differentiate, rule_cutoff_hz
+from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
 from .plausibility import inertias, poses_of
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
+EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in the first pass, whose start may be anything
 LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
 MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
@@ -31,8 +32,8 @@ class Experiment:
     """What every simulation of a recording shares.
 
     Attributes:
-        reference: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
-        q_ref, dq_ref, ddq_ref: (K, n) at the controller's instants.
+        reference: what the controller follows, at its instants; `reference_kind` is `recorded`, or `surrogate`: the
+            measured position low-passed without phase shift.
         start: measured position and speed, filtered, (n,) each, at the first instant.
         q: (N, n) measured position, filtered, at the instruments' instants.
         poses: (P, n) positions at which M is checked.
@@ -42,15 +43,12 @@ class Experiment:
             surrogate has its instants at each step.
         decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
-        directions: (c, n) directions of Coulomb friction; slip_noise: (c,) noise of their speeds in W.
         gain_update: whether gains follow the inertias of each estimate.
     """
 
     problem: Problem
-    reference: Literal["recorded", "surrogate"]
-    q_ref: Array
-    dq_ref: Array
-    ddq_ref: Array
+    reference: Reference
+    reference_kind: Literal["recorded", "surrogate"]
     start: tuple[Array, Array]
     q: Array
     poses: Array
@@ -63,13 +61,15 @@ class Experiment:
     substeps: int
     decimation: Decimation
     saturated_percent: float | None
-    directions: Array
-    slip_noise: Array
     gain_update: bool
 
 
-def make_experiment(problem: Problem, beta_ls: Array, *, gain_update: bool = True) -> Experiment:
+def make_experiment(
+    problem: Problem, beta_ls: Array, *, gain_update: bool = True, rate_per_bandwidth: float = RATE_PER_BANDWIDTH
+) -> Experiment:
     """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
+
+    `rate_per_bandwidth` is the number of simulated steps and of instrument samples per period of the bandwidth, at least.
 
     Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
     """
@@ -79,11 +79,12 @@ def make_experiment(problem: Problem, beta_ls: Array, *, gain_update: bool = Tru
     if loop is not None and signals.q_ref is None:
         loop = replace(loop, gravity=True)
     bandwidth_hz = robot.controller.bandwidth_hz
-    m = _stride(fs, settings.decimation, bandwidth_hz)
+    step_hz = rate_per_bandwidth * bandwidth_hz
+    m = _stride(fs, settings.decimation, step_hz)
     grid = np.arange((settings.stop - 1 - settings.start) % m + settings.start, settings.stop, m)
-    times_s, substeps = _instants(problem, loop, grid)
+    times_s, substeps = _instants(problem, loop, grid, step_hz)
     measured = problem.motion.between(settings.start, settings.stop, rule_cutoff_hz(bandwidth_hz, fs))
-    q_ref, dq_ref, ddq_ref = (_at(times_s, settings.start / fs, fs, x) for x in _reference(problem, measured))
+    reference = Reference(*(_at(times_s, settings.start / fs, fs, x) for x in _reference(problem, measured)))
     q = measured.q[grid - settings.start]
     prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
     J_prior = inertias(prior, poses_of(q))
@@ -92,10 +93,8 @@ def make_experiment(problem: Problem, beta_ls: Array, *, gain_update: bool = Tru
         J_prior = loop.inertias(bandwidth_hz) if loop else np.ones(robot.n)
     return Experiment(
         problem=problem,
-        reference="surrogate" if signals.q_ref is None else "recorded",
-        q_ref=q_ref,
-        dq_ref=dq_ref,
-        ddq_ref=ddq_ref,
+        reference=reference,
+        reference_kind="surrogate" if signals.q_ref is None else "recorded",
         start=(measured.q[grid[0] - settings.start], measured.dq[grid[0] - settings.start]),
         q=q,
         poses=poses_of(q),
@@ -108,18 +107,16 @@ def make_experiment(problem: Problem, beta_ls: Array, *, gain_update: bool = Tru
         substeps=substeps,
         decimation=replace(settings.decimator, factor=settings.decimation // m),
         saturated_percent=_saturated_percent(problem),
-        directions=prior.directions,
-        slip_noise=measured_slip(problem, prior.directions)[1] @ np.abs(prior.directions.T),
         gain_update=gain_update,
     )
 
 
-def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp]) -> tuple[Array, int]:
-    """Instants of the controller (K,) in s that span the samples `grid`, and simulated steps to each."""
+def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp], step_hz: float) -> tuple[Array, int]:
+    """Instants of the controller (K,) in s that span the samples `grid`, and simulated steps to each, at `step_hz` at least."""
     signals, settings = problem.signals, problem.settings
     robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.controller.bandwidth_hz
     period_s = loop.period_s if loop else (grid[1] - grid[0]) / fs
-    substeps = max(1, math.ceil(period_s * RATE_PER_BANDWIDTH * bandwidth_hz - 1e-9))
+    substeps = max(1, math.ceil(period_s * step_hz - 1e-9))
     if loop is None:  # a continuous law: it acts at every step
         period_s, substeps = period_s / substeps, 1
     steps = (grid[-1] - grid[0]) / fs / period_s * substeps
@@ -148,10 +145,10 @@ def _reference(problem: Problem, measured: Motion) -> tuple[Array, Array, Array]
     return q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)
 
 
-def _stride(fs: float, decimation: int, bandwidth_hz: float) -> int:
-    """The largest divisor of the decimation that leaves 100 samples per period of the bandwidth."""
+def _stride(fs: float, decimation: int, step_hz: float) -> int:
+    """The largest divisor of the decimation that leaves a rate of `step_hz`."""
     divisors = [m for m in range(1, decimation + 1) if decimation % m == 0]
-    return max((m for m in divisors if fs / m >= RATE_PER_BANDWIDTH * bandwidth_hz), default=1)
+    return max((m for m in divisors if fs / m >= step_hz), default=1)
 
 
 def _at(times_s: Array, start_s: float, fs: float, x: Array) -> Array:

@@ -34,7 +34,7 @@ from ..regression import (
     torque_of_recording,
 )
 from .assess import assess_ls, predicted_rows, robust_sigma
-from .experiment import make_experiment
+from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, make_experiment
 from .fit import Fit, LeastSquares
 from .instruments import Instruments, simulate_instruments
 from .iteration import (
@@ -123,7 +123,9 @@ def identify_iv(
         raise IdentificationError(f"{signals.recording}: too long for instruments; expected a larger --decimate")
     ls, system = solve_least_squares(problem, observed, "wls", essential=essential), observed.system
     kept = ls.essential.kept if essential else np.arange(problem.base.b)
-    e = make_experiment(problem, inertia_prior(problem, overrides, ls), gain_update=iteration.gain_update)
+    prior, gain_update = inertia_prior(problem, overrides, ls), iteration.gain_update
+    e = make_experiment(problem, prior, gain_update=gain_update, rate_per_bandwidth=RATE_PER_BANDWIDTH)
+    early = make_experiment(problem, prior, gain_update=gain_update, rate_per_bandwidth=EARLY_RATE_PER_BANDWIDTH)
 
     def solve(z: Instruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         return instrumental_variables(system.with_rows(used).with_columns(kept), z.Z[:, kept], ls.full.weights)
@@ -133,8 +135,10 @@ def identify_iv(
     failure: str | None = None
     while not (trials and trials[-1].evidence.settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
-        z = simulate_instruments(e, beta, simulated_last(trials))  # Z = IDM(q_sim, dq_sim, ddq_sim)
-        used = rows_of_pass(e, z, trials)
+        z = simulate_instruments(
+            e if trials else early, beta, simulated_last(trials)
+        )  # Z = IDM(q_sim, dq_sim, ddq_sim)
+        used = rows_of_pass(problem, observed, z, trials)
         try:
             estimate = solve(z, used)
         except IdentificationError as error:

@@ -62,13 +62,13 @@ def simulate_instruments(e: Experiment, beta: Array, last: Array | None) -> Inst
             break
     motion = s.motion
     if motion is None:
-        q, dq, ddq = (_on_grid(e, x, 1) for x in (e.q_ref, e.dq_ref, e.ddq_ref))
+        q, dq, ddq = (_on_grid(e, x, 1) for x in (e.reference.q, e.reference.dq, e.reference.ddq))
         motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation)  # (n, b, rows)
     return Instruments(
         beta=beta if s.motion is None else simulated,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
-        slip=e.decimation.kept(motion.dq) @ e.directions.T,
+        slip=e.decimation.kept(motion.dq) @ e.problem.model.coulomb_directions.T,
         kind="reference" if s.motion is None else "simulated" if reason is None else "stepped back",
         reason=reason,
         gains=s.gains,
@@ -87,9 +87,9 @@ def simulated_motion(e: Experiment, beta: Array) -> SimulatedMotion:
         gains = np.ones(len(J))  # nothing tells what its saturation was set for
     step_s = e.times_s[1] - e.times_s[0]
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / step_s)
-    travel = np.ptp(e.q_ref, axis=0)
+    travel = np.ptp(e.reference.q, axis=0)
     bound = np.maximum(LOST * travel, 0.1 * LOST * travel.max())
-    done = simulate(model, loop, e.q_ref, e.dq_ref, e.ddq_ref, start=e.start, bound=bound, substeps=e.substeps)
+    done = simulate(model, loop, e.reference, start=e.start, bound=bound, substeps=e.substeps)
     if done.reason is not None:
         return SimulatedMotion(motion=None, reason=done.reason, gains=gains, tracking_percent=None)
     q, dq, ddq, tau = (_on_grid(e, x, e.substeps) for x in (done.q, done.dq, done.ddq, done.tau))

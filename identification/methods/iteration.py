@@ -13,6 +13,7 @@ from ..model import BaseParameters, InverseModel
 from ..regression import (
     Overrides,
     Problem,
+    Regression,
     fast_rows,
     make_settings,
     regression_of_recording,
@@ -91,11 +92,12 @@ def simulated_last(trials: Sequence[Trial]) -> Array | None:
     return next((t.z.beta for t in reversed(trials) if t.z.kind != "reference"), None)
 
 
-def rows_of_pass(e: Experiment, z: Instruments, trials: Sequence[Trial]) -> Array:
+def rows_of_pass(problem: Problem, observed: Regression, z: Instruments, trials: Sequence[Trial]) -> Array:
     """Rows (r,) that count in a pass: 1 where the simulated robot is fast enough, and 0."""
     if len(trials) >= ROWS_FREE:
         return trials[-1].used
-    fast = fast_rows(z.slip, e.slip_noise, e.directions, e.problem.settings.low_speed.iv)
+    low_speed_percent = problem.settings.low_speed.iv
+    fast = fast_rows(z.slip, observed.slip_noise, problem.model.coulomb_directions, low_speed_percent)
     return fast.T.reshape(-1).astype(float)
 
 

@@ -26,7 +26,7 @@ def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Exper
         reason += f"; pass {outcome.returned} is returned, which tracks best"
     evidence = InstrumentEvidence(
         start=outcome.start,
-        reference=e.reference,
+        reference=e.reference_kind,
         controller="surrogate" if e.loop is None else "described",
         passes=passes,
         returned=outcome.returned,
@@ -151,7 +151,7 @@ def _unconfirmed(
 
 def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
     warnings = []
-    if e.reference == "surrogate":
+    if e.reference_kind == "surrogate":
         warnings.append(
             "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
             "strictly exogenous"

@@ -62,15 +62,16 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
 
 
-def measured_fast_rows(problem: Problem) -> NDArray[np.bool_]:
-    """Which rows (rows, n) count for least squares: by the measured speed."""
+def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
+    """Which rows (rows, n) count for least squares, by the measured speed; the noise (c,) of the directions' speeds."""
     directions = problem.model.coulomb_directions
     slip, noise = measured_slip(problem, directions)
-    fast = fast_rows(slip, noise @ np.abs(directions.T), directions, problem.settings.low_speed.ls)
+    slip_noise = noise @ np.abs(directions.T)
+    fast = fast_rows(slip, slip_noise, directions, problem.settings.low_speed.ls)
     for j, joint in enumerate(problem.signals.robot.joints):
         if not fast[:, j].any():
             raise IdentificationError(
                 f"{problem.signals.recording}: joint {joint.name} is never faster than the noise of its speed: expected a "
                 "lower --cutoff-hz, or --low-speed-percent"
             )
-    return fast
+    return fast, slip_noise

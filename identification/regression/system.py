@@ -28,6 +28,7 @@ class Regression:
         fast: (rows, n) whether a decimated sample counts for least squares (`low_speed`).
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
+        slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
 
     The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
     count for least squares, which have the same normal equations.
@@ -37,6 +38,7 @@ class Regression:
     fast: NDArray[np.bool_]
     tau: Array
     speed: Array
+    slip_noise: Array
 
     @property
     def reduced(self) -> bool:
@@ -48,18 +50,18 @@ def regression_of_recording(problem: Problem, say: Callable[[str], None] = lambd
     """W and Y of a recording, block by block, so that the whole undecimated W is never held."""
     blocks: list[_Block] = []
     reduced: Regression | None = None
-    fast, done_rows, base = measured_fast_rows(problem), 0, problem.base
+    (fast, slip_noise), done_rows = measured_fast_rows(problem), 0
     for motion, inside, done in motion_blocks(problem):
         here = slice(done_rows, done_rows + inside.stop - inside.start)
         done_rows = here.stop
         blocks.append(_block(problem, motion, inside, fast[here]))
         say(f"regressor: {done:.0%}")
         if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
-            reduced = _reduce(_stacked(blocks, base), reduced)
+            reduced = _reduce(_stacked(blocks, problem.base, slip_noise), reduced)
             blocks = []
     if not blocks and reduced is not None:
         return reduced
-    last = _stacked(blocks, base)
+    last = _stacked(blocks, problem.base, slip_noise)
     return last if reduced is None else _reduce(last, reduced)
 
 
@@ -144,7 +146,7 @@ def _block(problem: Problem, motion: Motion, inside: slice, fast: NDArray[np.boo
     )
 
 
-def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
+def _stacked(blocks: list[_Block], base: BaseParameters, slip_noise: Array) -> Regression:
     """Blocks as one system, rows joint by joint."""
     W, Y = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y"))
     n, rows = Y.shape
@@ -161,6 +163,7 @@ def _stacked(blocks: list[_Block], base: BaseParameters) -> Regression:
         fast=fast,
         tau=Y.T,
         speed=np.concatenate([block.speed for block in blocks]),
+        slip_noise=slip_noise,
     )
 
 
@@ -184,4 +187,5 @@ def _reduce(new: Regression, before: Regression | None) -> Regression:
         fast=fast,
         tau=np.concatenate([part.tau for part in parts]),
         speed=np.concatenate([part.speed for part in parts]),
+        slip_noise=new.slip_noise,
     )

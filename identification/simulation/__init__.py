@@ -1,7 +1,7 @@
 """The robot in closed loop: control laws, friction with stick phases, integration."""
 
 from .closed_loop import simulate
-from .control_law import ControlLaw, has_controller, recorded_loop, surrogate_loop
+from .control_law import ControlLaw, Reference, has_controller, recorded_loop, surrogate_loop
 from .friction import Friction
 
-__all__ = ["ControlLaw", "Friction", "has_controller", "recorded_loop", "simulate", "surrogate_loop"]
+__all__ = ["ControlLaw", "Friction", "Reference", "has_controller", "recorded_loop", "simulate", "surrogate_loop"]

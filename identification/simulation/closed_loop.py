@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..model import DirectModel
-from .control_law import Control, ControlLaw
+from .control_law import Control, ControlLaw, Reference
 from .friction import Friction
 
 _LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
@@ -30,27 +30,26 @@ class Simulated:
 def simulate(
     model: DirectModel,
     loop: ControlLaw,
-    q_ref: Array,
-    dq_ref: Array,
-    ddq_ref: Array,
+    reference: Reference,
     *,
     start: tuple[Array, Array],
     bound: Array,
     substeps: int = 1,
 ) -> Simulated:
-    """Follow a reference (N, n) given once per controller period, from the `start` position and speed, (n,) each.
+    """Follow a reference given once per controller period, from the `start` position and speed, (n,) each.
 
     The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
     stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
     Newton iteration). Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the
     inertia matrix is not positive. The state is never clipped.
     """
+    q_ref = reference.q
     N, n = q_ref.shape
     h = loop.period_s / substeps
     q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
     q, v = (x.copy() for x in start)
-    friction = Friction(model, dq_ref, v, h)
-    control = Control(model, loop, q_ref, dq_ref, ddq_ref, q, v)
+    friction = Friction(model, reference.dq, v, h)
+    control = Control(model, loop, reference, q, v)
     look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
     rows = 0
     for k in range(N):

@@ -32,6 +32,15 @@ from ..model import DirectModel
 SURROGATE_DAMPING = 0.8
 
 
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """What a controller is to follow: q, dq, ddq (N, n) at its instants."""
+
+    q: Array
+    dq: Array
+    ddq: Array
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlLaw:
     """A position loop in discrete time; gains (n,) per motor in recorded effort per motor rad (or m)."""
@@ -130,16 +139,14 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
 class Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
-    def __init__(
-        self, model: DirectModel, loop: ControlLaw, q_ref: Array, dq_ref: Array, ddq_ref: Array, q: Array, v: Array
-    ) -> None:
-        self._model, self._loop, self._T = model, loop, loop.period_s
-        self._q_ref, self._dq_ref, self._ddq_ref = q_ref, dq_ref, ddq_ref
+    def __init__(self, model: DirectModel, loop: ControlLaw, reference: Reference, q: Array, v: Array) -> None:
+        """`q`, `v` (n,) are the position and the speed that the simulation starts with."""
+        self._model, self._loop, self._T, self._reference = model, loop, loop.period_s, reference
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
-        self._ahead = q_ref @ self._P.T + loop.feedforward * (dq_ref @ self._D.T)
+        self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
         self._to_joints = loop.R.T * loop.G
         if loop.gravity and not loop.computed_torque:
-            self._ahead = self._ahead + self._motor_effort(model.gravity(q_ref).T).T
+            self._ahead = self._ahead + self._motor_effort(model.gravity(reference.q).T).T
         self._plain = False
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
@@ -149,7 +156,7 @@ class Control:
             # instant would bring their noise into it.
             held = self._motor_effort(model.gravity(q[None])[0])
             if loop.gravity:
-                held = held - self._motor_effort(model.gravity(q_ref[:1])[0])
+                held = held - self._motor_effort(model.gravity(reference.q[:1])[0])
             held = np.clip(held, -loop.saturation, loop.saturation)
             self._integral = np.divide(held, loop.Ki, out=self._integral, where=loop.Ki > 0)
 
@@ -170,14 +177,14 @@ class Control:
         self._q2, self._q1 = self._q1, q
         u = self._ahead[k] - self._P.dot(q) - self._D.dot(dq)
         if self._integrates:
-            x = loop.position_share * loop.R.dot(self._q_ref[k] - q)
+            x = loop.position_share * loop.R.dot(self._reference.q[k] - q)
             if loop.feedforward == 0.0:  # of a cascade it is the velocity error that is integrated
                 x = x - loop.R.dot(dq)
             before, self._integral = self._integral, self._integral + x * self._T
             u = u + loop.Ki * self._integral
         if loop.computed_torque:
-            ddq = self._ddq_ref[k] + np.linalg.solve(loop.R, u)
-            tau = self._model.inverse(q, v, ddq, self._dq_ref[k])
+            ddq = self._reference.ddq[k] + np.linalg.solve(loop.R, u)
+            tau = self._model.inverse(q, v, ddq, self._reference.dq[k])
             if not self._limited:
                 return tau
             u = self._motor_effort(tau)

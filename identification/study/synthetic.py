@@ -22,7 +22,7 @@ from ..errors import IdentificationError
 from ..methods import inertias, poses_of
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
-from ..simulation import has_controller, recorded_loop, simulate, surrogate_loop
+from ..simulation import Reference, has_controller, recorded_loop, simulate, surrogate_loop
 
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
@@ -128,7 +128,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     ddq_ref = differentiate(dq_ref, sample_rate_hz)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     start = (q_ref[0], dq_ref[0])
-    done = simulate(model, loop, q_ref, dq_ref, ddq_ref, start=start, bound=bound, substeps=SUBSTEPS)
+    done = simulate(model, loop, Reference(q_ref, dq_ref, ddq_ref), start=start, bound=bound, substeps=SUBSTEPS)
     if done.reason:
         raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
     rng = np.random.default_rng(seed)
