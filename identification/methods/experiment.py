@@ -21,7 +21,7 @@ from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
 from .plausibility import inertias, poses_of
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
-EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in the first pass, whose start may be anything
+EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
 LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
 MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording

@@ -42,6 +42,7 @@ from .iteration import (
     Trial,
     conclude,
     inertia_prior,
+    is_coarse,
     next_values,
     rows_of_pass,
     simulated_last,
@@ -133,10 +134,11 @@ def identify_iv(
     trials: list[Trial] = []
     before = beta = start_values(problem, iteration, ls)
     failure: str | None = None
-    while not (trials and trials[-1].evidence.settled) and len(trials) < iteration.max_iterations:
+    while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
+        coarse = is_coarse(e, iteration, trials)
         z = simulate_instruments(
-            e if trials else early, beta, simulated_last(trials)
+            early if coarse else e, beta, simulated_last(trials)
         )  # Z = IDM(q_sim, dq_sim, ddq_sim)
         used = rows_of_pass(problem, observed, z, trials)
         try:
@@ -146,7 +148,7 @@ def identify_iv(
             failure += f"; {z.reason}" if z.reason else ""
             break
         evidence = assess_pass(estimate, z, before, system.with_rows(used), iteration.tolerance_percent)
-        trials.append(Trial(z=z, estimate=estimate, used=used, evidence=evidence))
+        trials.append(Trial(z=z, estimate=estimate, used=used, evidence=evidence, coarse=coarse))
         before, beta = estimate.among(system.names), next_values(trials, system.names)
     return assess_iv(problem, observed, ls, e, conclude(e, iteration, trials, failure, solve))
 

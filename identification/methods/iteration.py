@@ -32,11 +32,12 @@ class Iteration:
     """How the instrumental variable method iterates.
 
     `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
-    under the name they were read from.
+    under the name they were read from. `inertias` (n,) are those of the regular start, 1 kg m² (or kg) by default.
     """
 
     start: str = "regular"
     values: Callable[[BaseParameters], Array] | None = None
+    inertias: Array | None = None
     tolerance_percent: float = 2.5
     max_iterations: int = 10
     gain_update: bool = True
@@ -44,12 +45,18 @@ class Iteration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it settled."""
+    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it was simulated coarsely."""
 
     z: Instruments
     estimate: Estimate
     used: Array
     evidence: Pass
+    coarse: bool
+
+    @property
+    def settled(self) -> bool:
+        """Whether it is the last: a fixed point, of instruments that are not coarse."""
+        return self.evidence.settled and not self.coarse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,7 +85,7 @@ def start_values(problem: Problem, iteration: Iteration, ls: LeastSquares) -> Ar
     """Base parameters (b,) that are simulated first."""
     if iteration.values is not None:
         return iteration.values(problem.base)
-    return ls.full.beta if iteration.start == "ls" else regular_start(problem.model, problem.base)
+    return ls.full.beta if iteration.start == "ls" else regular_start(problem.model, problem.base, iteration.inertias)
 
 
 def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
@@ -90,6 +97,16 @@ def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
 def simulated_last(trials: Sequence[Trial]) -> Array | None:
     """Base parameters (b,) that the robot could last be simulated with."""
     return next((t.z.beta for t in reversed(trials) if t.z.kind != "reference"), None)
+
+
+def is_coarse(e: Experiment, iteration: Iteration, trials: Sequence[Trial]) -> bool:
+    """Whether the next pass is simulated coarsely: the first from a regular start, and a second where a PD stands in.
+
+    Their estimates are only where the passes after them start. A described controller sets steps of its own, so that there
+    is less to save. The last pass allowed is never coarse.
+    """
+    early = 0 if iteration.start != "regular" else 2 if e.loop is None else 1
+    return len(trials) < min(early, iteration.max_iterations - 1)
 
 
 def rows_of_pass(problem: Problem, observed: Regression, z: Instruments, trials: Sequence[Trial]) -> Array:
@@ -116,7 +133,7 @@ def conclude(
         raise IdentificationError(f"{e.problem.signals.recording}: no instruments: {failure}")
     last, names = trials[-1], e.problem.base.names
     found = None
-    if not last.evidence.settled or failure is not None:
+    if not last.settled or failure is not None:
         found = _best_pass(e, solve, [trial.z for trial in trials], last.used)
     if found is None:
         found = len(trials), last.estimate, simulated_motion(e, last.estimate.among(names))

@@ -164,9 +164,8 @@ class DirectModel:
         return M + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Upper triangle of M (n, n), and h (n,) without friction, at one state."""
-        M = pin.crba(self.rigid, self.data, q) + self.rotor
-        return M, pin.nonLinearEffects(self.rigid, self.data, q, dq)
+        """Upper triangle of the links' part of M (n, n), without rotors, and h (n,) without friction, at one state."""
+        return pin.crba(self.rigid, self.data, q), pin.nonLinearEffects(self.rigid, self.data, q, dq)
 
     def gravity(self, q: Array) -> Array:
         """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""

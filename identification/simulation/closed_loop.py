@@ -55,8 +55,7 @@ def simulate(
     for k in range(N):
         tau = control.torque(k, q, v)
         for row in range(rows, rows + substeps):
-            M, bias = model.inertia_and_bias(q, v)
-            after = friction.step(M, h * (tau - bias), v)
+            after = friction.step(q, v, tau)
             if after is None:
                 reason = "the inertia matrix is not positive definite"
                 break

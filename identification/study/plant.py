@@ -18,7 +18,6 @@ from ..model import DirectModel, InverseModel, base_parameters, direct_model
 from ..simulation import Friction, has_controller, recorded_loop
 from .synthetic import truth
 
-BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
 POSES = 200  # within the limits of the joints, at which the inertias are looked at
 PLANT_STEP_S = 0.0005  # at most
 
@@ -54,9 +53,7 @@ class RigidBodyPlant:
         noise = self._disturbance * self._rng.standard_normal(len(effort))
         steps = max(1, round(duration_s / self._step_s))
         for _ in range(steps):
-            M, bias = self._model.inertia_and_bias(self._q, self._dq)
-            force = self._step_s * (effort + noise - bias)
-            after = self._friction.step(M + np.diag(BRAKE * held), force, self._dq)
+            after = self._friction.step(self._q, self._dq, effort + noise, held=held)
             if after is None:
                 raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
             self._q, self._dq = self._q + 0.5 * self._step_s * (self._dq + after), after

@@ -18,7 +18,7 @@ from acquisition.robot import Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, poses_of, regular_start
+from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, poses_of
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .synthetic import Noise, closed_loop, random_reference, truth
@@ -167,10 +167,12 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         hac_ls=nan,
         hac_iv=nan,
     )
+    J = inertias(direct_model(idm, base.standard_parameters(true)), poses_of(q_ref))
     try:
         signals = closed_loop(robot, q_ref, fs, noise=study.noise, seed=seed)
-        tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
-        ls = tuned if cutoff == CUTOFF_PER_BANDWIDTH else identify_ls(signals, overrides)
+        ls = tuned = identify_ls(signals, overrides)
+        if cutoff != CUTOFF_PER_BANDWIDTH:
+            tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
     except IdentificationError as error:
         return replace(run, reason=str(error))
 
@@ -185,15 +187,9 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         sigma_ls=ls.estimate.sigma,
         hac_ls=ls.sigma_hac,
     )
-    poses = poses_of(q_ref)
-    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
-    wrong = regular_start(idm, base, start * J)
+    misinformed = replace(signals, robot=_misinformed(robot, gain_error))
     try:
-        iv = identify_iv(
-            replace(signals, robot=_misinformed(robot, gain_error)),
-            overrides,
-            Iteration(start=f"{start:g} x", values=lambda _: wrong),
-        )
+        iv = identify_iv(misinformed, overrides, Iteration(inertias=start * J))
     except IdentificationError as error:
         return replace(run, reason=str(error))
     assert iv.iv is not None
@@ -202,7 +198,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         status=iv.status,
         reason=iv.iv.reason,
         passes=len(iv.iv.passes),
-        positive=not_positive(direct_model(idm, base.standard_parameters(iv.beta)), poses) is None,
+        positive=not_positive(direct_model(idm, base.standard_parameters(iv.beta)), poses_of(q_ref)) is None,
         error_iv=off(iv.beta),
         beta_iv=iv.beta,
         sigma_iv=iv.estimate.sigma,
