@@ -307,7 +307,9 @@ def test_command_line(capsys, tmp_path):
     assert len(json.loads(again.read_text())["iterations"]) == 1
     other = tmp_path / "other.json"
     other.write_text(out.read_text().replace("ZZ1R", "XX9"))
-    assert "parameters XX9: expected those of" in refused(capsys, "fit", session, "--method", "iv", "--start", other)
+    assert "parameters = 'XX9': expected those of" in refused(
+        capsys, "fit", session, "--method", "iv", "--start", other
+    )
     assert "cannot be read" in refused(capsys, "fit", session, "--method", "iv", "--start", "nowhere.json")
 
 

@@ -83,8 +83,6 @@ def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
 
 MOST_PARAMETERS = 6
 MANY_PARAMETERS = {  # to be emptied
-    "identification/simulation/closed_loop.py simulate",
-    "identification/simulation/control_law.py __init__",
     "identification/view/charts.py _value",
     "identification/view/curves.py _thinned",
 }
