@@ -177,12 +177,22 @@ class DirectModel:
 
     def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
         """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
-        u = self.directions @ dq_sign
-        viscous = self.viscous + self.viscous_up * (dq > 0) + self.viscous_down * (dq < 0)
-        rigid = pin.rnea(self.rigid, self.data, q, dq, ddq) + self.rotor @ ddq
-        return np.asarray(
-            rigid + viscous @ dq + self.offset + (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
-        )
+        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq) + self._of_joints(dq, ddq, dq_sign))
+
+    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque (N, n) along a motion q, dq, ddq (N, n)."""
+        tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
+        for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
+            tau[k] = compute(model, data, *state)
+        tau += self._of_joints(dq, ddq, dq)
+        return tau
+
+    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array) -> Array:
+        """What rotors and friction add (..., n)."""
+        u = dq_sign @ self.directions.T
+        coulomb = (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
+        one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
+        return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + coulomb + self.offset)
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:

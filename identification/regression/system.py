@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import System
-from ..model import BaseParameters, InverseModel
+from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation, decimation_reach
 from .low_speed import measured_fast_rows
 from .motion import Motion
@@ -79,16 +79,7 @@ def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Ar
 
 def predicted_torque(motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array) -> Array:
     """Torque (N, n) of the inverse dynamic model along a motion, undecimated: IDM(q, dq, ddq) beta."""
-    entries = dynamics.entries(base.columns)
-    tau: Array = np.zeros_like(motion.q)
-    step = max(1, _SERIES_BLOCK // (4 * len(entries)))
-    for k in range(0, len(tau), step):
-        part = slice(k, k + step)
-        series = dynamics.series(motion.q[part], motion.dq[part], motion.ddq[part], base.columns)
-        for j in range(motion.q.shape[1]):
-            mine = entries[:, 0] == j
-            tau[part, j] = beta[entries[mine, 1]] @ series[mine]
-    return tau
+    return direct_model(dynamics, base.standard_parameters(beta)).torque(motion.q, motion.dq, motion.ddq)
 
 
 def decimated_regressor(motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation) -> Array:

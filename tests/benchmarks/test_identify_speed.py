@@ -25,6 +25,7 @@ from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel, direct_model
 from identification.regression.settings import Overrides
+from identification.study.study import Study, one_run
 from identification.study.synthetic import known_parameters, truth
 
 pytestmark = pytest.mark.skipif(
@@ -40,6 +41,21 @@ def floor(dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray
     def run() -> None:
         for k in range(len(q)):
             compute(model, data, q[k], dq[k], ddq[k])
+
+    return run
+
+
+def floor_of_passes(dynamics: InverseModel, q: np.ndarray, passes: int) -> Callable[[], None]:
+    """Bare loops of computeJointTorqueRegressor and of aba over the samples, as often as there are passes."""
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
+
+    def run() -> None:
+        for _ in range(passes):
+            regressors()
+            for qk in q:
+                pin.aba(model.rigid, data, qk, qk, qk)
 
     return run
 
@@ -79,26 +95,15 @@ def test_fit_of_the_tx40_recording(tx40, capsys):
 
 
 def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
-    """Floor of a pass: bare loops of computeJointTorqueRegressor and of aba over the samples of the recording."""
     signals = load_signals(tx40)
     dynamics = InverseModel(signals.robot)
-    base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
-    q = np.ascontiguousarray(signals.q)
-    regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
     passes = len(identify_iv(signals, Overrides(), Iteration()).iv.passes)
-
-    def floor_of_the_passes() -> None:
-        for _ in range(passes):
-            regressors()
-            for qk in q:
-                pin.aba(model.rigid, data, qk, qk, qk)
-
+    floor_of_the_passes = floor_of_passes(dynamics, np.ascontiguousarray(signals.q), passes)
     found, floor_s = ratio(
         lambda: identify_iv(load_signals(tx40), Overrides(), Iteration()), floor_of_the_passes, rounds=5
     )
     with capsys.disabled():
-        print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 2, aim 1)")
+        print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
@@ -124,16 +129,68 @@ def hour_long_recording(path: Path, seconds: int = 3600) -> None:
                 writer.samples(part)
 
 
-def test_memory_of_a_fit_of_one_hour(tmp_path, capsys):
+def cpu_s(*command: object) -> float:
+    """CPU time of a process, its children included."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    subprocess.run([str(part) for part in command], check=True, capture_output=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def test_whole_processes_on_the_tx40_recording(tx40, capsys):
+    """The command line from start to end, beside the imports that it cannot do without and the floor of its passes."""
+    signals = load_signals(tx40)
+    dynamics = InverseModel(signals.robot)
+    q = np.ascontiguousarray(signals.q)
+    passes = floor_of_passes(dynamics, q, len(identify_iv(signals, Overrides(), Iteration()).iv.passes))
+    fit = (sys.executable, "-m", "identification", "fit", tx40, "--method")
+    everything = "import identification as i; i.fit, i.identify_iv, i.load_signals"
+    cases = {
+        "import of numpy and pinocchio": lambda: cpu_s(sys.executable, "-c", "import pinocchio"),
+        "import identification": lambda: cpu_s(sys.executable, "-c", "import identification"),
+        "the same and all names used": lambda: cpu_s(sys.executable, "-c", everything),
+        "fit by wls": lambda: cpu_s(*fit, "wls"),
+        "fit by iv": lambda: cpu_s(*fit, "iv"),
+        "floor of the passes of iv": lambda: timed(passes),
+    }
+    found = {name: [] for name in cases}
+    for _ in range(5):
+        for name, run in cases.items():
+            found[name].append(run())
+    with capsys.disabled():
+        for name, times in found.items():
+            print(f"\n{name}: {np.median(times):.2f} s of CPU", end="")
+        pairs = zip(found["fit by iv"], found["floor of the passes of iv"], strict=True)
+        print(
+            f"\nfit by iv, whole process: {np.median([a / b for a, b in pairs]):.2f} x the floor of its passes (bound 2.2)"
+        )
+
+
+def timed(run: Callable[[], object]) -> float:
+    start = time.process_time()
+    run()
+    return time.process_time() - start
+
+
+def test_study_runs(capsys):
+    """Of each robot, beside the floor of bare `aba` at the steps of the simulated recording."""
+    for name in ("emps", "tx40"):
+        robot = robot_named(name)
+        times = [timed(lambda n=number, r=robot: one_run(r, Study(), n)) for number in range(6)]
+        with capsys.disabled():
+            print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
+
+
+def test_a_fit_of_one_hour(tmp_path, capsys):
     path = tmp_path / "hour.mcap"
     hour_long_recording(path)
-    start = time.perf_counter()
-    subprocess.run(
-        [sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json"],
-        check=True,
-        capture_output=True,
-    )
+    dynamics = InverseModel(robot_named("tx40"))
+    q, dq, ddq = np.random.default_rng(0).uniform(-3, 3, size=(3, 100_000, 6))
+    bare = floor(dynamics, q, dq, ddq)
+    before_s = timed(bare)
+    took_s = cpu_s(sys.executable, "-m", "identification", "fit", path, "--json", tmp_path / "fit.json")
     peak_gb = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1e6
-    took_s = time.perf_counter() - start
+    floor_s = 36 * 0.5 * (before_s + timed(bare))
     with capsys.disabled():
-        print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1), {took_s:.0f} s")
+        print(f"\nfit of one hour at 1 kHz, 3.6 million samples x 6: peak {peak_gb:.2f} GB (bound 1)", end="")
+        print(f", {took_s / floor_s:.2f} x the floor of {floor_s:.1f} s (bound 3)")
