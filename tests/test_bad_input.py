@@ -21,7 +21,8 @@ from identification.data.signals import load_signals
 from identification.errors import IdentificationError
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
-from identification.model.inverse import InverseModel, direct_model
+from identification.model.direct import direct_model
+from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.study.synthetic import Noise, closed_loop, random_reference
 

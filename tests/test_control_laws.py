@@ -10,7 +10,8 @@ from scipy.linalg import expm
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.methods.plausibility import inertias
 from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel, direct_model
+from identification.model.direct import direct_model
+from identification.model.inverse import InverseModel
 from identification.simulation.closed_loop import simulate
 from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop
 from identification.study.synthetic import truth

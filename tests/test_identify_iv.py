@@ -20,7 +20,8 @@ from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.methods.plausibility import not_positive
 from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel, direct_model
+from identification.model.direct import direct_model
+from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.simulation.control_law import recorded_loop
 from identification.study.study import Run, summaries

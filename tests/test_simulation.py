@@ -13,7 +13,8 @@ from identification.methods.idim import identify_iv
 from identification.methods.iteration import Iteration, regular_start
 from identification.methods.plausibility import inertias, not_positive
 from identification.model.base import base_parameters
-from identification.model.inverse import DirectModel, InverseModel, direct_model
+from identification.model.direct import DirectModel, direct_model
+from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.simulation.closed_loop import simulate
 from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop

@@ -1,7 +1,8 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
 from .base import BaseParameters, base_parameters
-from .inverse import DirectModel, InverseModel, direct_model
+from .direct import DirectModel, direct_model
+from .inverse import InverseModel
 from .joint_terms import JointTerm
 
 __all__ = ["BaseParameters", "DirectModel", "InverseModel", "JointTerm", "base_parameters", "direct_model"]

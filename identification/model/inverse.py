@@ -1,4 +1,4 @@
-"""The robot's inverse dynamic model, linear in its standard parameters. The only file that imports pinocchio.
+"""The robot's inverse dynamic model, linear in its standard parameters.
 
 tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
 (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
@@ -7,8 +7,6 @@ What motors and friction add is in `joint_terms`.
 """
 
 import xml.etree.ElementTree as ET
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +19,7 @@ from ..errors import IdentificationError
 from .joint_terms import JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
-_FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
+FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
 _CHUNK = 256  # samples per copy out of pinocchio: 256 regressors of six joints stay in the cache
 
 
@@ -73,7 +71,7 @@ class InverseModel:
                 out[e] = source.entry(int(j), dq, ddq)
             else:
                 places.append(e)
-                picks.append((10 * source[0] + _FROM_PINOCCHIO[source[1]]) * n + int(j))
+                picks.append((10 * source[0] + FROM_PINOCCHIO[source[1]]) * n + int(j))
         self._link_series(q, dq, ddq, np.array(places, dtype=np.intp), np.array(picks, dtype=np.intp), out)
         return out
 
@@ -128,115 +126,6 @@ class InverseModel:
                 carriers = [joint - 1 for joint in self.model.supports[source[0] + 1] if joint > 0]
                 nonzero[carriers, c] = True
         return nonzero
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DirectModel:
-    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
-
-    Attributes:
-        rigid: pinocchio's model with the links' inertias, and its `data`.
-        rotor: (n, n) what the rotors add to M.
-        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
-        directions: (c, n) directions r that Coulomb friction acts along, its speed being r·dq.
-        up, down: (c,) friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
-        offset: (n,) constant torque.
-    """
-
-    rigid: Any
-    data: Any
-    rotor: Array
-    viscous: Array
-    viscous_up: Array
-    viscous_down: Array
-    directions: Array
-    up: Array
-    down: Array
-    offset: Array
-
-    def inertia(self, q: Array) -> Array:
-        """Inertia matrices (N, n, n) at the positions q (N, n)."""
-        M = np.empty((len(q), *self.rotor.shape))
-        for k, qk in enumerate(np.ascontiguousarray(q)):
-            M[k] = pin.crba(self.rigid, self.data, qk)
-        lower = np.tril(np.ones(self.rotor.shape, dtype=bool), -1)
-        M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
-        return M + self.rotor
-
-    def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Upper triangle of the links' part of M (n, n), without rotors, and h (n,) without friction, at one state."""
-        return pin.crba(self.rigid, self.data, q), pin.nonLinearEffects(self.rigid, self.data, q, dq)
-
-    def gravity(self, q: Array) -> Array:
-        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
-        g = np.tile(self.offset, (len(q), 1))
-        if self.rigid.gravity.linear.any():
-            for k, qk in enumerate(np.ascontiguousarray(q)):
-                g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
-        return g
-
-    def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
-        """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
-        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq) + self._of_joints(dq, ddq, dq_sign))
-
-    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque (N, n) along a motion q, dq, ddq (N, n)."""
-        tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
-        for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
-            tau[k] = compute(model, data, *state)
-        tau += self._of_joints(dq, ddq, dq)
-        return tau
-
-    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array) -> Array:
-        """What rotors and friction add (..., n)."""
-        u = dq_sign @ self.directions.T
-        coulomb = (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
-        one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
-        return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + coulomb + self.offset)
-
-
-def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
-    """The equation of motion (1) of a robot; pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
-
-    Parameters
-    ----------
-    dynamics : the inverse dynamic model.
-    chi : (p,) its standard parameters, SI.
-    """
-    n, rigid = dynamics.robot.n, dynamics.model.copy()
-    values = np.zeros((n, len(LINK)))
-    rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
-    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Array]()
-    for source, value in zip(dynamics.sources, chi, strict=True):
-        if not isinstance(source, JointTerm):
-            values[source[0], _FROM_PINOCCHIO[source[1]]] = value
-        elif source.kind == "rotor":
-            rotor += value * source.matrix
-        elif source.kind == "viscous":
-            target = (viscous, viscous_up, viscous_down)[source.side]
-            target += value * source.matrix
-        elif source.kind == "coulomb":
-            levels = coulomb.setdefault(tuple(source.direction), np.zeros(2))
-            levels += value * np.array([source.side >= 0, source.side <= 0])
-        else:
-            offset += value * source.direction
-    mass = _FROM_PINOCCHIO[LINK.index("M")]
-    values[values[:, mass] == 0.0, mass] = 1e-6
-    for j in range(n):
-        rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
-    levels = np.array(list(coulomb.values())).reshape(-1, 2)
-    return DirectModel(
-        rigid=rigid,
-        data=rigid.createData(),
-        rotor=rotor,
-        viscous=viscous,
-        viscous_up=viscous_up,
-        viscous_down=viscous_down,
-        directions=np.array(list(coulomb)).reshape(-1, n),
-        up=levels[:, 0],
-        down=levels[:, 1],
-        offset=offset,
-    )
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:

@@ -27,7 +27,7 @@ class JointTerm:
 
     name: str
     unit: str
-    kind: Literal["rotor", "viscous", "coulomb", "offset"]
+    kind: str  # rotor, viscous, coulomb, offset; any other is a torque that the speed alone gives
     matrix: Array
     direction: Array
     side: int = 0
@@ -36,6 +36,14 @@ class JointTerm:
     def rows(self) -> NDArray[np.intp]:
         """Joints whose torque the parameter can change."""
         return np.flatnonzero(self.matrix.any(axis=1) | (self.direction != 0))
+
+    def torque(self, dq: Array) -> Array:
+        """Torque (..., n) per unit of the parameter at the speed dq (..., n), of a kind in which acceleration has no part."""
+        speeds = np.atleast_2d(dq)
+        tau = np.zeros(speeds.shape)
+        for j in self.rows:
+            tau[:, j] = self.entry(int(j), speeds, speeds)
+        return tau.reshape(dq.shape)
 
     def entry(self, j: int, dq: Array, ddq: Array) -> Array | float:
         """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,)."""

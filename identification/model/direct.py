@@ -1,0 +1,130 @@
+"""The robot's direct dynamic model: its equation of motion with given parameters."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..arrays import Array
+from .inverse import FROM_PINOCCHIO, LINK, InverseModel
+from .joint_terms import JointTerm
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DirectModel:
+    """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
+
+    Attributes:
+        rigid: pinocchio's model with the links' inertias, and its `data`.
+        rotor: (n, n) what the rotors add to M.
+        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
+        directions: (c, n) directions r that Coulomb friction acts along, its speed being r·dq.
+        up, down: (c,) friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
+        offset: (n,) constant torque.
+        others: terms of any other kind and their values; they act by their regressor, explicitly, by the speed alone.
+    """
+
+    rigid: Any
+    data: Any
+    rotor: Array
+    viscous: Array
+    viscous_up: Array
+    viscous_down: Array
+    directions: Array
+    up: Array
+    down: Array
+    offset: Array
+    others: tuple[tuple[float, JointTerm], ...] = ()
+
+    def inertia(self, q: Array) -> Array:
+        """Inertia matrices (N, n, n) at the positions q (N, n)."""
+        M = np.empty((len(q), *self.rotor.shape))
+        for k, qk in enumerate(np.ascontiguousarray(q)):
+            M[k] = pin.crba(self.rigid, self.data, qk)
+        lower = np.tril(np.ones(self.rotor.shape, dtype=bool), -1)
+        M[:, lower] = M.transpose(0, 2, 1)[:, lower]  # pinocchio fills the upper triangle
+        return M + self.rotor
+
+    def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
+        """Upper triangle of the links' part of M (n, n), without rotors, and h (n,) without friction, at one state."""
+        bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
+        for value, term in self.others:
+            bias = bias + value * term.torque(dq)
+        return pin.crba(self.rigid, self.data, q), bias
+
+    def gravity(self, q: Array) -> Array:
+        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
+        g = np.tile(self.offset, (len(q), 1))
+        if self.rigid.gravity.linear.any():
+            for k, qk in enumerate(np.ascontiguousarray(q)):
+                g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
+        return g
+
+    def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
+        """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
+        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq) + self._of_joints(dq, ddq, dq_sign))
+
+    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Torque (N, n) along a motion q, dq, ddq (N, n)."""
+        tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
+        for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
+            tau[k] = compute(model, data, *state)
+        tau += self._of_joints(dq, ddq, dq)
+        return tau
+
+    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array) -> Array:
+        """What rotors and friction add (..., n)."""
+        u = dq_sign @ self.directions.T
+        coulomb = (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
+        one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
+        others = sum((value * term.torque(dq) for value, term in self.others), start=0.0)
+        return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + coulomb + self.offset + others)
+
+
+def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
+    """The equation of motion (1) of a robot; pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
+
+    Parameters
+    ----------
+    dynamics : the inverse dynamic model.
+    chi : (p,) its standard parameters, SI.
+    """
+    n, rigid = dynamics.robot.n, dynamics.model.copy()
+    values = np.zeros((n, len(LINK)))
+    rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
+    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Array]()
+    others: list[tuple[float, JointTerm]] = []
+    for source, value in zip(dynamics.sources, chi, strict=True):
+        if not isinstance(source, JointTerm):
+            values[source[0], FROM_PINOCCHIO[source[1]]] = value
+        elif source.kind == "rotor":
+            rotor += value * source.matrix
+        elif source.kind == "viscous":
+            target = (viscous, viscous_up, viscous_down)[source.side]
+            target += value * source.matrix
+        elif source.kind == "coulomb":
+            levels = coulomb.setdefault(tuple(source.direction), np.zeros(2))
+            levels += value * np.array([source.side >= 0, source.side <= 0])
+        elif source.kind == "offset":
+            offset += value * source.direction
+        else:
+            others.append((float(value), source))
+    mass = FROM_PINOCCHIO[LINK.index("M")]
+    values[values[:, mass] == 0.0, mass] = 1e-6
+    for j in range(n):
+        rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
+    levels = np.array(list(coulomb.values())).reshape(-1, 2)
+    return DirectModel(
+        rigid=rigid,
+        data=rigid.createData(),
+        rotor=rotor,
+        viscous=viscous,
+        viscous_up=viscous_up,
+        viscous_down=viscous_down,
+        directions=np.array(list(coulomb)).reshape(-1, n),
+        up=levels[:, 0],
+        down=levels[:, 1],
+        offset=offset,
+        others=tuple(others),
+    )
