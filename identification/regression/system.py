@@ -14,7 +14,9 @@ from .low_speed import measured_fast_rows
 from .motion import Motion
 from .problem import Problem
 
-_SERIES_BLOCK = 8_000_000  # numbers of a block's regressor: 64 MB
+_SERIES_BLOCK = (
+    12_000_000  # numbers of a block's regressor: 96 MB; a shorter block spends more on what reaches beyond it
+)
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
