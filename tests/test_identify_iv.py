@@ -18,7 +18,6 @@ from identification.errors import IdentificationError
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
-from identification.methods.plausibility import not_positive
 from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
@@ -26,6 +25,7 @@ from identification.regression.settings import Overrides
 from identification.simulation.control_law import recorded_loop
 from identification.study.study import Run, summaries
 from identification.study.synthetic import Noise, closed_loop, random_reference, truth
+from identification.trust.physical import not_positive
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -1,5 +1,6 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
+from .confidence import Intervals, intervals, intervals_of_scores
 from .diagnostics import (
     MOVING,
     InstrumentTests,
@@ -27,6 +28,7 @@ __all__ = [
     "MOVING",
     "Estimate",
     "InstrumentTests",
+    "Intervals",
     "Reduction",
     "System",
     "TorqueError",
@@ -36,6 +38,8 @@ __all__ = [
     "hac_sigma",
     "instrument_tests",
     "instrumental_variables",
+    "intervals",
+    "intervals_of_scores",
     "lag_one",
     "one_thread",
     "ordinary_least_squares",

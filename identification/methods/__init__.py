@@ -14,12 +14,10 @@ from .fit import (
 )
 from .idim import identify_iv, identify_ls, validate
 from .iteration import Iteration, regular_start
-from .plausibility import Doubt, inertias, not_positive, poses_of
 
 __all__ = [
     "NO_FIXED_POINT",
     "DirectModelError",
-    "Doubt",
     "Fit",
     "InstrumentEvidence",
     "InstrumentKind",
@@ -31,9 +29,6 @@ __all__ = [
     "Status",
     "identify_iv",
     "identify_ls",
-    "inertias",
-    "not_positive",
-    "poses_of",
     "regular_start",
     "validate",
 ]

@@ -6,10 +6,18 @@ import numpy as np
 
 from ..arrays import Array
 from ..data import Signals
-from ..estimation import Estimate, hac_sigma, torque_errors, weighted_least_squares
+from ..estimation import (
+    Estimate,
+    Intervals,
+    hac_sigma,
+    intervals,
+    intervals_of_scores,
+    torque_errors,
+    weighted_least_squares,
+)
 from ..regression import Problem, Regression, torque_of_recording
+from ..trust import Doubt, Evidence, physical_doubts, trust_in
 from .fit import Fit, InstrumentEvidence, LeastSquares, Method, Rows, Status
-from .plausibility import Doubt, physical_doubts
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -27,7 +35,18 @@ def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastS
     Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:
     weighted least squares is looked at as well.
     """
-    fit = _fit(problem, observed, method, ls, Verdict())
+    used = observed.system.used
+    evidence = Evidence(
+        problem=problem,
+        observed=observed,
+        method=method,
+        fixed_point=True,
+        estimate=ls.estimate,
+        used=used,
+        intervals=intervals_of(observed, ls.estimate, ls.tau_predicted, used),
+        least_squares=ls.full,
+    )
+    fit = _fit(evidence, ls, Verdict())
     if method == "wls" or any(doubt.severe for doubt in fit.doubts):
         return fit
     weighted = weighted_least_squares(observed.system)
@@ -39,17 +58,16 @@ def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastS
     return replace(fit, doubts=doubts, warnings=_warnings(problem, doubts, ()))
 
 
-def assess_estimate(
-    problem: Problem, observed: Regression, ls: LeastSquares, estimate: Estimate, used: Array, verdict: Verdict
-) -> Fit:
-    """A fit by instruments, from the rows `used` (r,); least squares of the same rows stands beside it."""
-    predicted = predicted_rows(problem, observed, estimate)
-    sigma_hac = robust_sigma(observed, estimate, predicted, used)
+def assess_estimate(evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict) -> Fit:
+    """A fit by instruments, with the torque (rows, n) it predicts; least squares of the same rows stands beside it."""
+    observed, estimate = evidence.observed, evidence.estimate
+    sigma_hac = robust_sigma(observed, estimate, predicted, evidence.used)
     own = replace(ls, estimate=estimate, sigma_hac=sigma_hac, tau_predicted=predicted)
-    return replace(_fit(problem, observed, "iv", own, verdict), least_squares=ls)
+    return replace(_fit(evidence, own, verdict), least_squares=ls)
 
 
-def _fit(problem: Problem, observed: Regression, method: Method, solved: LeastSquares, verdict: Verdict) -> Fit:
+def _fit(evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
+    problem, observed = evidence.problem, evidence.observed
     settings, signals = problem.settings, problem.signals
     doubts = physical_doubts(problem, solved.estimate, solved.sigma_hac)
     # Decimation keeps the last sample and every n_d-th before it.
@@ -57,14 +75,16 @@ def _fit(problem: Problem, observed: Regression, method: Method, solved: LeastSq
     names = tuple(joint.name for joint in signals.robot.joints)
     return Fit(
         problem=problem,
-        method=method,
+        method=evidence.method,
         status=verdict.status,
         estimate=solved.estimate,
         sigma_hac=solved.sigma_hac,
+        intervals=evidence.intervals,
         least_squares=solved,
         rows=Rows(t_s=signals.t_s[kept], tau=observed.tau, tau_predicted=solved.tau_predicted, speed=observed.speed),
         errors=torque_errors(observed.tau, solved.tau_predicted, observed.speed, names),
         warnings=_warnings(problem, doubts, verdict.warnings),
+        trust=trust_in(evidence),
         doubts=doubts,
         iv=verdict.iv,
     )
@@ -81,6 +101,14 @@ def columns_of(observed: Regression, estimate: Estimate) -> Array:
     """Columns of W (r, b) of the parameters estimated."""
     names = observed.system.names
     return observed.system.W[:, [names.index(name) for name in estimate.names]]
+
+
+def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
+    """Intervals of an estimate from the rows that are `used` (r,)."""
+    if observed.reduced:
+        return intervals_of_scores(estimate, np.full((1000, len(estimate.names)), np.nan))
+    rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
+    return intervals(estimate, rho * used, observed.tau.shape[1])
 
 
 def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:

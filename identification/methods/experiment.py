@@ -18,7 +18,7 @@ from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import Decimation, Motion, Problem, differentiate, rule_cutoff_hz
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
-from .plausibility import inertias, poses_of
+from ..trust import inertias, poses_of
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 from ..arrays import Array
-from ..estimation import Estimate, InstrumentTests, Reduction, TorqueError
+from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
 from ..regression import Motion, Problem, Settings
-from .plausibility import Doubt
+from ..trust import Doubt, Trust
 
 Method = Literal["ols", "wls", "iv"]
 InstrumentKind = Literal["simulated", "stepped back", "reference"]
@@ -135,10 +135,12 @@ class Fit:
         estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
         sigma_hac: (b,) deviations that hold for correlated residuals; NaN where the recording is so long that rows were
             reduced.
+        intervals: 95 % intervals of the estimate.
         least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
             beside instrumental variables.
         rows: all decimated rows, measured and predicted.
         errors: one entry per joint and, last, all joints together.
+        trust: tests of the estimate, and the verdict.
         doubts: what of the estimate no robot has.
         iv: there for the instrumental variable method only.
     """
@@ -148,10 +150,12 @@ class Fit:
     status: Status
     estimate: Estimate
     sigma_hac: Array
+    intervals: Intervals
     least_squares: LeastSquares
     rows: Rows
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
+    trust: Trust
     doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above

@@ -9,9 +9,9 @@ from ..estimation import relative_error_percent
 from ..model import direct_model
 from ..regression import Motion, decimated_regressor
 from ..simulation import simulate, surrogate_loop
+from ..trust import inertias, not_positive
 from .experiment import LOST, Experiment
 from .fit import InstrumentKind
-from .plausibility import inertias, not_positive
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -66,6 +66,7 @@ class IterationResult:
     Attributes:
         estimate: that of the pass number `returned`, counted from 1.
         used: (r,) rows it rests on.
+        z: the instruments that gave it.
         final: the robot simulated with it.
         passes: all of them.
         start: what the iteration started from.
@@ -74,6 +75,7 @@ class IterationResult:
 
     estimate: Estimate
     used: Array
+    z: Instruments
     final: SimulatedMotion
     passes: tuple[Pass, ...]
     returned: int
@@ -141,6 +143,7 @@ def conclude(
     return IterationResult(
         estimate=estimate,
         used=last.used,
+        z=trials[returned - 1].z,
         final=final,
         passes=tuple(trial.evidence for trial in trials),
         returned=returned,

@@ -5,7 +5,8 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one, relative_error_percent
 from ..regression import Problem, Regression
-from .assess import Verdict, assess_estimate
+from ..trust import Evidence
+from .assess import Verdict, assess_estimate, intervals_of, predicted_rows
 from .experiment import Experiment
 from .fit import DirectModelError, Fit, InstrumentEvidence, LeastSquares, Pass, Status
 from .instruments import Instruments, SimulatedMotion, joint_tracking_percent
@@ -39,7 +40,24 @@ def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Exper
         q=e.q,
     )
     verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(e, tests))
-    return assess_estimate(problem, observed, ls, estimate, outcome.used, verdict)
+    predicted = predicted_rows(problem, observed, estimate)
+    found = Evidence(
+        problem=problem,
+        observed=observed,
+        method="iv",
+        fixed_point=status in ("converged", "not_confirmed"),
+        estimate=estimate,
+        used=outcome.used,
+        intervals=intervals_of(observed, estimate, predicted, outcome.used),
+        least_squares=ls.full,
+        Z=outcome.z.Z,
+        simulated=final.motion,
+        decimation=e.decimation,
+        reference=e.reference_kind,
+        loop=e.loop,
+        first_stage_F=tests.first_stage_F,
+    )
+    return assess_estimate(found, ls, predicted, verdict)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything

@@ -13,8 +13,9 @@ from acquisition.robot import Edges, LowSpeed
 
 from ..data import Signals
 from ..estimation import TorqueError
-from ..methods import DirectModelError, Doubt, Fit, InstrumentEvidence, InstrumentKind, Method, Status
+from ..methods import DirectModelError, Fit, InstrumentEvidence, InstrumentKind, Method, Status
 from ..regression import Settings, Span, forward_backward_3db_hz
+from ..trust import Doubt
 from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
 

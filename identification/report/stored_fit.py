@@ -11,9 +11,10 @@ from acquisition.robot import Edges, Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import NO_FIXED_POINT, Doubt
+from ..methods import NO_FIXED_POINT
 from ..model import BaseParameters
 from ..regression import Overrides, Span
+from ..trust import Doubt
 from .comparison import Parameter, ParameterSet
 from .document import FORMAT
 

@@ -19,9 +19,9 @@ from acquisition.trajectory import fourier_reference
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import inertias
 from ..model import InverseModel, base_parameters, direct_model
 from ..simulation import has_controller
+from ..trust import inertias
 from .plant import RigidBodyPlant, drive_loops, has_cascades
 from .synthetic import truth
 

@@ -13,9 +13,9 @@ from acquisition.trajectory import UNSTATED_RANGE
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import inertias, not_positive
 from ..model import DirectModel, InverseModel, base_parameters, direct_model
 from ..simulation import Friction, has_controller, recorded_loop
+from ..trust import inertias, not_positive
 from .synthetic import truth
 
 POSES = 200  # within the limits of the joints, at which the inertias are looked at

@@ -18,9 +18,10 @@ from acquisition.robot import Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Iteration, identify_iv, identify_ls, inertias, not_positive, poses_of
+from ..methods import Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
+from ..trust import inertias, not_positive, poses_of
 from .synthetic import Noise, closed_loop, random_reference, truth
 
 FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off

@@ -19,10 +19,10 @@ from acquisition.trajectory import fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..methods import inertias, poses_of
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
 from ..simulation import Reference, has_controller, recorded_loop, simulate, surrogate_loop
+from ..trust import inertias, poses_of
 
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument

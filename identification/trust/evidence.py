@@ -1,0 +1,46 @@
+"""What the tests of a fit look at: everything computed on the way to the estimate, so that nothing is simulated again."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from ..arrays import Array
+from ..estimation import Estimate, Intervals
+from ..regression import Decimation, Motion, Problem, Regression
+from ..simulation import ControlLaw
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Evidence:
+    """An estimate and what it rests on.
+
+    Attributes:
+        problem: recording, settings, model.
+        observed: W and Y of all decimated rows; reduced to QR factors for a long recording.
+        method: by which the estimate was found.
+        fixed_point: whether the method ended in one; always of least squares.
+        estimate: of the base parameters, fewer where only the essential ones were kept.
+        used: (r,) rows of the system that it rests on, 1 and 0.
+        intervals: of the estimate's parameters.
+        least_squares: weighted least squares of all base parameters on the same recording.
+        Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
+        simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
+            `decimation` to the rows; None where there is none.
+        reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
+        loop: the described control law, None where none is described.
+        first_stage_F: of the instruments, None without.
+    """
+
+    problem: Problem
+    observed: Regression
+    method: Literal["ols", "wls", "iv"]
+    fixed_point: bool
+    estimate: Estimate
+    used: Array
+    intervals: Intervals
+    least_squares: Estimate
+    Z: Array | None = None
+    simulated: Motion | None = None
+    decimation: Decimation | None = None
+    reference: Literal["recorded", "surrogate"] | None = None
+    loop: ControlLaw | None = None
+    first_stage_F: float | None = None

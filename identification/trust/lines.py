@@ -1,0 +1,47 @@
+"""The lines of the trust block and the verdict that they add up to."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+Verdict = Literal["trust", "caution", "do not use"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrustLine:
+    """One test of a fit.
+
+    Attributes:
+        test: its name, such as `lag`.
+        level: `not made` where the test could not be made, `cannot tell` where it says nothing either way.
+        value: its figure, None where there is none.
+        text: one sentence with the figure, and what to do.
+        caps: whether a test that was not made keeps the verdict from being `trust`.
+    """
+
+    test: str
+    level: Level
+    value: float | None
+    text: str
+    caps: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first."""
+
+    lines: tuple[TrustLine, ...]
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst level; a test that was not made, but must be, counts as caution."""
+        if any(line.level == "do not use" for line in self.lines):
+            return "do not use"
+        doubtful = any(line.level == "caution" or (line.level == "not made" and line.caps) for line in self.lines)
+        return "caution" if doubtful else "trust"
+
+
+def worst_first(lines: list[TrustLine]) -> Trust:
+    """The trust block of these tests."""
+    return Trust(lines=tuple(sorted(lines, key=lambda line: LEVELS.index(line.level))))
