@@ -171,11 +171,11 @@ def test_a_urdf_gives_the_same_model_as_the_table():
 @pytest.mark.parametrize(
     ("urdf", "names", "message"),
     [
-        ("<robot", ("j1", "j2"), "URDF does not load"),
-        ("<robot name='x'><joint/></robot>", ("j1", "j2"), "URDF does not load|no movable joint"),
-        (URDF, ("j1", "elbow"), "no movable joint 'elbow'; expected one of j1, j2, grip"),
-        (URDF, ("j2", "j1"), "joints in the order j2, j1; expected j1, j2"),
-        (URDF, ("j1", "grip"), "joint 'grip' is JointModelPX; expected revolute"),
+        ("<robot", ("j1", "j2"), "URDF: does not load"),
+        ("<robot name='x'><joint/></robot>", ("j1", "j2"), "URDF: does not load|movable joint"),
+        (URDF, ("j1", "elbow"), "movable joint = 'elbow': expected one of j1, j2, grip"),
+        (URDF, ("j2", "j1"), "order of joints = j2, j1: expected j1, j2"),
+        (URDF, ("j1", "grip"), "joint 'grip': type = 'JointModelPX': expected revolute"),
     ],
 )
 def test_a_urdf_that_does_not_fit_is_refused_in_one_line(urdf, names, message):

@@ -145,7 +145,7 @@ def test_gaps_short_recordings_and_stillness_are_named(capsys, tmp_path):
     half = samples.copy()
     half["position"][:, 1] = samples["position"][0, 1]
     write_samples(path, robot, half)
-    assert "does not excite Fv2, Fc2" in refused(capsys, "fit", path)
+    assert "not excited = Fv2, Fc2" in refused(capsys, "fit", path)
 
 
 def test_unknown_gains_give_volts_and_a_warning(capsys, tmp_path):

@@ -412,5 +412,5 @@ def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint
 
 def test_a_controller_described_in_part_names_what_is_missing():
     robot = controller_robot("pid", position_gain=[1.0])
-    with pytest.raises(IdentificationError, match="velocity_gain, integral_gain missing; expected all of structure"):
+    with pytest.raises(IdentificationError, match="velocity_gain, integral_gain is missing: expected all of structure"):
         recorded_loop(robot)

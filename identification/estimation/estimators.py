@@ -192,7 +192,12 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
     factors = _factors(Z, W)
     condition = float(np.linalg.cond(factors.A))
     if not condition < 1 / RANK_TOLERANCE:
-        raise IdentificationError(f"instruments and regressor have too little in common: cond(ZᵀW) = {condition:.2g}")
+        raise IdentificationError(
+            "instruments and regressor have too little in common",
+            key="cond(ZᵀW)",
+            value=condition,
+            shown=f"{condition:.2g}",
+        )
     return _estimate(system, weights, _solution(factors, W, Y), condition)
 
 
@@ -278,7 +283,9 @@ def _refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
     norms = np.linalg.norm(W, axis=0)
     unseen = [name for name, norm in zip(names, norms, strict=True) if norm <= 1e-12 * norms.max()]
     if unseen:
-        raise IdentificationError(f"the trajectory does not excite {', '.join(unseen)}: no torque depends on them")
+        raise IdentificationError(
+            "no torque depends on them", key="parameters not excited", value=unseen, shown=", ".join(unseen)
+        )
     _, singular, Vt = np.linalg.svd(np.linalg.qr(W / norms, mode="r"))
     lost = singular < RANK_TOLERANCE * singular[0]
     if lost.any():

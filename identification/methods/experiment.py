@@ -122,14 +122,22 @@ def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp],
     steps = (grid[-1] - grid[0]) / fs / period_s * substeps
     if steps > MOST_STEPS:
         raise IdentificationError(
-            f"robot {robot.name}: controller.sample_rate_hz = {1 / period_s:g}, bandwidth_hz = {bandwidth_hz:g}: {steps:.2g} "
-            f"steps to simulate; expected at most {MOST_STEPS:.2g}"
+            f"{steps:.2g} steps to simulate with bandwidth_hz = {bandwidth_hz:g}",
+            place=f"robot {robot.name}",
+            key="controller.sample_rate_hz",
+            value=1 / period_s,
+            shown=f"{1 / period_s:g}",
+            expected=f"at most {MOST_STEPS:.2g} steps",
         )
     times_s = grid[0] / fs + period_s * np.arange(int(np.floor((grid[-1] - grid[0]) / fs / period_s + 1e-6)) + 1)
     if len(times_s) < LEAST_INSTANTS:
         raise IdentificationError(
-            f"robot {robot.name}: controller.sample_rate_hz = {1 / period_s:g}: {len(times_s)} instants in the "
-            f"{(settings.stop - settings.start) / fs:.3g} s of {signals.recording}; expected at least {LEAST_INSTANTS}"
+            f"{len(times_s)} instants in the {(settings.stop - settings.start) / fs:.3g} s of {signals.recording}",
+            place=f"robot {robot.name}",
+            key="controller.sample_rate_hz",
+            value=1 / period_s,
+            shown=f"{1 / period_s:g}",
+            expected=f"at least {LEAST_INSTANTS} instants",
         )
     return times_s, substeps
 
@@ -171,8 +179,9 @@ def _refuse_foreign_reference(q_ref: Array, q: Array, signals: Signals) -> None:
         error = np.sqrt(np.mean((q_ref[:, j] - q[:, j]) ** 2))
         if error > LOST * max(spread, 0.02 * largest):
             raise IdentificationError(
-                f"{signals.recording}: reference of joint {joint.name}: {error:.3g} {joint.position_unit} rms off the "
-                f"measured position, which varies by {spread:.3g}; expected the reference of this recording"
+                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spread:.3g}",
+                place=f"{signals.recording}: reference of joint {joint.name}",
+                expected="the reference of this recording",
             )
 
 

@@ -121,7 +121,7 @@ def identify_iv(
     problem = make_problem(signals, overrides)  # (2)
     observed = regression_of_recording(problem, say)  # (5), (6)
     if observed.reduced:
-        raise IdentificationError(f"{signals.recording}: too long for instruments; expected a larger --decimate")
+        raise IdentificationError("too long for instruments", place=signals.recording, expected="a larger --decimate")
     ls, system = solve_least_squares(problem, observed, "wls", essential=essential), observed.system
     kept = ls.essential.kept if essential else np.arange(problem.base.b)
     prior, gain_update = inertia_prior(problem, overrides, ls), iteration.gain_update

@@ -132,7 +132,7 @@ def conclude(
     Raises `IdentificationError` where there was no pass.
     """
     if not trials:
-        raise IdentificationError(f"{e.problem.signals.recording}: no instruments: {failure}")
+        raise IdentificationError(f"no instruments: {failure}", place=e.problem.signals.recording)
     last, names = trials[-1], e.problem.base.names
     found = None
     if not last.settled or failure is not None:

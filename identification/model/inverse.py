@@ -163,7 +163,9 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
             moves_along = joint.get("type") not in ("fixed", "floating")  # exporters write 0 0 0 for these
             axis = joint.find("axis") if moves_along else None
             if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
-                raise IdentificationError(f"{place}: joint {joint.get('name')!r}: axis is zero; expected a direction")
+                raise IdentificationError(
+                    place=f"{place}: joint {joint.get('name')!r}", key="axis", value="0 0 0", expected="a direction"
+                )
             if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
                 joint.set("type", "revolute")
                 limits = {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}
@@ -172,19 +174,26 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 ET.SubElement(joint, "limit", limits)
         whole = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
-        raise IdentificationError(f"{place} does not load: {str(error).splitlines()[0]}") from error
+        raise IdentificationError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
     found = list(whole.names)[1:]
     wanted = [joint.name for joint in robot.joints]
     for name in wanted:
         if name not in found:
-            raise IdentificationError(f"{place}: no movable joint {name!r}; expected one of {', '.join(found)}")
+            raise IdentificationError(
+                place=place, key="movable joint", value=name, expected=f"one of {', '.join(found)}"
+            )
     locked = [whole.getJointId(name) for name in found if name not in wanted]
     model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
     order = list(model.names)[1:]
     if order != wanted:
-        raise IdentificationError(f"{place}: joints in the order {', '.join(wanted)}; expected {', '.join(order)}")
+        shown = ", ".join(wanted)
+        raise IdentificationError(
+            place=place, key="order of joints", value=wanted, shown=shown, expected=", ".join(order)
+        )
     for said, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (said.type == "prismatic") or built.nq != 1:
-            raise IdentificationError(f"{place}: joint {said.name!r} is {built.shortname()}; expected {said.type}")
+            raise IdentificationError(
+                place=f"{place}: joint {said.name!r}", key="type", value=built.shortname(), expected=said.type
+            )
     return model

@@ -29,11 +29,14 @@ def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
     """
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise IdentificationError(
-            f"cut-off {cutoff_hz:g} Hz: expected between 0 and {sample_rate_hz / 2:g} Hz, half the rate"
+            key="cut-off",
+            value=cutoff_hz,
+            shown=f"{cutoff_hz:g} Hz",
+            expected=f"between 0 and {sample_rate_hz / 2:g} Hz, half the rate",
         )
     padding = 3 * BUTTERWORTH_ORDER
     if len(x) <= padding:
-        raise IdentificationError(f"{len(x)} samples are too few for the filter; expected more than {padding}")
+        raise IdentificationError(key="samples to filter", value=len(x), expected=f"more than {padding}")
     # Counted from the first sample, a joint that stands still stays at exactly zero: rounding is no motion.
     filtered = _butterworth(cutoff_hz, sample_rate_hz).forward_backward((x - x[0]).T, padding)
     return np.asarray(np.ascontiguousarray(filtered.T) + x[0])
@@ -91,9 +94,8 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     for r in decimation_passes(factor):
         padding = 3 * CHEBYSHEV_ORDER
         if x.shape[-1] <= padding:
-            raise IdentificationError(
-                f"{x.shape[-1]} samples are too few to decimate by {r}; expected more than {padding}"
-            )
+            samples = x.shape[-1]
+            raise IdentificationError(key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}")
         x = _decimated(x, r) if smooth_ends else _decimated_by_matlab(x, r, padding)
     return np.ascontiguousarray(x)
 

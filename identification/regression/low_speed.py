@@ -71,7 +71,8 @@ def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
     for j, joint in enumerate(problem.signals.robot.joints):
         if not fast[:, j].any():
             raise IdentificationError(
-                f"{problem.signals.recording}: joint {joint.name} is never faster than the noise of its speed: expected a "
-                "lower --cutoff-hz, or --low-speed-percent"
+                f"joint {joint.name} is never faster than the noise of its speed",
+                place=problem.signals.recording,
+                expected="a lower --cutoff-hz, or --low-speed-percent",
             )
     return fast, slip_noise

@@ -94,7 +94,11 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     if cutoff_hz is not None and cutoff_hz >= fs / 2:
         if overrides.cutoff_hz is not None or stored.cutoff_hz is not None:
             raise IdentificationError(
-                f"cut-off {cutoff_hz:g} Hz: expected below {fs / 2:g} Hz, half the rate of {signals.recording}"
+                place=signals.recording,
+                key="cut-off",
+                value=cutoff_hz,
+                shown=f"{cutoff_hz:g} Hz",
+                expected=f"below {fs / 2:g} Hz, half the rate",
             )
         warnings.append(f"no low-pass: 5 times the bandwidth is {cutoff_hz:g} Hz, beyond half the rate, {fs / 2:g} Hz")
         cutoff_hz = None
@@ -107,13 +111,20 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     cuts_given = stored.cut_start_samples is not None and stored.cut_end_samples is not None
     if cutoff_hz is not None and not cuts_given and CUT_PERIODS * fs / cutoff_hz > N:
         raise IdentificationError(
-            f"cut-off {cutoff_hz:g} Hz: expected more than {CUT_PERIODS * fs / N:.2g} Hz: {CUT_PERIODS:g} periods are longer "
-            f"than the {N / fs:.3g} s of {signals.recording}"
+            f"{CUT_PERIODS:g} periods are longer than the recording's {N / fs:.3g} s",
+            place=signals.recording,
+            key="cut-off",
+            value=cutoff_hz,
+            shown=f"{cutoff_hz:g} Hz",
+            expected=f"more than {CUT_PERIODS * fs / N:.2g} Hz",
         )
     if fs / bandwidth_hz > N:
         raise IdentificationError(
-            f"robot {signals.robot.name}: controller.bandwidth_hz = {bandwidth_hz:g}: expected a period shorter than the "
-            f"{N / fs:.3g} s of {signals.recording}"
+            place=f"robot {signals.robot.name}",
+            key="controller.bandwidth_hz",
+            value=bandwidth_hz,
+            shown=f"{bandwidth_hz:g}",
+            expected=f"a period shorter than the {N / fs:.3g} s of {signals.recording}",
         )
     rule = decimation_rule(fs, bandwidth_hz)
     decimation = overrides.decimation or stored.decimation or rule
@@ -132,8 +143,10 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
         raise IdentificationError(
-            f"{signals.recording}: {max(0, stop - start)} samples are left after cutting the borders ({span}); "
-            f"expected at least {30 * decimation}, 30 decimated rows"
+            place=signals.recording,
+            key=f"samples left after cutting the borders ({span})",
+            value=max(0, stop - start),
+            expected=f"at least {30 * decimation}, 30 decimated rows",
         )
     return Settings(
         cutoff_hz=cutoff_hz,
@@ -179,7 +192,7 @@ def _span(
         speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
     peak = speed.max(axis=0)
     if not peak.any():
-        raise IdentificationError(f"{signals.recording}: no joint moves; expected an exciting trajectory")
+        raise IdentificationError("no joint moves", place=signals.recording, expected="an exciting trajectory")
     joints = signals.robot.joints
     fastest = np.array([max(p for p, other in zip(peak, joints, strict=True) if other.type == j.type) for j in joints])
     moves = peak > STANDS * fastest

@@ -86,8 +86,10 @@ def recorded_loop(robot: Robot) -> ControlLaw:
     missing = [key for key in needed if getattr(c, key) is None]
     if missing:
         raise IdentificationError(
-            f"robot {robot.name}: controller: {', '.join(missing)} missing; expected all of {', '.join(needed)}, or none "
-            "of them: then a PD of the stated bandwidth_hz stands in"
+            place=f"robot {robot.name}",
+            key=f"controller: {', '.join(missing)}",
+            value=None,
+            expected=f"all of {', '.join(needed)}, or none of them: then a PD of the stated bandwidth_hz stands in",
         )
     assert c.position_gain is not None
     assert c.velocity_gain is not None

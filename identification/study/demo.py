@@ -51,10 +51,13 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     IdentificationError, AcquisitionError : where the description lacks `[bus]` or values, or the session fails.
     """
     if robot.bus is None:
-        raise IdentificationError(f"{place}: no [bus]: expected the drives to simulate")
+        raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")
     if has_controller(robot.controller) and not has_cascades(robot):
         raise IdentificationError(
-            f"robot {robot.name}: simulated drives have cascaded loops, each on a joint of its own"
+            place=f"robot {robot.name}",
+            key="controller.structure",
+            value=robot.controller.structure,
+            expected="cascaded loops, each on a joint of its own, which simulated drives have",
         )
     idm = InverseModel(robot)
     base = base_parameters(idm)
