@@ -321,7 +321,7 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
     for wrong, message in (
         ("position_gain = [3700.0]", "controller.position_gain = [3700.0]: expected 2 numbers, one per motor"),
         ("position_gain = [3700.0, -60.0]", "expected positive numbers"),
-        ("", "controller: position_gain missing"),
+        ("", "controller: position_gain is missing"),
     ):
         robot.write_text("\n".join(wrong if line.startswith("position_gain") else line for line in text.splitlines()))
         assert message in refused(capsys, "fit", session, "--method", "iv", "--robot", robot)
