@@ -9,6 +9,16 @@ Verdict = Literal["trust", "caution", "do not use"]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Figure:
+    """What a test found at one joint, motor or block of time: the value, half its 95 % interval, and the value expected."""
+
+    name: str
+    value: float
+    half_width: float = 0.0
+    expected: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class TrustLine:
     """One test of a fit.
 
@@ -18,6 +28,7 @@ class TrustLine:
         value: its figure, None where there is none.
         text: one sentence with the figure, and what to do.
         caps: whether a test that was not made keeps the verdict from being `trust`.
+        figures: its figures one by one, to be drawn, in `unit`.
     """
 
     test: str
@@ -25,6 +36,8 @@ class TrustLine:
     value: float | None
     text: str
     caps: bool = False
+    figures: tuple[Figure, ...] = ()
+    unit: str = ""
 
 
 @dataclass(frozen=True, kw_only=True)
