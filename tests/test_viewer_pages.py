@@ -22,7 +22,8 @@ from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.report.comparison import Parameter, ParameterSet, difference_lines, differences, fitted_parameters
 from identification.study.study import Run
-from identification.view.charts import COMPARED, parameter_drawing, study_drawing, trust_drawing
+from identification.trust.lines import Figure, Trust, TrustLine
+from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
 from identification.view.panels import (
     GREEN,
     GREY,
@@ -312,7 +313,7 @@ def test_differences_are_in_deviations_of_the_difference():
 
 def test_bars_of_a_comparison_end_where_the_difference_is():
     a, b = values("A", M1=(2.0, 0.3), M2=(1.0, 0.1)), values("B", M1=(1.0, 0.4), M2=(9.0, 0.1))
-    drawing = trust_drawing(a, [b])
+    drawing = deviation_drawing(a, [b])
     places = {text: x for x, _, text, _ in drawing.labels}
     width = places["+3"] - places["0"] if places["0"] > places["-3"] else None
     far = [x for x, y, _ in drawing.crosses if x > places["-6"] - 1]
@@ -333,7 +334,7 @@ def test_least_squares_is_told_by_a_cross_and_the_truth_by_a_line():
         assert len(upright) == 1
     assert drawing.crosses[0][0] > drawing.dots[0][0], "2.4 is right of 2"
     assert drawing.crosses[1][0] < drawing.dots[1][0], "-1.2 is left of -1"
-    assert len(trust_drawing(own, [ls, true]).crosses) == 4, "and at the ends of the differences"
+    assert len(deviation_drawing(own, [ls, true]).crosses) == 4, "and at the ends of the differences"
 
 
 def test_the_value_axis_is_the_asinh_scale_that_its_label_says():
@@ -345,7 +346,7 @@ def test_the_value_axis_is_the_asinh_scale_that_its_label_says():
     share = [(x - ticks["0"]) / (ticks["100"] - ticks["0"]) for x, _, _ in drawing.dots]
     expected = [np.arcsinh(value / linear) / np.arcsinh(100.0 / linear) for value in (20.0, 0.001)]
     np.testing.assert_allclose(share, expected, rtol=1e-9)
-    assert label in [text for _, _, text, _ in trust_drawing(own, []).labels]
+    assert label in [text for _, _, text, _ in deviation_drawing(own, []).labels]
 
 
 def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
@@ -493,3 +494,31 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
     status, _, err = run(capsys, "compare", a, a, "--rrd", a)
     assert status == 1
     assert "is an input too" in err
+
+
+def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_expected():
+    lag = TrustLine(
+        test="lag",
+        level="caution",
+        value=1.2,
+        text="torque late",
+        unit="samples",
+        figures=(Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5)),
+    )
+    made = TrustLine(test="ends", level="ok", value=0.0, text="no outlier")
+    assert trust_drawing(Trust(lines=(made,))) is None
+    drawing = trust_drawing(Trust(lines=(lag, made)))
+    labels = [text for _, _, text, _ in drawing.labels]
+    assert "lag, samples: caution" in labels
+    assert {"shoulder", "elbow"} <= set(labels)
+    assert not any("ends" in label for label in labels)
+    (x0, y0, color), (x1, y1, _) = drawing.dots
+    assert x0 < x1 and y0 < y1, "the larger value stands higher"
+    assert color == ORANGE
+    bars = [points for points, _, radius in drawing.strokes if radius == 1.5]
+    (_, low), (_, high) = bars[0]
+    assert 0.5 * (low + high) == pytest.approx(y0)
+    per_unit = (y1 - y0) / 1.7
+    assert low - high == pytest.approx(0.4 * per_unit), "the 95 % interval, from end to end"
+    expected = [points for points, color, radius in drawing.strokes if (color, radius) == (GREEN, 0.75)]
+    assert [points[0][1] for points in expected] == pytest.approx([y1, y1 - 0.5 * per_unit])

@@ -2,8 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -11,47 +9,21 @@ from ..arrays import Array
 from ..methods import Fit, Pass
 from ..report import ParameterSet, differences
 from ..study import Run, summaries
-from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing
+from ..trust import Level, Trust
+from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing, Scale, Sheet, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
 FAR = 6.0  # deviations at which a difference runs off its chart
 SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
 STUDY_SHEET = (1140.0, 960.0)  # what its report leaves of the screen to a study
+LEVEL_COLORS: dict[Level, Color] = {
+    "do not use": VERMILLION,
+    "caution": ORANGE,
+    "cannot tell": GREY,
+    "not made": GREY,
+    "ok": SKY,
+}
 TRUSTED = 3.0  # deviations that a difference should stay within
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sheet:
-    """A drawing being made, in pixels, y downwards."""
-
-    strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
-    dots: list[tuple[float, float, Color]] = field(default_factory=list)
-    crosses: list[tuple[float, float, Color]] = field(default_factory=list)
-    labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
-
-    def line(self, x0: float, y0: float, x1: float, y1: float, color: Color = GREY, radius: float = 0.25) -> None:
-        """A straight stroke."""
-        self.strokes.append((((x0, y0), (x1, y1)), color, radius))
-
-    def drawing(self, path: tuple[str, ...], title: str, size: tuple[float, float]) -> Drawing:
-        """The drawing with all that was put on the sheet."""
-        return Drawing(path=path, title=title, size=size, **vars(self))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scale:
-    """Where a number goes between two edges of the sheet, by way of a monotonic function; beyond them it stays there."""
-
-    left: float
-    right: float
-    low: float
-    high: float
-    by: Callable[[float], float] = float
-
-    def __call__(self, value: float) -> float:
-        """Where the number goes, in pixels."""
-        low, high = self.by(self.low), self.by(self.high)
-        return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low or 1.0)))
 
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
@@ -75,7 +47,7 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
     return sheet.drawing(("parameters",), title, (540.0, height + 30))
 
 
-def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
+def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
     """Every parameter's value, its deviation in percent and, in deviations, the difference to the other sets."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
@@ -122,7 +94,7 @@ def trust_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
                     ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
     title = f"{own.label}: orange essential, grey not; thin line σ HAC{_marks(others)}"
     title += ", vermillion beyond 3 σ" if others else ""
-    return sheet.drawing(("trust",), title, (SHEET[0], height + 10))
+    return sheet.drawing(("deviations",), title, (SHEET[0], height + 10))
 
 
 def _value_scale(
@@ -185,11 +157,6 @@ def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
 
 
-def log10(x: float) -> float:
-    """The decimal logarithm, defined for 0 too."""
-    return math.log10(max(x, 1e-300))
-
-
 def passes_drawing(fit: Fit) -> Drawing:
     """Did the iteration settle: residual, largest change, condition and tracking, pass by pass."""
     assert fit.iv is not None
@@ -230,6 +197,36 @@ def passes_drawing(fit: Fit) -> Drawing:
         sheet.labels.append((across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY))
     settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
     return sheet.drawing(("passes",), f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30))
+
+
+def trust_drawing(trust: Trust) -> Drawing | None:
+    """The figures of the tests that have any, by joint or block, with 95 % intervals and what was expected; None without."""
+    lines, sheet = [line for line in trust.lines if line.figures], Sheet()
+    if not lines:
+        return None
+    (width, height), left = (900.0, SHEET[1]), 90.0
+    each = min(220.0, (height - 20) / len(lines))
+    for number, line in enumerate(lines):
+        top, bottom, color = 20 + each * number + 50, 20 + each * (number + 1) - 40, LEVEL_COLORS[line.level]
+        ends = [f.value + side * f.half_width for f in line.figures for side in (-1, 1)]
+        ends += [f.expected for f in line.figures]
+        margin = max(0.1 * (max(ends) - min(ends)), 1e-9)
+        up = Scale(left=bottom, right=top, low=min(ends) - margin, high=max(ends) + margin)
+        across = Scale(left=left, right=width - 20, low=0, high=len(line.figures))
+        sheet.labels.append(
+            (0.5 * width, top - 44, f"{line.test}{f', {line.unit}' if line.unit else ''}: {line.level}", color)
+        )
+        for level in sorted({f"{x:.3g}" for x in (min(ends), max(ends))}):
+            sheet.labels.append((40, up(float(level)) - 10, level, GREY))
+            sheet.line(left - 20, up(float(level)), width - 20, up(float(level)))
+        for k, figure in enumerate(line.figures):
+            x = across(k + 0.5)
+            sheet.line(across(k + 0.2), up(figure.expected), across(k + 0.8), up(figure.expected), GREEN, 0.75)
+            sheet.line(x, up(figure.value - figure.half_width), x, up(figure.value + figure.half_width), color, 1.5)
+            sheet.dots.append((x, up(figure.value), color))
+            sheet.labels.append((x, bottom + 6, figure.name, LIGHT))
+    title = "tests of the fit: value and 95 % interval; green bar: expected"
+    return sheet.drawing(("tests",), title, (width, 20 + each * len(lines)))
 
 
 def study_drawing(runs: Sequence[Run], true: Array) -> Drawing:

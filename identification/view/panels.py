@@ -1,7 +1,8 @@
 """What a viewer is to show, as plain data: curves over time, bars, drawings, lanes, notes, robots; `viewer` shows it."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..arrays import Array
@@ -66,6 +67,45 @@ class Drawing:
     dots: Sequence[tuple[float, float, Color]]
     labels: Sequence[tuple[float, float, str, Color]]
     crosses: Sequence[tuple[float, float, Color]] = ()
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sheet:
+    """A drawing being made, in pixels, y downwards."""
+
+    strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
+    dots: list[tuple[float, float, Color]] = field(default_factory=list)
+    crosses: list[tuple[float, float, Color]] = field(default_factory=list)
+    labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
+
+    def line(self, x0: float, y0: float, x1: float, y1: float, color: Color = GREY, radius: float = 0.25) -> None:
+        """A straight stroke."""
+        self.strokes.append((((x0, y0), (x1, y1)), color, radius))
+
+    def drawing(self, path: tuple[str, ...], title: str, size: tuple[float, float]) -> Drawing:
+        """The drawing with all that was put on the sheet."""
+        return Drawing(path=path, title=title, size=size, **vars(self))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scale:
+    """Where a number goes between two edges of the sheet, by way of a monotonic function; beyond them it stays there."""
+
+    left: float
+    right: float
+    low: float
+    high: float
+    by: Callable[[float], float] = float
+
+    def __call__(self, value: float) -> float:
+        """Where the number goes, in pixels."""
+        low, high = self.by(self.low), self.by(self.high)
+        return self.left + (self.right - self.left) * min(1.0, max(0.0, (self.by(value) - low) / (high - low or 1.0)))
+
+
+def log10(x: float) -> float:
+    """The decimal logarithm, defined for 0 too."""
+    return math.log10(max(x, 1e-300))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

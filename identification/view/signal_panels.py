@@ -11,9 +11,8 @@ from ..data import Signals
 from ..estimation import autocorrelation
 from ..methods import Fit
 from ..regression import Settings
-from .charts import Scale, Sheet, log10
 from .curves import Observed, extremes, thinning
-from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot
+from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot, Scale, Sheet, log10
 
 TRACKING = "track"  # the phase that a fit uses
 MOST_LINES = 2000  # of the log

@@ -33,7 +33,7 @@ from ..report import (
     true_parameters,
 )
 from ..study import Run
-from .charts import parameter_drawing, passes_drawing, study_drawing, trust_drawing
+from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import motion_plots, observed, position_plots, torque_plots
 from .legend import fit_legend, numbers_of_plots, recording_legend
 from .panels import Drawing, Note, Panel, Plot
@@ -108,7 +108,7 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
     IdentificationError : where the sets do not belong together, as `report.differences` has it.
     """
     document, name = comparison_document(own, other), f"{own.label} and {other.label}"
-    drawing = trust_drawing(own, [other])
+    drawing = deviation_drawing(own, [other])
     _write(
         path, name, repr((own, other)), name, lambda show: _drawing_page(show, drawing, document, "parameters", (3, 1))
     )
@@ -177,13 +177,15 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> 
     report = _note(fit_document(signals, fit, everything=True).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     curves = position_plots(signals, fit, seen), torque_plots(signals, fit, seen)
-    trust = [show(trust_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
+    deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
+    tests = trust_drawing(fit.trust)
     bars = [b for j in range(n) for b in residual_bars(signals, fit, seen, j)]
     columns = min(len(bars) // 2, 3 if n <= 6 else 4)
     residual = [rrb.Grid(*map(show, bars[k::2]), grid_columns=columns) for k in (0, 1) if bars]
     return [
         _answer(show, signals, fit, *curves, side),
-        rrb.Horizontal(*trust, column_shares=[3, 1][: len(trust)], name="parameters"),
+        *([rrb.Vertical(show(tests), name="trust")] if tests else []),
+        rrb.Horizontal(*deviations, column_shares=[3, 1][: len(deviations)], name="parameters"),
         *([rrb.Vertical(*residual, name="residual")] if residual else []),
         *_signal_pages(show, signals, fit.settings, fitted=True),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
