@@ -513,7 +513,8 @@ def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_
     assert {"shoulder", "elbow"} <= set(labels)
     assert not any("ends" in label for label in labels)
     (x0, y0, color), (x1, y1, _) = drawing.dots
-    assert x0 < x1 and y0 < y1, "the larger value stands higher"
+    assert x0 < x1
+    assert y0 < y1, "the larger value stands higher"
     assert color == ORANGE
     bars = [points for points, _, radius in drawing.strokes if radius == 1.5]
     (_, low), (_, high) = bars[0]
