@@ -24,7 +24,7 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     moving = fit.errors[-1].moving_relative_error_percent
     every = fit.errors[-1].relative_error_percent
     assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
-    assert document.title == f"SCARA: IV, converged, {moving:.3g} % torque error of moving rows"
+    assert document.title == f"SCARA: IV, converged, {fit.trust.verdict}, {moving:.3g} % torque error of moving rows"
     verdict = document.sections[0]
     assert verdict.lines[0] == "status: converged"
     assert verdict.lines[1].startswith(f"relative torque error: {moving:.3g} % of moving rows")
@@ -37,7 +37,7 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
 def test_the_table_has_the_essential_parameters_or_all(everything):
     essential = ("ZZ1R", "Fc2")
     signals, fit = signals_of(SCARA), with_essential(ls_of(SCARA), essential)
-    section = fit_document(signals, fit, everything=everything).sections[1]
+    section = fit_document(signals, fit, everything=everything).sections[2]
     rows = {row[0]: row for row in section.table.rows}
     assert tuple(rows) == (fit.estimate.names if everything else essential)
     for name, row in rows.items():
@@ -58,7 +58,7 @@ def test_the_table_has_the_essential_parameters_or_all(everything):
 def test_a_number_that_does_not_exist_is_a_dash():
     fit = ls_of(SCARA)
     unknown = replace(fit, sigma_hac=np.full(len(fit.sigma_hac), np.nan))
-    row = fit_document(signals_of(SCARA), unknown).sections[1].table.rows[0]
+    row = fit_document(signals_of(SCARA), unknown).sections[2].table.rows[0]
     assert row[4].text == "-"
     assert "nan" not in to_markdown(fit_document(signals_of(SCARA), unknown)).lower()
 

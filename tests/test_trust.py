@@ -189,14 +189,18 @@ def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     signals, joint = recorded
     fit, name = fitted(wrong_sign(signals, joint), method), signals.robot.joints[joint].name
     assert any(f"look at the sign of effort and position of joint {name}" in text for text in fit.distrust)
-    assert set(fit.distrust) <= {*fit.warnings, *fit.distrust[:1]}
+    assert fit.trust.verdict == "do not use"
+    assert fit.trust.line("physical").value < 0
     assert any("below zero" in text for text in fit.distrust)
     assert any("inertia matrix is not positive" in text for text in fit.distrust)
     assert fit.status in ("solved", "not_confirmed")
 
 
 def test_a_right_sign_is_not_doubted(recorded):
-    assert fitted(recorded[0], "ols").doubts == fitted(recorded[0], "wls").doubts == ()
+    for method in ("ols", "wls"):
+        line = fitted(recorded[0], method).trust.line("physical")
+        assert line.level == "ok"
+        assert line.value > 0
 
 
 def rewritten(path, robot: Robot, samples) -> None:
@@ -218,8 +222,13 @@ def test_a_result_not_to_be_trusted_is_written_and_ends_with_status_3(method, tm
     assert told.err.startswith("robot-identify: not to be trusted: ")
     assert told.err.count("\n") == 1
     assert "of joint elbow" in told.err
-    assert "warning: " in told.out
-    assert any(doubt["severe"] for doubt in json.loads(out.read_text())["doubts"])
+    assert "do not use: physical: " in told.out
+    written = json.loads(out.read_text())
+    assert written["verdict"] == "do not use"
+    assert [doubt["severe"] for doubt in written["doubts"]] == [True]
+    (line,) = (line for line in written["trust"] if line["level"] == "do not use")
+    assert set(line) == {"test", "level", "value", "text"}
+    assert line["test"] == "physical"
     assert main(["validate", str(out), str(SCARA)]) == 0
     assert "of joint elbow" in capsys.readouterr().out
 

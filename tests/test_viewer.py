@@ -488,7 +488,7 @@ def test_the_report_tells_result_settings_and_parameters(written):
     fit = fitted(signals)
     text = written(signals).static["/report"]["TextDocument:text"][0]
     moving = fit.errors[-1].moving_relative_error_percent
-    assert text.startswith(f"# made up: WLS, solved, {moving:.3g} % torque error of moving rows\n")
+    assert text.startswith(f"# made up: WLS, solved, {fit.trust.verdict}, {moving:.3g} % torque error of moving rows\n")
     for warning in fit.warnings:
         assert f"warning: {warning}" in text
     assert fit.warnings, "the drive gain is not known"

@@ -1,4 +1,4 @@
-"""Assesses an estimate: torque errors of all rows, robust deviations, what no robot has, warnings."""
+"""Assesses an estimate: torque errors of all rows, robust deviations, tests, warnings."""
 
 from dataclasses import dataclass, replace
 
@@ -13,10 +13,9 @@ from ..estimation import (
     intervals,
     intervals_of_scores,
     torque_errors,
-    weighted_least_squares,
 )
 from ..regression import Problem, Regression, torque_of_recording
-from ..trust import Doubt, Evidence, physical_doubts, trust_in
+from ..trust import Evidence, trust_in
 from .fit import Fit, InstrumentEvidence, LeastSquares, Method, Rows, Status
 
 
@@ -30,11 +29,7 @@ class Verdict:
 
 
 def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastSquares) -> Fit:
-    """A fit by least squares.
-
-    Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:
-    weighted least squares is looked at as well.
-    """
+    """A fit by least squares."""
     used = observed.system.used
     evidence = Evidence(
         problem=problem,
@@ -46,16 +41,7 @@ def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastS
         intervals=intervals_of(observed, ls.estimate, ls.tau_predicted, used),
         least_squares=ls.full,
     )
-    fit = _fit(evidence, ls, Verdict())
-    if method == "wls" or any(doubt.severe for doubt in fit.doubts):
-        return fit
-    weighted = weighted_least_squares(observed.system)
-    hac = robust_sigma(observed, weighted, predicted_rows(problem, observed, weighted), observed.system.used)
-    severe = [d for d in physical_doubts(problem, weighted, hac) if d.severe]
-    if not severe:
-        return fit
-    doubts = tuple(replace(d, text=f"by weighted least squares {d.text}") for d in severe)
-    return replace(fit, doubts=doubts, warnings=_warnings(problem, doubts, ()))
+    return _fit(evidence, ls, Verdict())
 
 
 def assess_estimate(evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict) -> Fit:
@@ -69,7 +55,6 @@ def assess_estimate(evidence: Evidence, ls: LeastSquares, predicted: Array, verd
 def _fit(evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
     problem, observed = evidence.problem, evidence.observed
     settings, signals = problem.settings, problem.signals
-    doubts = physical_doubts(problem, solved.estimate, solved.sigma_hac)
     # Decimation keeps the last sample and every n_d-th before it.
     kept = settings.stop - 1 - settings.decimation * np.arange(len(observed.tau))[::-1]
     names = tuple(joint.name for joint in signals.robot.joints)
@@ -83,9 +68,8 @@ def _fit(evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
         least_squares=solved,
         rows=Rows(t_s=signals.t_s[kept], tau=observed.tau, tau_predicted=solved.tau_predicted, speed=observed.speed),
         errors=torque_errors(observed.tau, solved.tau_predicted, observed.speed, names),
-        warnings=_warnings(problem, doubts, verdict.warnings),
+        warnings=_warnings(problem, verdict.warnings),
         trust=trust_in(evidence),
-        doubts=doubts,
         iv=verdict.iv,
     )
 
@@ -119,11 +103,9 @@ def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, use
     return hac_sigma(estimate.Q, estimate.bread, rho * used, observed.tau.shape[1], rows=estimate.rows)
 
 
-def _warnings(problem: Problem, doubts: tuple[Doubt, ...], of_method: tuple[str, ...]) -> tuple[str, ...]:
-    told = (doubt.text for doubt in doubts)
+def _warnings(problem: Problem, of_method: tuple[str, ...]) -> tuple[str, ...]:
     signals = problem.signals
     return (
-        *told,
         *problem.settings.warnings,
         *gain_warnings(signals),
         *recording_warnings(signals),

@@ -8,7 +8,7 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
 from ..regression import Motion, Problem, Settings
-from ..trust import Doubt, Trust
+from ..trust import Trust
 
 Method = Literal["ols", "wls", "iv"]
 InstrumentKind = Literal["simulated", "stepped back", "reference"]
@@ -141,7 +141,6 @@ class Fit:
         rows: all decimated rows, measured and predicted.
         errors: one entry per joint and, last, all joints together.
         trust: tests of the estimate, and the verdict.
-        doubts: what of the estimate no robot has.
         iv: there for the instrumental variable method only.
     """
 
@@ -156,7 +155,6 @@ class Fit:
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
     trust: Trust
-    doubts: tuple[Doubt, ...] = ()
     iv: InstrumentEvidence | None = None
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
@@ -182,11 +180,8 @@ class Fit:
 
     @property
     def distrust(self) -> tuple[str, ...]:
-        """Why the result is not to be trusted: no fixed point, or what no robot has, beyond chance. Empty where it may be."""
-        why = [doubt.text for doubt in self.doubts if doubt.severe]
-        if self.status in NO_FIXED_POINT:
-            why.insert(0, f"status {self.status}" + (f": {self.iv.reason}" if self.iv and self.iv.reason else ""))
-        return tuple(why)
+        """Why the result is not to be trusted: the tests whose level is `do not use`. Empty where it may be."""
+        return self.trust.severe
 
     def __repr__(self) -> str:
         essential, error = len(self.essential.kept), self.errors[-1].moving_relative_error_percent

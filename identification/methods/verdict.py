@@ -56,6 +56,7 @@ def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Exper
         reference=e.reference_kind,
         loop=e.loop,
         first_stage_F=tests.first_stage_F,
+        unconfirmed=None if status == "converged" else f"status {status}: {reason}",
     )
     return assess_estimate(found, ls, predicted, verdict)
 

@@ -15,9 +15,10 @@ from ..data import Signals
 from ..estimation import TorqueError
 from ..methods import DirectModelError, Fit, InstrumentEvidence, InstrumentKind, Method, Status
 from ..regression import Settings, Span, forward_backward_3db_hz
-from ..trust import Doubt
+from ..trust import Level, Verdict
 from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
+from .stored_fit import Doubt
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +80,15 @@ class FittedParameter(Parameter, frozen=True, kw_only=True):
     sigma_percent: float | None
 
 
+class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A test of the fit."""
+
+    test: str
+    level: Level
+    value: float | None
+    text: str
+
+
 class PassFile(msgspec.Struct, frozen=True, kw_only=True):
     """A pass of the instrumental variable method."""
 
@@ -95,7 +105,7 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit; the last keys are there for the instrumental variable method only."""
+    """The JSON file of a fit; earlier ones have no verdict. The keys from `reason` on are those of instrumental variables."""
 
     method: Method
     status: Status
@@ -106,6 +116,8 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     parameters: list[FittedParameter]
     essential: EssentialSet
     description: dict[str, str]
+    verdict: Verdict | UnsetType = UNSET
+    trust: list[TrustLineFile] | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET
@@ -137,7 +149,16 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
         **_on_recording(signals, fit.settings, fit.errors, fit.warnings, report),
         method=fit.method,
         status=fit.status,
-        doubts=list(fit.doubts),
+        doubts=[
+            Doubt(text=line.text, severe=line.level == "do not use")
+            for line in fit.trust.lines
+            if line.test == "physical" and line.level != "ok"
+        ],
+        verdict=fit.trust.verdict,
+        trust=[
+            TrustLineFile(test=line.test, level=line.level, value=_finite(line.value), text=line.text)
+            for line in fit.trust.lines
+        ],
         condition_number=e.condition_number,
         condition_number_scaled=e.condition_number_scaled,
         rows=e.rows,
@@ -204,7 +225,7 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
             )
             for p in iv.passes
         ],
-        "instrument_tests": {name: None if x is None else _number(x) for name, x in vars(iv.tests).items()},
+        "instrument_tests": {name: _finite(x) for name, x in vars(iv.tests).items()},
         "rows_used_percent": iv.rows_used_percent,
         "saturated_percent": iv.saturated_percent,
         "direct_model": list(iv.direct),
@@ -242,6 +263,10 @@ def _on_recording(
             versions={"python": platform.python_version(), **{name: version(name) for name in packages}},
         ),
     }
+
+
+def _finite(x: float | None) -> float | None:
+    return None if x is None else _number(x)
 
 
 def _number(x: float) -> float | None:

@@ -28,9 +28,10 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
         ),
     )
     return Document(
-        title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {headline(fit.errors)}",
+        title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {fit.trust.verdict}, {headline(fit.errors)}",
         sections=(
             _verdict_section(fit),
+            _trust_section(fit),
             _parameters(fit, everything=everything),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
@@ -45,6 +46,12 @@ def _verdict_section(fit: Fit) -> Section:
     return Section(
         lines=(f"status: {fit.status}{reason}", error_line(fit.errors), _essential_line(fit)), warnings=fit.warnings
     )
+
+
+def _trust_section(fit: Fit) -> Section:
+    """Every test of the fit, worst first."""
+    lines = tuple(f"{line.level}: {line.test}: {line.text}" for line in fit.trust.lines)
+    return Section(title=f"trust: {fit.trust.verdict}", lines=lines)
 
 
 def _essential_line(fit: Fit) -> str:

@@ -14,9 +14,15 @@ from ..errors import IdentificationError
 from ..methods import NO_FIXED_POINT
 from ..model import BaseParameters
 from ..regression import Overrides, Span
-from ..trust import Doubt
 from .comparison import Parameter, ParameterSet
 from .document import FORMAT
+
+
+class Doubt(msgspec.Struct, frozen=True):
+    """What of a fit no robot has, as files of every version have it; `severe` where chance does not explain it."""
+
+    text: str
+    severe: bool
 
 
 class StoredFit(msgspec.Struct, frozen=True):

@@ -18,6 +18,7 @@ class Evidence:
         observed: W and Y of all decimated rows; reduced to QR factors for a long recording.
         method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
+        unconfirmed: the status and its reason, where the method did not end in a fixed point that a simulation confirms.
         estimate: of the base parameters, fewer where only the essential ones were kept.
         used: (r,) rows of the system that it rests on, 1 and 0.
         intervals: of the estimate's parameters.
@@ -44,3 +45,4 @@ class Evidence:
     reference: Literal["recorded", "surrogate"] | None = None
     loop: ControlLaw | None = None
     first_stage_F: float | None = None
+    unconfirmed: str | None = None

@@ -46,6 +46,15 @@ class Trust:
 
     lines: tuple[TrustLine, ...]
 
+    def line(self, test: str) -> TrustLine:
+        """That of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @property
+    def severe(self) -> tuple[str, ...]:
+        """Why the result is not to be used, test by test; empty where it may be."""
+        return tuple(line.text for line in self.lines if line.level == "do not use")
+
     @property
     def verdict(self) -> Verdict:
         """The worst level; a test that was not made, but must be, counts as caution."""

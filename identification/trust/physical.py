@@ -1,9 +1,9 @@
 """Whether estimated parameters can be those of a robot: M > 0 along the trajectory, no friction or rotor inertia below zero.
 
 No method sees to that by itself: an effort or a position of the wrong sign fits as well as one of the right sign, with
-inertias and friction below zero. What is below zero by more than three deviations, the larger of formula and HAC, cannot be
-chance. For M that is judged along single directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance. Tried
-at each pose are each joint alone, and the eigenvector of the lowest eigenvalue.
+inertias and friction below zero. What is below zero beyond its 95 % interval is no chance. For M that is judged along single
+directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance, C = D R D with the formula's correlations R and
+the intervals' deviations D. Tried at each pose are each joint alone, and the eigenvector of the lowest eigenvalue.
 """
 
 from dataclasses import dataclass
@@ -12,20 +12,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Estimate
+from ..estimation import Estimate, Intervals, intervals, weighted_least_squares
 from ..model import DirectModel, InverseModel, JointTerm
-from ..regression import Problem
+from .evidence import Evidence
+from .lines import LEVELS, Level, TrustLine
 
 POSES = 300  # positions of the trajectory at which M must be positive
-BEYOND = 3.0  # deviations below zero that chance does not explain
+RESISTING = ("rotor", "viscous", "coulomb")  # kinds of terms that no robot has below zero
 
 
 @dataclass(frozen=True, kw_only=True)
-class Doubt:
-    """Something that no robot has; `severe` where chance does not explain it."""
-
+class _Finding:
+    level: Level
     text: str
-    severe: bool
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Spread:
+    """Covariance (b, b) of an estimate, and the deviations that a 95 % interval reaches."""
+
+    covariance: Array
+    reach: float
 
 
 def poses_of(q: Array) -> Array:
@@ -50,40 +57,81 @@ def not_positive(model: DirectModel, poses: Array) -> str | None:
     )
 
 
-def physical_doubts(problem: Problem, estimate: Estimate, sigma_hac: Array) -> tuple[Doubt, ...]:
-    """What of an estimate no robot has; `sigma_hac` (b,) may be NaN. Each text names the joint to look at."""
-    signals, settings, idm, base = problem.signals, problem.settings, problem.model, problem.base
-    spread = np.fmax(estimate.sigma, sigma_hac)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = np.where(estimate.sigma > 0, spread / estimate.sigma, 1.0)
-    # The formula's correlations with the larger deviations.
-    covariance = estimate.covariance * scale[:, None] * scale
-    among = np.array([base.names.index(name) for name in estimate.names])
-    names = tuple(joint.name for joint in signals.robot.joints)
-    inertia = _inertia_doubt(
-        idm, base.columns[among], estimate.beta, covariance, poses_of(signals.q[settings.start : settings.stop])
+def physical_line(evidence: Evidence) -> TrustLine:
+    """Whether a robot can have the parameters; each finding names the joint to look at.
+
+    Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:
+    weighted least squares is looked at as well.
+    """
+    found, lowest = _findings(evidence, evidence.estimate, evidence.intervals)
+    if evidence.method == "ols" and all(finding.level != "do not use" for finding in found):
+        weighted = weighted_least_squares(evidence.observed.system)
+        severe, _ = _findings(evidence, weighted, _intervals(evidence, weighted))
+        found += [
+            _Finding(level=finding.level, text=f"by weighted least squares {finding.text}")
+            for finding in severe
+            if finding.level == "do not use"
+        ]
+    if not found:
+        text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
+        return TrustLine(test="physical", level="ok", value=lowest, text=text)
+    found.sort(key=lambda finding: LEVELS.index(finding.level))
+    return TrustLine(
+        test="physical", level=found[0].level, value=lowest, text="; ".join(finding.text for finding in found)
     )
-    found = [] if inertia is None else [inertia]
-    below: dict[int, list[str]] = {}
-    for i, value, sigma in zip(among, estimate.beta, spread, strict=True):
+
+
+def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals | None:
+    """Intervals of another least squares estimate of the same rows; None where rows are reduced."""
+    observed = evidence.observed
+    if observed.reduced:
+        return None
+    W, Y = observed.system.weighted(estimate.weights)
+    return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1])
+
+
+def _spread(estimate: Estimate, found: Intervals | None) -> _Spread:
+    """The formula's correlations with the intervals' deviations; the formula's alone where there are no others."""
+    if found is None or not np.isfinite(found.sigma).all():
+        return _Spread(covariance=estimate.covariance, reach=3.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(estimate.sigma > 0, found.sigma / estimate.sigma, 1.0)
+        reach = float(np.nanmedian(found.half / found.sigma)) if (found.sigma > 0).any() else 2.0
+    return _Spread(covariance=estimate.covariance * scale[:, None] * scale, reach=reach)
+
+
+def _findings(evidence: Evidence, estimate: Estimate, found: Intervals | None) -> tuple[list[_Finding], float]:
+    """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
+    problem, spread = evidence.problem, _spread(estimate, found)
+    signals, settings, idm, base = problem.signals, problem.settings, problem.model, problem.base
+    among = np.array([base.names.index(name) for name in estimate.names])
+    findings, lowest = _inertia_findings(
+        idm, base.columns[among], estimate.beta, spread, poses_of(signals.q[settings.start : settings.stop])
+    )
+    below: dict[tuple[Level, int], list[str]] = {}
+    half = spread.reach * np.sqrt(np.diag(spread.covariance))
+    for i, value, width in zip(among, estimate.beta, half, strict=True):
         terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
-        resisting = all(isinstance(t, JointTerm) and t.kind in ("rotor", "viscous", "coulomb") for t in terms)
-        if resisting and (base.K[i] >= 0).all() and value < -BEYOND * sigma:
-            joint = int(base.names[i].removesuffix("R").lstrip("FIvcamnp")) - 1
-            below.setdefault(joint, []).append(f"{base.names[i]} = {value:.4g} ± {sigma:.2g} {base.units[i]}")
-    for joint, told in sorted(below.items()):
-        found.append(Doubt(text=f"below zero: {', '.join(told)}: {_question(names[joint])}", severe=True))
-    return tuple(found)
+        kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
+        of_joints = all(isinstance(term, JointTerm) for term in terms) and "offset" not in kinds
+        if of_joints and (base.K[i] >= 0).all() and value < -width:
+            level: Level = "do not use" if kinds <= set(RESISTING) else "caution"
+            joint = int("".join(filter(str.isdigit, base.names[i]))) - 1
+            below.setdefault((level, joint), []).append(f"{base.names[i]} = {value:.4g} ± {width:.2g} {base.units[i]}")
+    for (level, joint), told in sorted(below.items()):
+        name = signals.robot.joints[joint].name
+        findings.append(_Finding(level=level, text=f"below zero: {', '.join(told)}: {_question(name)}"))
+    return findings, lowest
 
 
 def _question(name: str) -> str:
     return f"look at the sign of effort and position of joint {name}"
 
 
-def _inertia_doubt(
-    idm: InverseModel, columns: NDArray[np.intp], beta: Array, covariance: Array, q: Array
-) -> Doubt | None:
-    """None where M is positive at all poses (P, n)."""
+def _inertia_findings(
+    idm: InverseModel, columns: NDArray[np.intp], beta: Array, spread: _Spread, q: Array
+) -> tuple[list[_Finding], float]:
+    """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
     P, n = q.shape
     zero = np.zeros_like(q)
     at_rest = idm.regressor(q, zero, zero)[:, :, columns]
@@ -93,15 +141,20 @@ def _inertia_doubt(
     )  # (P, n, n, b)
     M = G @ beta
     values, vectors = np.linalg.eigh(0.5 * (M + M.transpose(0, 2, 1)))
-    if values[:, 0].min() > 0:
-        return None
+    least = float(values[:, 0].min())
+    if least > 0:
+        return [], least
     directions = np.concatenate([np.tile(np.eye(n), (P, 1, 1)), vectors[:, None, :, 0]], axis=1)  # (P, n + 1, n)
     g = np.einsum("pdi,pijb,pdj->pdb", directions, G, directions)
-    lowest, sigma = g @ beta, np.sqrt(np.maximum(np.einsum("pdb,bc,pdc->pd", g, covariance, g), 0.0))
-    severe = bool((lowest < -BEYOND * sigma).any())
+    lowest = g @ beta
+    half = spread.reach * np.sqrt(np.maximum(np.einsum("pdb,bc,pdc->pd", g, spread.covariance, g), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
-        worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / sigma, 0.0))), lowest.shape)
-    joint = int(np.abs(directions[worst]).argmax())
-    told = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {values[:, 0].min():.3g}"
-    told += f"; {lowest[worst]:.3g} ± {sigma[worst]:.2g} about joint {idm.robot.joints[joint].name})"
-    return Doubt(text=f"{told}: {_question(idm.robot.joints[joint].name)}", severe=severe)
+        worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape)
+    joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
+    told = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
+    told += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
+    if (lowest < -half).any():
+        return [_Finding(level="do not use", text=f"{told}: {_question(joint)}")], least
+    return [
+        _Finding(level="caution", text=f"{told}, within its interval: a consistent set is needed to simulate it")
+    ], least

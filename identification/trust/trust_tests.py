@@ -3,9 +3,14 @@
 from collections.abc import Callable
 
 from .evidence import Evidence
+from .instruments import fixed_point_line
 from .lines import Trust, TrustLine, worst_first
+from .physical import physical_line
 
-TESTS: tuple[Callable[[Evidence], TrustLine], ...] = ()
+TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
+    fixed_point_line,
+    physical_line,
+)
 
 
 def trust_in(evidence: Evidence) -> Trust:
