@@ -1,6 +1,14 @@
 """Reference trajectories and the way along them; limits, checked before motion."""
 
 from .following import follow
-from .reference import UNSTATED_RANGE, approach, check_limits, fourier_reference, table_reference
+from .reference import UNSTATED_RANGE, FourierReference, approach, check_limits, fourier_reference, table_reference
 
-__all__ = ["UNSTATED_RANGE", "approach", "check_limits", "follow", "fourier_reference", "table_reference"]
+__all__ = [
+    "UNSTATED_RANGE",
+    "FourierReference",
+    "approach",
+    "check_limits",
+    "follow",
+    "fourier_reference",
+    "table_reference",
+]

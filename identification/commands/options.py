@@ -21,6 +21,13 @@ def add_simulation_options(
     group = parser.add_argument_group("simulated recording")
     group.add_argument("--duration-s", type=above_zero, default=10.0, metavar="S", help="length (default 10)")
     group.add_argument(
+        "--period-s",
+        type=above_zero,
+        default=10.0,
+        metavar="S",
+        help="about the period of the reference; whole periods make up the length (default 10)",
+    )
+    group.add_argument(
         "--rate-hz",
         dest="sample_rate_hz",
         type=above_zero,

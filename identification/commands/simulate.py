@@ -29,7 +29,9 @@ def run(options: argparse.Namespace) -> None:
         from ..study import Noise, closed_loop, random_reference, write_signals
 
         robot, rate_hz, seed = load_robot(options.robot), options.sample_rate_hz, options.seed
-        q_ref = random_reference(robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed)
+        q_ref = random_reference(
+            robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=options.period_s
+        )
         signals = closed_loop(robot, q_ref, rate_hz, noise=from_options(Noise, options), seed=seed)
         write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {seed}")
     print_results(f"{options.out}: simulated, {options.duration_s:g} s at {rate_hz:g} Hz")

@@ -15,7 +15,6 @@ from acquisition.recorder import InlineLog, Recorder
 from acquisition.robot import Robot, resolve
 from acquisition.session import Stop, Task, run_active
 from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, dry_run
-from acquisition.trajectory import fourier_reference
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -23,7 +22,7 @@ from ..model import InverseModel, base_parameters, direct_model
 from ..simulation import has_controller
 from ..trust import inertias
 from .plant import RigidBodyPlant, drive_loops, has_cascades
-from .synthetic import truth
+from .synthetic import periodic_reference, truth
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +63,7 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     model = direct_model(idm, base.standard_parameters(truth(idm, base)))
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(rehearsal.duration_s / period_s) + 1, dtype=np.float64) * period_s
-    q_ref, dq_ref, ddq_ref = fourier_reference(robot, period_s=rehearsal.duration_s, seed=rehearsal.seed).at(t_s)
+    q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=rehearsal.duration_s, seed=rehearsal.seed).at(t_s)
     tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
     plant = RigidBodyPlant(
         model,

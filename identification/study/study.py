@@ -22,7 +22,7 @@ from ..methods import Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from ..trust import inertias, not_positive, poses_of
-from .synthetic import Noise, closed_loop, random_reference, truth
+from .synthetic import PERIOD_S, Noise, closed_loop, random_reference, truth
 
 FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 
@@ -42,6 +42,7 @@ class Study:
     starts: tuple[float, ...] = (0.05, 1.0, 20.0)
     gain_errors: tuple[float, ...] = (0.7, 1.0, 1.3)
     duration_s: float = 10.0
+    period_s: float = PERIOD_S
     sample_rate_hz: float = 1000.0
     low_speed_percent: float | None = None
     seed: int = 0
@@ -148,7 +149,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
     gain_error = float(rng.choice(study.gain_errors))
     fs, seed = study.sample_rate_hz, int(rng.integers(2**31))
-    q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed)
+    q_ref = random_reference(robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=seed, period_s=study.period_s)
     idm = InverseModel(robot)
     base = base_parameters(idm)
     true = truth(idm, base)

@@ -14,7 +14,7 @@ import numpy as np
 from acquisition.files import atomic_write
 from acquisition.recording import Header, RecordingWriter, sample_dtype
 from acquisition.robot import Robot
-from acquisition.trajectory import fourier_reference
+from acquisition.trajectory import FourierReference, fourier_reference
 
 from ..arrays import Array
 from ..data import Signals
@@ -24,6 +24,7 @@ from ..regression import differentiate
 from ..simulation import Reference, has_controller, recorded_loop, simulate, surrogate_loop
 from ..trust import inertias, poses_of
 
+PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
 
@@ -69,13 +70,22 @@ def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
     return np.asarray(base.K @ known_parameters(dynamics))
 
 
-def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int) -> Array:
+def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
+    """A random exciting reference that is at rest at the end of `duration_s`: whole periods, each of about `period_s`."""
+    periods = max(1, round(duration_s / period_s))
+    return fourier_reference(robot, period_s=duration_s / periods, seed=seed)
+
+
+def random_reference(
+    robot: Robot, *, duration_s: float, sample_rate_hz: float, seed: int, period_s: float = PERIOD_S
+) -> Array:
     """A random exciting reference, a Fourier series within the limits of the robot.
 
     Parameters
     ----------
     duration_s, sample_rate_hz : length and rate, which together give 100 to 10 000 000 samples.
     seed : the same one gives the same reference.
+    period_s : about the period; a whole number of periods makes up the length. A shorter recording has one.
 
     Returns
     -------
@@ -91,7 +101,7 @@ def random_reference(robot: Robot, *, duration_s: float, sample_rate_hz: float, 
             f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
         )
     t_s = np.arange(round(samples) + 1) / sample_rate_hz
-    return fourier_reference(robot, period_s=duration_s, seed=seed).at(t_s)[0]
+    return periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s).at(t_s)[0]
 
 
 def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
