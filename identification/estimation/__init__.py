@@ -1,6 +1,6 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
-from .confidence import Intervals, intervals, intervals_of_scores
+from .confidence import Intervals, TimeBlocks, intervals, intervals_of_scores
 from .diagnostics import (
     MOVING,
     InstrumentTests,
@@ -31,6 +31,7 @@ __all__ = [
     "Intervals",
     "Reduction",
     "System",
+    "TimeBlocks",
     "TorqueError",
     "are_moving",
     "autocorrelation",

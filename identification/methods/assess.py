@@ -89,8 +89,8 @@ def columns_of(observed: Regression, estimate: Estimate) -> Array:
 
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
     """Intervals of an estimate from the rows that are `used` (r,)."""
-    if observed.reduced:
-        return intervals_of_scores(estimate, np.full((1000, len(estimate.names)), np.nan))
+    if observed.time_blocks is not None:
+        return intervals_of_scores(estimate, observed.time_blocks.scores(estimate), len(observed.tau))
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
     return intervals(estimate, rho * used, observed.tau.shape[1])
 

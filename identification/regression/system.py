@@ -1,13 +1,13 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import System
+from ..estimation import System, TimeBlocks
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation, decimation_reach
 from .low_speed import measured_fast_rows
@@ -31,6 +31,7 @@ class Regression:
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
+        time_blocks: of a system that is held reduced, what the residual's scores follow from; None of others.
 
     The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
     count for least squares, which have the same normal equations.
@@ -41,6 +42,7 @@ class Regression:
     tau: Array
     speed: Array
     slip_noise: Array
+    time_blocks: TimeBlocks | None = None
 
     @property
     def reduced(self) -> bool:
@@ -53,18 +55,26 @@ def regression_of_recording(problem: Problem, say: Callable[[str], None] = lambd
     blocks: list[_Block] = []
     reduced: Regression | None = None
     (fast, slip_noise), done_rows = measured_fast_rows(problem), 0
+    rows, n = fast.shape
+    long = rows * n * problem.base.b > _NUMBERS_IN_MEMORY
+    time_blocks = TimeBlocks.none_yet(rows, n, problem.base.names) if long else None
     for motion, inside, done in motion_blocks(problem):
         here = slice(done_rows, done_rows + inside.stop - inside.start)
         done_rows = here.stop
         blocks.append(_block(problem, motion, inside, fast[here]))
+        if time_blocks is not None:
+            time_blocks.add(here.start, blocks[-1].W, blocks[-1].Y, fast[here])
         say(f"regressor: {done:.0%}")
         if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
             reduced = _reduce(_stacked(blocks, problem.base, slip_noise), reduced)
             blocks = []
-    if not blocks and reduced is not None:
-        return reduced
-    last = _stacked(blocks, problem.base, slip_noise)
-    return last if reduced is None else _reduce(last, reduced)
+    if blocks:
+        last = _stacked(blocks, problem.base, slip_noise)
+        if reduced is None:
+            return last
+        reduced = _reduce(last, reduced)
+    assert reduced is not None
+    return replace(reduced, time_blocks=time_blocks)
 
 
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:

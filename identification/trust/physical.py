@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, intervals, weighted_least_squares
+from ..estimation import Estimate, Intervals, intervals, intervals_of_scores, weighted_least_squares
 from ..model import DirectModel, InverseModel, JointTerm
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
@@ -25,14 +25,6 @@ RESISTING = ("rotor", "viscous", "coulomb")  # kinds of terms that no robot has 
 class _Finding:
     level: Level
     text: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Spread:
-    """Covariance (b, b) of an estimate, and the deviations that a 95 % interval reaches."""
-
-    covariance: Array
-    reach: float
 
 
 def poses_of(q: Array) -> Array:
@@ -81,35 +73,25 @@ def physical_line(evidence: Evidence) -> TrustLine:
     )
 
 
-def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals | None:
-    """Intervals of another least squares estimate of the same rows; None where rows are reduced."""
+def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
+    """Intervals of another least squares estimate of the same rows."""
     observed = evidence.observed
-    if observed.reduced:
-        return None
+    if observed.time_blocks is not None:
+        return intervals_of_scores(estimate, observed.time_blocks.scores(estimate), len(observed.tau))
     W, Y = observed.system.weighted(estimate.weights)
     return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1])
 
 
-def _spread(estimate: Estimate, found: Intervals | None) -> _Spread:
-    """The formula's correlations with the intervals' deviations; the formula's alone where there are no others."""
-    if found is None or not np.isfinite(found.sigma).all():
-        return _Spread(covariance=estimate.covariance, reach=3.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = np.where(estimate.sigma > 0, found.sigma / estimate.sigma, 1.0)
-        reach = float(np.nanmedian(found.half / found.sigma)) if (found.sigma > 0).any() else 2.0
-    return _Spread(covariance=estimate.covariance * scale[:, None] * scale, reach=reach)
-
-
-def _findings(evidence: Evidence, estimate: Estimate, found: Intervals | None) -> tuple[list[_Finding], float]:
+def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[_Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
-    problem, spread = evidence.problem, _spread(estimate, found)
+    problem = evidence.problem
     signals, settings, idm, base = problem.signals, problem.settings, problem.model, problem.base
     among = np.array([base.names.index(name) for name in estimate.names])
     findings, lowest = _inertia_findings(
-        idm, base.columns[among], estimate.beta, spread, poses_of(signals.q[settings.start : settings.stop])
+        idm, base.columns[among], estimate.beta, found, poses_of(signals.q[settings.start : settings.stop])
     )
     below: dict[tuple[Level, int], list[str]] = {}
-    half = spread.reach * np.sqrt(np.diag(spread.covariance))
+    half = found.reach * np.sqrt(np.diag(found.covariance))
     for i, value, width in zip(among, estimate.beta, half, strict=True):
         terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
         kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
@@ -129,7 +111,7 @@ def _question(name: str) -> str:
 
 
 def _inertia_findings(
-    idm: InverseModel, columns: NDArray[np.intp], beta: Array, spread: _Spread, q: Array
+    idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
 ) -> tuple[list[_Finding], float]:
     """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
     P, n = q.shape
@@ -147,7 +129,7 @@ def _inertia_findings(
     directions = np.concatenate([np.tile(np.eye(n), (P, 1, 1)), vectors[:, None, :, 0]], axis=1)  # (P, n + 1, n)
     g = np.einsum("pdi,pijb,pdj->pdb", directions, G, directions)
     lowest = g @ beta
-    half = spread.reach * np.sqrt(np.maximum(np.einsum("pdb,bc,pdc->pd", g, spread.covariance, g), 0.0))
+    half = found.reach * np.sqrt(np.maximum(np.einsum("pdb,bc,pdc->pd", g, found.covariance, g), 0.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape)
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name

@@ -1,0 +1,183 @@
+"""Intervals by equal-weighted cosines: closed forms, coverage of plain arrays, long recordings held reduced."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from scipy import stats
+from scipy.signal import lfilter
+
+import identification.regression.system as regression_module
+from identification.data.signals import load_signals
+from identification.estimation.confidence import MOST, TimeBlocks, cosines, intervals, intervals_of_scores
+from identification.estimation.estimators import (
+    Estimate,
+    instrumental_variables,
+    ordinary_least_squares,
+    weighted_least_squares,
+)
+from identification.estimation.system import System
+from identification.methods.fit import Fit
+from identification.methods.idim import identify_ls
+from identification.regression.settings import Overrides
+
+
+def estimate(b: int = 1, rows: int = 10**15) -> Estimate:
+    """An estimate of zeros, of so many rows that their number does not show."""
+    return Estimate(
+        names=tuple("abcdefgh"[:b]), beta=np.zeros(b), covariance=np.eye(b), weights=np.ones(1), residual_norm=1.0,
+        condition_number=1.0, condition_number_scaled=1.0, rows=rows, Q=np.eye(b), bread=np.eye(b),
+    )  # fmt: skip
+
+
+# Closed forms
+
+
+@pytest.mark.parametrize(("T", "B"), [(10, 4), (63, 6), (100, 8), (252, 15), (253, 16), (10**6, 16)])
+def test_how_many_cosines(T, B):
+    assert cosines(T) == B
+
+
+@pytest.mark.parametrize("k", [1, 7, 16])
+def test_a_cosine_of_the_family_is_measured_by_its_own_coefficient_alone(k):
+    """S_t = cos(pi k (t + 1/2)/T): its L is sqrt(T/2), all others 0, so sigma² = T (T/2)/B; of k = 17 nothing is left."""
+    T, t = 400, np.arange(400)
+    found = intervals_of_scores(estimate(), np.cos(np.pi * k * (t + 0.5) / T)[:, None])
+    assert found.freedom == 16
+    assert found.sigma[0] == pytest.approx(np.sqrt(T * T / 2 / 16), rel=1e-12)
+    assert found.half[0] == pytest.approx(stats.t.ppf(0.975, 16) * found.sigma[0], rel=1e-12)
+    beyond = intervals_of_scores(estimate(), np.cos(np.pi * 17 * (t + 0.5) / T)[:, None])
+    assert beyond.sigma[0] < 1e-10 * found.sigma[0]
+
+
+def test_a_mean_is_not_of_the_residual():
+    """Scores of an estimate add up to zero; a mean that is left does not widen the interval: cosines from k = 1 on."""
+    assert intervals_of_scores(estimate(), np.ones((300, 1))).sigma[0] < 1e-10
+
+
+def test_the_whole_family_has_the_energy_of_the_scores():
+    """The cosines of k = 0 to T - 1 are orthonormal: with all of them the mean L² is that of the scores without their mean."""
+    T, rng = 5, np.random.default_rng(1)
+    S = rng.normal(size=(T, 3))
+    assert cosines(T) == T - 1
+    found = intervals_of_scores(estimate(3), S)
+    np.testing.assert_allclose(found.sigma**2, T * ((S - S.mean(axis=0)) ** 2).sum(axis=0) / (T - 1), rtol=1e-12)
+
+
+def test_every_step_from_rows_to_an_interval():
+    """Scores of two joints, bread, weights, rows that do not count, and rows/(rows - b), worked out row by row."""
+    T, rng = 300, np.random.default_rng(2)
+    W, Z = rng.normal(size=(2, 2 * T, 3))
+    Z = W + 0.3 * Z
+    Y, weights = W @ [1.0, -2.0, 0.5] + rng.normal(size=2 * T), np.array([2.0, 0.3])
+    used = (rng.uniform(size=2 * T) > 0.4).astype(float)
+    joint = np.repeat([0, 1], T)
+    system = System.whole(W, Y, joint, tuple("abc")).with_rows(used)
+    found = instrumental_variables(system, Z, weights)
+    rho = (Y - W @ found.beta) * weights[joint] * used
+    by_rows = intervals(found, rho, 2)
+    D = weights[joint] * used
+    to_beta = np.linalg.inv(Z.T @ (D[:, None] ** 2 * W)) @ (D[:, None] * Z).T  # beta - beta_true = to_beta rho
+    S = np.array([to_beta[:, t] * rho[t] + to_beta[:, T + t] * rho[T + t] for t in range(T)])
+    L = [np.sqrt(2 / T) * sum(np.cos(np.pi * k * (t + 0.5) / T) * S[t] for t in range(T)) for k in range(1, 17)]
+    r = int(used.sum())
+    variance = T * np.mean(np.square(L), axis=0) * r / (r - 3)
+    np.testing.assert_allclose(by_rows.sigma, np.sqrt(variance), rtol=1e-9)
+    np.testing.assert_allclose(by_rows.low, found.beta - stats.t.ppf(0.975, 16) * by_rows.sigma, rtol=1e-9)
+    np.testing.assert_allclose(by_rows.high, found.beta + stats.t.ppf(0.975, 16) * by_rows.sigma, rtol=1e-9)
+
+
+def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations_of_the_formula():
+    rng = np.random.default_rng(3)
+    W = rng.normal(size=(200, 6)) @ rng.normal(size=(6, 6))
+    Y = W @ np.ones(6) + rng.normal(size=200)
+    fit = ordinary_least_squares(System.whole(W, Y, np.zeros(200, dtype=int), tuple("abcdef")))
+    found = intervals(fit, Y - W @ fit.beta, 1)
+    np.testing.assert_allclose(np.diag(found.covariance), found.sigma**2, rtol=1e-12)
+    for C, sigma in ((found.covariance, found.sigma), (fit.covariance, fit.sigma)):
+        correlation = C / np.outer(sigma, sigma)
+        np.testing.assert_allclose(
+            correlation, np.linalg.inv(W.T @ W) / np.outer(*2 * [np.sqrt(np.diag(np.linalg.inv(W.T @ W)))])
+        )
+    assert np.linalg.matrix_rank(found.covariance / np.outer(found.sigma, found.sigma)) == 6
+    exact = intervals_of_scores(dataclasses.replace(fit, covariance=np.zeros((6, 6))), np.zeros((50, 6)))
+    np.testing.assert_array_equal(exact.covariance, 0)
+
+
+# Coverage
+
+
+def coverage_percent(W: np.ndarray, coefficient: float, runs: int) -> tuple[float, float]:
+    """Coverage of zeros estimated from residuals AR(coefficient) in time, and the same by the formula."""
+    rng, (T, b) = np.random.default_rng(4), W.shape
+    system = System.whole(W, np.zeros(T), np.zeros(T, dtype=int), tuple("abcdefgh"[:b]))
+    inside = np.zeros(2)
+    for _ in range(runs):
+        Y = lfilter([1.0], [1.0, -coefficient], rng.normal(size=T + 400))[400:]
+        fit = ordinary_least_squares(dataclasses.replace(system, Y=Y))
+        found = intervals(fit, Y - W @ fit.beta, 1)
+        inside += [np.mean((found.low < 0) & (found.high > 0)), np.mean(np.abs(fit.beta) < 1.96 * fit.sigma)]
+    by_cosines, by_formula = 100 * inside / runs
+    return float(by_cosines), float(by_formula)
+
+
+def test_white_rows_are_covered_in_95_percent():
+    by_cosines, by_formula = coverage_percent(np.random.default_rng(6).normal(size=(500, 4)), 0.0, 1000)
+    assert by_cosines == pytest.approx(95, abs=1.0)
+    assert by_formula == pytest.approx(95, abs=1.0)
+
+
+def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
+    """AR(0.98), and a motion that takes 100 rows a period: its spectrum there is nine times that of white rows."""
+    t = np.arange(2000)
+    W = np.c_[np.sin(2 * np.pi * t / 100), np.sign(np.cos(2 * np.pi * t / 100))]
+    by_cosines, by_formula = coverage_percent(W, 0.98, 500)
+    assert by_cosines == pytest.approx(95, abs=2.5)
+    assert by_formula < 65
+
+
+# Long recordings
+
+
+def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]:
+    """A recording fitted as it is, and held reduced, in blocks that share no boundary with those of time."""
+    signals = load_signals(REPLAY / "tx40" / "session.mcap")
+    whole = identify_ls(signals, Overrides(decimation=5), **kwargs)
+    monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 300_000)
+    monkeypatch.setattr(regression_module, "_NUMBERS_IN_MEMORY", 100_000)
+    return whole, identify_ls(signals, Overrides(decimation=5), **kwargs)
+
+
+@pytest.mark.parametrize("kwargs", [{}, {"method": "ols"}, {"essential": True}])
+def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwargs):
+    whole, reduced = fits_both_ways(monkeypatch, **kwargs)
+    assert len(whole.rows.tau) > 8 * MOST
+    assert np.isnan(reduced.sigma_hac).all()
+    assert np.isfinite(whole.sigma_hac).all()
+    assert reduced.intervals.freedom == whole.intervals.freedom == MOST
+    apart = np.abs(reduced.intervals.sigma / whole.intervals.sigma - 1)
+    # A block's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.
+    assert apart.max() < 0.12
+    assert np.median(apart) < 0.02
+    np.testing.assert_allclose(reduced.intervals.low, reduced.beta[reduced.beta != 0] - reduced.intervals.half)
+
+
+def test_scores_of_time_blocks_are_sums_of_scores_of_rows(monkeypatch):
+    """Joints weighted, rows left out, some of the parameters; brought in pieces that end within a block."""
+    T, n, b, rng = 1000, 2, 4, np.random.default_rng(5)
+    W, Y, counts = rng.normal(size=(n, b, T)), rng.normal(size=(n, T)), rng.uniform(size=(T, n)) > 0.3
+    system = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
+    system = system.with_rows(counts.T.ravel().astype(float))
+    blocks = TimeBlocks.none_yet(T, n, tuple("abcd"))
+    for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
+        blocks.add(a, W[..., a:z], Y[:, a:z], counts[a:z])
+    for columns in (np.arange(4), np.array([1, 3])):
+        some = system.with_columns(columns)
+        fit = weighted_least_squares(some)
+        W_w, Y_w = some.weighted(fit.weights)
+        by_rows = (fit.Q * (Y_w - W_w @ fit.beta)[:, None]).reshape(n, T, -1).sum(axis=0) @ fit.bread.T
+        of_block = np.arange(T) * 128 // T
+        sums = np.array([by_rows[of_block == k].sum(axis=0) for k in range(128)])
+        np.testing.assert_allclose(blocks.scores(fit), sums, atol=1e-12)
+        assert np.ptp(np.bincount(of_block)) <= 1
