@@ -1,6 +1,6 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
-from .confidence import Intervals, TimeBlocks, intervals, intervals_of_scores
+from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals, intervals_of_scores
 from .diagnostics import (
     MOVING,
     InstrumentTests,
@@ -22,6 +22,7 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
+from .f_test import f_tail
 from .system import System
 
 __all__ = [
@@ -35,7 +36,10 @@ __all__ = [
     "TorqueError",
     "are_moving",
     "autocorrelation",
+    "cosines",
+    "deviations",
     "essential_parameters",
+    "f_tail",
     "hac_sigma",
     "instrument_tests",
     "instrumental_variables",

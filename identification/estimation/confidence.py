@@ -96,11 +96,8 @@ def intervals_of_scores(estimate: Estimate, scores: Array, instants: int | None 
 
     Scores may be sums over equal blocks of time; `instants` then says how many there are in all blocks.
     """
-    T = len(scores)
-    B = cosines(instants or T)
-    k, t = np.arange(1, B + 1)[:, None], np.arange(T)
-    L = np.sqrt(2 / T) * np.cos(np.pi * k * (t + 0.5) / T) @ scores
-    sigma = np.sqrt(T * (L**2).mean(axis=0) * estimate.rows / max(1, estimate.rows - len(estimate.names)))
+    B = cosines(instants or len(scores))
+    sigma = deviations(scores, B) * np.sqrt(estimate.rows / max(1, estimate.rows - len(estimate.names)))
     half = _reach(B) * sigma
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
@@ -111,6 +108,14 @@ def intervals_of_scores(estimate: Estimate, scores: Array, instants: int | None 
         freedom=B,
         covariance=estimate.covariance * scale[:, None] * scale,
     )
+
+
+def deviations(scores: Array, B: int) -> Array:
+    """Standard deviations (b,) of the sums of scores (T, b) in order of time, by the B cosines of lowest frequency."""
+    T = len(scores)
+    k, t = np.arange(1, B + 1)[:, None], np.arange(T)
+    L = np.sqrt(2 / T) * np.cos(np.pi * k * (t + 0.5) / T) @ scores
+    return np.asarray(np.sqrt(T * (L**2).mean(axis=0)))
 
 
 def cosines(T: int) -> int:

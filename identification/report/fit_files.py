@@ -118,6 +118,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     description: dict[str, str]
     verdict: Verdict | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
+    held_out_error_percent: float | UnsetType | None = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET
@@ -155,6 +156,7 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
             if line.test == "physical" and line.level != "ok"
         ],
         verdict=fit.trust.verdict,
+        held_out_error_percent=_finite(fit.trust.line("held-out blocks").value),
         trust=[
             TrustLineFile(test=line.test, level=line.level, value=_finite(line.value), text=line.text)
             for line in fit.trust.lines

@@ -1,7 +1,10 @@
 """What the tests of a fit look at: everything computed on the way to the estimate, so that nothing is simulated again."""
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
+
+import numpy as np
 
 from ..arrays import Array
 from ..estimation import Estimate, Intervals
@@ -46,3 +49,22 @@ class Evidence:
     loop: ControlLaw | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
+
+    @cached_property
+    def rows(self) -> "WeightedRows":
+        """W and Y of the parameters estimated, weighted as the estimate was; not for reduced rows."""
+        system = self.observed.system.with_rows(self.used)
+        system = system.with_columns(np.array([system.names.index(name) for name in self.estimate.names]))
+        weight = self.estimate.weights[system.joint_of_row] * self.used
+        W, Y = system.W * weight[:, None], system.Y * weight
+        return WeightedRows(W=W, Y=Y, rho=Y - W @ self.estimate.beta, weight=weight)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WeightedRows:
+    """Rows of the system, zero where they do not count: W (r, b), Y and rho (r,), and the `weight` (r,) they were given."""
+
+    W: Array
+    Y: Array
+    rho: Array
+    weight: Array

@@ -49,7 +49,7 @@ def not_positive(model: DirectModel, poses: Array) -> str | None:
     )
 
 
-def physical_line(evidence: Evidence) -> TrustLine:
+def physical_test(evidence: Evidence) -> TrustLine:
     """Whether a robot can have the parameters; each finding names the joint to look at.
 
     Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:

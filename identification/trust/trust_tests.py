@@ -2,14 +2,30 @@
 
 from collections.abc import Callable
 
+from .columns import added_columns_test
 from .evidence import Evidence
-from .instruments import fixed_point_line
 from .lines import Trust, TrustLine, worst_first
-from .physical import physical_line
+from .physical import physical_test
+from .solution import (
+    contrast_test,
+    ends_test,
+    fixed_point_test,
+    halves_test,
+    held_out_test,
+    instruments_test,
+    prewhitened_test,
+)
 
 TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
-    fixed_point_line,
-    physical_line,
+    fixed_point_test,
+    physical_test,
+    added_columns_test,
+    held_out_test,
+    halves_test,
+    ends_test,
+    contrast_test,
+    instruments_test,
+    prewhitened_test,
 )
 
 

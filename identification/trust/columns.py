@@ -1,0 +1,211 @@
+"""What the model may lack: columns added to W one by one, each with the share of the residual that it takes.
+
+With z = c - Q (QᵀW)⁻ᵀ Wᵀc, a column c made orthogonal to W by the instruments' span Q, its coefficient is g = zᵀrho / zᵀc.
+Its deviation is that of the scores z rho' / zᵀc by equal-weighted cosines, rho' being the residual with the column. Along
+instruments c is the column of the simulated motion, so that noise of the position does not bias g.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import cosines, deviations
+from ..model import InverseModel, JointTerm, direct_model
+from ..regression import Decimation, Motion
+from .evidence import Evidence
+from .lines import TrustLine
+
+BEYOND = 5.0  # deviations that chance does not explain
+TAKEN_PERCENT = 2.0  # of the residual's square
+SLOW = 0.1  # of a joint's peak speed: Stribeck friction falls to Coulomb friction about there
+STRIBECK = "Stribeck friction"
+TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Column:
+    """A torque (T, n) that the model lacks, per unit of its coefficient, and the joint or axis it belongs to."""
+
+    kind: str
+    where: str
+    torque: Array
+    unit: str
+    advice: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Lack:
+    """What the model may lack.
+
+    Attributes:
+        kind, where: what it is, and of which joint or axis.
+        value, unit, t: its coefficient, and that in deviations.
+        taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
+        advice: what to do.
+    """
+
+    kind: str
+    where: str
+    value: float
+    unit: str
+    t: float
+    taken_percent: float
+    together_percent: float
+    advice: str
+
+    @property
+    def found(self) -> bool:
+        """Whether chance does not explain it, and it matters."""
+        return abs(self.t) > BEYOND and self.taken_percent > TAKEN_PERCENT
+
+
+def added_columns_test(evidence: Evidence) -> TrustLine:
+    """Whether the model lacks something: asymmetric friction, an offset, drift, Stribeck friction, tilt of gravity, a gain."""
+    name = "added columns"
+    if evidence.observed.reduced:
+        text = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
+        return TrustLine(test=name, level="not made", value=None, text=text)
+    lacks = lacks_of(evidence)
+    if not lacks:
+        return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")
+    found = [lack for lack in lacks if lack.found]
+    # Several joints may lack the same: kinds are compared as a whole, or one that acts on all joints would come first.
+    first = max(found or lacks, key=lambda lack: (lack.together_percent, lack.taken_percent))
+    told = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
+    told += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
+    if not found:
+        return TrustLine(test=name, level="ok", value=first.t, text=f"none of {len(lacks)} matters; the first, {told}")
+    more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
+    return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}")
+
+
+def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
+    """All columns that can be told apart from W, not of reduced rows.
+
+    Stribeck friction below zero is none: near standstill filters and elasticity round off the sign of the speed.
+    """
+    columns = list(_columns(evidence))
+    if not columns:
+        return ()
+    rows, Q, bread = evidence.rows, evidence.estimate.Q, evidence.estimate.bread
+    n = evidence.observed.tau.shape[1]
+    C = np.stack([column.torque.T.reshape(-1) for column in columns], axis=1) * rows.weight[:, None]  # (r, k)
+    z = C - Q @ (bread.T @ (rows.W.T @ C))  # zᵀW = 0
+    seen = np.linalg.norm(z, axis=0) > TOLD_APART * np.linalg.norm(C, axis=0)
+    seen &= np.linalg.norm(C, axis=0) > 0
+    C, z, columns = C[:, seen], z[:, seen], [column for column, s in zip(columns, seen, strict=True) if s]
+    size = np.einsum("rk,rk->k", z, C)
+    g = z.T @ rows.rho / size
+    rho = rows.rho[:, None] - g * (C - rows.W @ (bread @ (Q.T @ C)))  # with the column, and beta solved anew
+    scores = (z * rho / size).reshape(n, -1, len(columns)).sum(axis=0)
+    sigma = deviations(scores, cosines(len(scores)))
+    whole = max(float(rows.rho @ rows.rho), 1e-300)
+    taken = 100 * (1 - np.einsum("rk,rk->k", rho, rho) / whole)
+    together = {}
+    for kind in {column.kind for column in columns}:
+        own = np.array([column.kind == kind for column in columns])
+        apart = C[:, own] - rows.W @ (bread @ (Q.T @ C[:, own]))
+        left = rows.rho - apart @ np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rows.rho, rcond=1e-6)[0]
+        together[kind] = 100 * (1 - float(left @ left) / whole)
+    return tuple(
+        Lack(
+            kind=column.kind,
+            where=column.where,
+            value=float(value),
+            unit=column.unit,
+            t=float(value / s) if s > 0 else 0.0,
+            taken_percent=float(percent),
+            together_percent=together[column.kind],
+            advice=column.advice,
+        )
+        for column, value, s, percent in zip(columns, g, sigma, taken, strict=True)
+        if column.kind != STRIBECK or value > 0
+    )
+
+
+def _motion(evidence: Evidence) -> tuple[Motion, Decimation]:
+    """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
+    settings = evidence.problem.settings
+    if evidence.method == "iv" and evidence.simulated is not None and evidence.decimation is not None:
+        return evidence.simulated, evidence.decimation
+    return evidence.problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
+
+
+def _columns(evidence: Evidence) -> Iterator[_Column]:
+    problem = evidence.problem
+    robot, idm, base = problem.signals.robot, problem.model, problem.base
+    motion, decimation = _motion(evidence)
+    chi = np.zeros(idm.p)
+    chi[base.columns] = evidence.estimate.among(base.names)
+    n, T = robot.n, len(evidence.observed.tau)
+    time, speed = np.linspace(0.0, 1.0, T), np.abs(motion.dq)
+    slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(speed.max(axis=0), 1e-300))) ** 2))
+    speed, slow = decimation.filtered(speed.T).T, decimation.filtered(slow.T).T
+    value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
+    for j, joint in enumerate(robot.joints):
+        only, effort, where = np.eye(n)[j], robot.effort_units[j], f"of joint {joint.name}"
+        if joint.friction == "symmetric" and (joint.viscous or joint.coulomb):
+            resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
+            yield _Column(
+                kind="asymmetric friction",
+                where=where,
+                torque=0.01 * np.outer(resisting, only),
+                unit="% of it",
+                advice='describe it as friction = "asymmetric"',
+            )
+        if not joint.offset:
+            advice = "describe it as offset = true"
+            yield _Column(kind="offset", where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
+        yield _Column(
+            kind="drift",
+            where=where,
+            torque=np.outer(time, only),
+            unit=f"{effort} over the recording",
+            advice="warm the robot up, or record a shorter motion",
+        )
+        yield _Column(
+            kind=STRIBECK,
+            where=where,
+            torque=np.outer(slow[:, j], only),
+            unit=effort,
+            advice="leave out slow rows by a larger --low-speed-percent",
+        )
+    yield from _tilts(evidence, chi, decimation.kept(motion.q))
+    if n > 1 and robot.gain_known:
+        yield from _gains(evidence)
+
+
+def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
+    """Torque per rad that gravity is turned by about the base's x and y; of what the estimate tells of the links alone."""
+    robot, idm = evidence.problem.signals.robot, evidence.problem.model
+    links = np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0)
+    gravity = np.array(robot.gravity)
+    for axis, about in zip(np.eye(3), "xyz", strict=True):
+        turned = np.cross(axis, gravity)
+        if not turned.any():
+            continue
+        tilted = InverseModel(replace(robot, gravity=turned))
+        torque = direct_model(tilted, links).gravity(q)
+        yield _Column(
+            kind="tilt of gravity",
+            where=f"about {about}",
+            torque=torque,
+            unit="rad",
+            advice="level the base, or set gravity_m_s2",
+        )
+
+
+def _gains(evidence: Evidence) -> Iterator[_Column]:
+    """Torque of each joint that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
+    observed, names = evidence.observed, evidence.problem.base.names
+    predicted = (observed.system.W @ evidence.estimate.among(names)).reshape(observed.tau.shape[1], -1).T
+    for j, joint in enumerate(evidence.problem.signals.robot.joints):
+        yield _Column(
+            kind="relative gain",
+            where=f"of joint {joint.name}",
+            torque=0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
+            unit="%",
+            advice="check its drive_gain and ratio against those of the other joints",
+        )

@@ -1,0 +1,253 @@
+"""Tests of how the estimate came about: the fixed point, the instruments, and what parts of the rows say on their own.
+
+Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
+that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated or factorised again.
+"""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import Estimate, are_moving, cosines, deviations, f_tail, instrumental_variables, intervals
+from .evidence import Evidence
+from .lines import Figure, TrustLine
+
+BLOCKS = 5
+HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
+HALVES_LEVEL = 0.001  # of the Wald test
+ROBUST, OUTSTANDING = 6.0, 2.0  # deviations of a row that does not belong; at an end, times the largest elsewhere
+END_ROWS = 5  # rows at each end that a bad edge shows in
+CONTRAST = 3.0  # deviations of IV from LS that say that LS is biased
+WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
+ORDER = 12  # of the autoregression that whitens a joint's residual, at most
+PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
+REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
+NO_INSTRUMENTS = "not made: least squares has no instruments; --method iv makes this test"
+
+
+def _not_made(test: str, text: str) -> TrustLine:
+    return TrustLine(test=test, level="not made", value=None, text=text)
+
+
+def fixed_point_test(evidence: Evidence) -> TrustLine:
+    """Whether the method ended in a fixed point that the simulated robot confirms."""
+    if not evidence.fixed_point:
+        text = f"{evidence.unconfirmed or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
+        return TrustLine(test="fixed point", level="do not use", value=None, text=text)
+    if evidence.unconfirmed is not None:
+        text = f"{evidence.unconfirmed}: check [controller]; compare with least squares"
+        return TrustLine(test="fixed point", level="caution", value=None, text=text)
+    text = (
+        "settled, and the simulated robot confirms it" if evidence.method == "iv" else "least squares has one solution"
+    )
+    return TrustLine(test="fixed point", level="ok", value=None, text=text)
+
+
+def instruments_test(evidence: Evidence) -> TrustLine:
+    """Whether the instruments explain the regressor, and are more than the regressor itself."""
+    F = evidence.first_stage_F
+    if F is None:
+        return _not_made("instruments", NO_INSTRUMENTS)
+    if F < WEAK_F:
+        text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
+        return TrustLine(test="instruments", level="caution", value=F, text=text)
+    if F > SAME_F:
+        text = "the instruments are W itself: this is least squares, and noise of the position biases it alike"
+        return TrustLine(test="instruments", level="cannot tell", value=F, text=text)
+    return TrustLine(test="instruments", level="ok", value=F, text=f"strong: first-stage F = {F:.3g}")
+
+
+def contrast_test(evidence: Evidence) -> TrustLine:
+    """How far instrumental variables and least squares are apart, in deviations; it matters where LS is reported."""
+    name, estimate = "contrast of IV and LS", evidence.estimate
+    if evidence.method == "iv":
+        off, sigma = evidence.least_squares.among(estimate.names) - estimate.beta, evidence.intervals.sigma
+    elif evidence.Z is None:
+        return _not_made(name, REDUCED if evidence.observed.reduced else NO_INSTRUMENTS)
+    else:
+        system = evidence.observed.system.with_rows(evidence.used)
+        kept = np.array([system.names.index(x) for x in estimate.names])
+        try:
+            iv = instrumental_variables(system.with_columns(kept), evidence.Z[:, kept], estimate.weights)
+        except IdentificationError as error:
+            return _not_made(name, f"not made: {error}")
+        rho = evidence.rows.Y - evidence.rows.W @ iv.beta
+        off, sigma = iv.beta - estimate.beta, intervals(iv, rho, evidence.observed.tau.shape[1]).sigma
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.nan_to_num(np.abs(off) / sigma, nan=0.0)
+    worst = int(apart.argmax())
+    value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma apart, at {estimate.names[worst]}"
+    if evidence.method != "iv" and value > CONTRAST:
+        text = f"{told}: noise of the position biases least squares: take --method iv, or a lower --cutoff-hz"
+        return TrustLine(test=name, level="caution", value=value, text=text)
+    return TrustLine(test=name, level="ok", value=value, text=told)
+
+
+def ends_test(evidence: Evidence) -> TrustLine:
+    """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
+    if evidence.observed.reduced:
+        return _not_made("ends", REDUCED)
+    rows, n = evidence.rows, evidence.observed.tau.shape[1]
+    rho, used = rows.rho.reshape(n, -1), (evidence.used.reshape(n, -1) > 0) & are_moving(evidence.observed.speed).T
+    scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
+    size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
+    ends, middle = np.c_[size[:, :END_ROWS], size[:, -END_ROWS:]].max(axis=1), size[:, END_ROWS:-END_ROWS].max(axis=1)
+    told = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
+    worst = int((ends / np.maximum(middle, ROBUST)).argmax())
+    told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
+    value = float(ends[worst])
+    if value > OUTSTANDING * max(middle[worst], ROBUST / OUTSTANDING):
+        joint = evidence.problem.signals.robot.joints[worst].name
+        text = (
+            f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
+        )
+        return TrustLine(test="ends", level="caution", value=value, text=text)
+    return TrustLine(test="ends", level="ok", value=value, text=told)
+
+
+def _parts(x: Array, n: int, part: slice) -> Array:
+    """Rows of a part of the time, of all joints: x (r, ...) -> (n T_k, ...)."""
+    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
+
+
+def _slices(T: int, count: int) -> list[slice]:
+    edges = np.linspace(0, T, count + 1).round().astype(int)
+    return [slice(a, b) for a, b in pairwise(edges)]
+
+
+def held_out_test(evidence: Evidence) -> TrustLine:
+    """Five blocks of time, each predicted by the fit of the others, beside the error of the fit itself; in percent."""
+    name = "held-out blocks"
+    if evidence.observed.reduced:
+        return _not_made(name, REDUCED)
+    rows, Q, (T, n) = evidence.rows, evidence.estimate.Q, evidence.observed.tau.shape
+    d = np.linalg.norm(rows.W, axis=0)
+    W, A, c = rows.W / d, Q.T @ (rows.W / d), Q.T @ rows.Y
+    least = int(evidence.used.sum()) - max(int(_parts(evidence.used, n, part).sum()) for part in _slices(T, BLOCKS))
+    if least <= len(d):
+        return _not_made(name, f"not made: {least} rows outside a block for {len(d)} parameters; record longer")
+    trained, held, size, figures = 0.0, 0.0, 0.0, []
+    for number, part in enumerate(_slices(T, BLOCKS), 1):
+        Qk, Wk, Yk, weight = (_parts(x, n, part) for x in (Q, W, rows.Y, rows.weight))
+        beta = np.linalg.lstsq(A - Qk.T @ Wk, c - Qk.T @ Yk, rcond=1e-12)[0]
+        per = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 0.0)
+        own = float(np.sum(((Yk - Wk @ (d * evidence.estimate.beta)) * per) ** 2))
+        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((Yk * per) ** 2))
+        trained, held, size = trained + own, held + other, size + torque
+        if torque > 0:
+            percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
+            figures.append(Figure(name=f"block {number}", value=float(percents[0]), expected=float(percents[1])))
+    if not size > 0:
+        return _not_made(name, "not made: no torque")
+    error, training = 100 * float(np.sqrt(held / size)), 100 * float(np.sqrt(trained / size))
+    told = f"error {error:.3g} % held out, {training:.3g} % trained"
+    if error > HELD_OUT_FACTOR * training:
+        text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
+        return TrustLine(test=name, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
+    return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
+
+
+def halves_test(evidence: Evidence) -> TrustLine:
+    """Whether the two halves of the recording give the same parameters, by a Wald test.
+
+    The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
+    """
+    if evidence.observed.reduced:
+        return _not_made("halves", REDUCED)
+    T, n = evidence.observed.tau.shape
+    solved = [_part_solved(evidence, part, n) for part in _slices(T, 2)]
+    if any(half is None for half in solved):
+        return _not_made("halves", "not made: a half alone does not determine the parameters; record longer")
+    (beta_1, C_1), (beta_2, C_2) = (half for half in solved if half is not None)
+    b, off = len(beta_1), beta_2 - beta_1
+    sigma = np.sqrt(np.diag(C_1 + C_2))
+    if not (sigma > 0).all():
+        return _not_made("halves", "not made: the fit is exact")
+    u = off / sigma
+    values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
+    wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
+    p, worst = f_tail(wald / b, b, 2 * cosines(T // 2)), int(np.abs(u).argmax())
+    told = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
+    told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
+    if p < HALVES_LEVEL:
+        text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
+        return TrustLine(test="halves", level="caution", value=wald, text=text)
+    return TrustLine(test="halves", level="ok", value=wald, text=told)
+
+
+def _part_solved(evidence: Evidence, part: slice, n: int) -> tuple[Array, Array] | None:
+    """Parameters (b,) of a part of the time and their covariance D R D (b, b); None where it does not determine them."""
+    rows = evidence.rows
+    Q, W, Y, used = (_parts(x, n, part) for x in (evidence.estimate.Q, rows.W, rows.Y, evidence.used))
+    d, count = np.linalg.norm(W, axis=0), int(used.sum())
+    b = len(d)
+    if not (d > 0).all() or count <= 2 * b:
+        return None
+    A = Q.T @ (W / d)
+    if not np.linalg.cond(A) < 1e8:
+        return None
+    inverse = np.linalg.inv(A) / d[:, None]
+    beta = inverse @ (Q.T @ Y)
+    scores = (Q * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse.T
+    sigma = deviations(scores, cosines(len(scores))) * np.sqrt(count / (count - b))
+    C = inverse @ (Q.T @ Q) @ inverse.T
+    formula = np.sqrt(np.diag(C))
+    return beta, C * np.outer(sigma / formula, sigma / formula)
+
+
+def prewhitened_test(evidence: Evidence) -> TrustLine:
+    """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
+    name = "prewhitened"
+    if evidence.Z is None or evidence.method != "iv":
+        return _not_made(name, NO_INSTRUMENTS)
+    estimate = _whitened(evidence)
+    if isinstance(estimate, str):
+        return _not_made(name, estimate)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
+    worst = int(apart.argmax())
+    value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
+    if value > PREWHITENED:
+        text = f"{told}: the model lacks something: see added columns"
+        return TrustLine(test=name, level="caution", value=value, text=text)
+    return TrustLine(test=name, level="ok", value=value, text=told)
+
+
+def _whitened(evidence: Evidence) -> Estimate | str:
+    """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why there are none."""
+    assert evidence.Z is not None
+    T, n = evidence.observed.tau.shape
+    system, p = evidence.observed.system, min(ORDER, T // 20)
+    kept = np.array([system.names.index(name) for name in evidence.estimate.names])
+    used, rho = evidence.used.reshape(n, T), evidence.rows.rho.reshape(n, T)
+    stack = np.c_[system.W[:, kept], evidence.Z[:, kept], system.Y].reshape(n, T, -1)
+    filtered, count = np.zeros_like(stack), np.zeros((n, T))
+    for j in range(n):
+        a = _autoregression(rho[j], used[j], p)
+        filtered[j, p:] = stack[j, p:]
+        whole = used[j, p:].copy()
+        for k in range(1, p + 1):
+            filtered[j, p:] -= a[k - 1] * stack[j, p - k : T - k]
+            whole *= used[j, p - k : T - k]
+        count[j, p:] = whole
+    flat, b = filtered.reshape(n * T, -1), len(kept)
+    part = replace(system.with_columns(kept), W=flat[:, :b], Y=flat[:, -1]).with_rows(count.reshape(-1))
+    if count.sum() <= 4 * b:
+        return f"not made: {int(count.sum())} rows in a row are fast for {b} parameters; record longer"
+    try:
+        return instrumental_variables(part, flat[:, b : 2 * b], evidence.estimate.weights)
+    except IdentificationError as error:
+        return f"not made: {error}"
+
+
+def _autoregression(rho: Array, used: Array, order: int) -> Array:
+    """Coefficients (order,) by Yule and Walker, from the rows that count."""
+    x = rho * used
+    r = np.array([x[k:] @ x[: len(x) - k] for k in range(order + 1)]) / max(1.0, used.sum())
+    if not r[0] > 0:
+        return np.zeros(order)
+    places = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
+    return np.asarray(np.linalg.lstsq(r[places] + 1e-9 * r[0] * np.eye(order), r[1:], rcond=None)[0])
