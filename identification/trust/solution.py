@@ -18,7 +18,11 @@ from .lines import Figure, TrustLine
 BLOCKS = 5
 HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
 HALVES_LEVEL = 0.001  # of the Wald test
-ROBUST, OUTSTANDING = 6.0, 2.0  # deviations of a row that does not belong; at an end, times the largest elsewhere
+ROBUST = 6.0  # deviations, of a row that does not belong to the others
+BAD_END, OUTSTANDING = (
+    30.0,
+    2.0,
+)  # deviations of a row at an end that spoils an estimate, and times the largest elsewhere
 END_ROWS = 5  # rows at each end that a bad edge shows in
 CONTRAST = 3.0  # deviations of IV from LS that say that LS is biased
 WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
@@ -99,7 +103,7 @@ def ends_test(evidence: Evidence) -> TrustLine:
     worst = int((ends / np.maximum(middle, ROBUST)).argmax())
     told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
     value = float(ends[worst])
-    if value > OUTSTANDING * max(middle[worst], ROBUST / OUTSTANDING):
+    if value > max(BAD_END, OUTSTANDING * middle[worst]):
         joint = evidence.problem.signals.robot.joints[worst].name
         text = (
             f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
