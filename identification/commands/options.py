@@ -36,28 +36,44 @@ def add_simulation_options(
         help="sample rate (default 1000)",
     )
     group.add_argument("--seed", type=whole, default=1, metavar="K", help="seed of reference and noise (default 1)")
+    add_imperfections(parser, encoder_step=encoder_step, effort_percent=effort_noise_percent)
+
+
+def add_imperfections(parser: argparse.ArgumentParser, **defaults: float) -> None:
+    """What the simulated cell has and its description does not: an option for each field of `Noise`, with other defaults."""
+    group = parser.add_argument_group("imperfections of the simulated cell")
+    for option, field, kind, metavar, text in (
+        ("--encoder-step", "encoder_step", not_negative, "Q", "step of the encoder, rad or m"),
+        ("--position-noise", "position", not_negative, "Q", "noise of the encoder, rad or m rms"),
+        ("--effort-noise-percent", "effort_percent", not_negative, "P", "white noise of the torque, %% of its rms"),
+        (
+            "--effort-coloured-percent",
+            "coloured_percent",
+            not_negative,
+            "P",
+            "AR(0.98) noise of the torque, %% of its rms",
+        ),
+        ("--disturbance-percent", "disturbance_percent", not_negative, "P", "AR(0.98) torque that acts, %% of the rms"),
+        ("--lag-samples", "lag_samples", whole, "K", "samples by which the recorded torque is late"),
+        ("--stribeck-percent", "stribeck_percent", not_negative, "P", "more Coulomb friction at rest, %% of itself"),
+        (
+            "--asymmetry-percent",
+            "asymmetry_percent",
+            share,
+            "P",
+            "friction larger forwards, smaller backwards, %% of itself",
+        ),
+        ("--integral-hz", "integral_hz", not_negative, "F", "rate of an integral of the controller, 0 for none"),
+    ):
+        default = kind(str(defaults.get(field, 0)))
+        text = f"{text} (default {default:g})"
+        group.add_argument(option, dest=field, type=kind, default=default, metavar=metavar, help=text)
     group.add_argument(
-        "--encoder-step",
-        type=not_negative,
-        default=encoder_step,
-        metavar="Q",
-        help=f"step of the encoder, rad or m (default {encoder_step:g})",
-    )
-    group.add_argument(
-        "--position-noise",
-        dest="position",
-        type=not_negative,
-        default=0.0,
-        metavar="Q",
-        help="noise of the position, rad or m rms (default 0)",
-    )
-    group.add_argument(
-        "--effort-noise-percent",
-        dest="effort_percent",
-        type=not_negative,
-        default=effort_noise_percent,
-        metavar="P",
-        help=f"noise of the torque, %% of its rms (default {effort_noise_percent:g})",
+        "--effort-recorded",
+        dest="recorded",
+        choices=["mean", "tick"],
+        default="mean",
+        help="torque as the mean of the periods before and after, or the command of its tick (default mean)",
     )
 
 

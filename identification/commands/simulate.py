@@ -32,6 +32,8 @@ def run(options: argparse.Namespace) -> None:
         q_ref = random_reference(
             robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=options.period_s
         )
-        signals = closed_loop(robot, q_ref, rate_hz, noise=from_options(Noise, options), seed=seed)
-        write_signals(options.out, signals, source=f"simulated: random reference and noise of seed {seed}")
+        noise = from_options(Noise, options)
+        signals = closed_loop(robot, q_ref, rate_hz, noise=noise, seed=seed)
+        source = f"simulated: random reference and noise of seed {seed}"
+        write_signals(options.out, signals, source=source, noise=noise)
     print_results(f"{options.out}: simulated, {options.duration_s:g} s at {rate_hz:g} Hz")

@@ -2,6 +2,16 @@
 
 from .closed_loop import simulate
 from .control_law import ControlLaw, Reference, has_controller, recorded_loop, surrogate_loop
+from .disturbances import Disturbances
 from .friction import Friction
 
-__all__ = ["ControlLaw", "Friction", "Reference", "has_controller", "recorded_loop", "simulate", "surrogate_loop"]
+__all__ = [
+    "ControlLaw",
+    "Disturbances",
+    "Friction",
+    "Reference",
+    "has_controller",
+    "recorded_loop",
+    "simulate",
+    "surrogate_loop",
+]

@@ -16,6 +16,7 @@ _LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
 class Simulated:
     """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
 
+    That is the true motion, and the torque that the controller gives: noise of encoders and disturbing torque are not in them.
     There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
     """
 
@@ -48,14 +49,21 @@ def simulate(
     h = loop.period_s / substeps
     q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
     q, v = (x.copy() for x in start)
-    friction = Friction(model, reference.dq, v, h)
-    control = Control(model, loop, reference, q, v)
+    control, cell = Control(model, loop, reference, q, v), reference.disturbances
+    if cell is None:
+        friction = Friction(model, reference.dq, v, h)
+    else:
+        friction = Friction(cell.on_plant(model), reference.dq, v, h, stribeck=cell.stribeck)
     look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
     rows = 0
     for k in range(N):
-        tau = control.torque(k, q, v)
+        if cell is None:
+            acting = tau = control.torque(k, q, v)
+        else:
+            tau = control.torque(k, cell.seen(k, q), v)
+            acting = tau + cell.torque[k]
         for row in range(rows, rows + substeps):
-            after = friction.step(q, v, tau)
+            after = friction.step(q, v, acting)
             if after is None:
                 reason = "the inertia matrix is not positive definite"
                 break

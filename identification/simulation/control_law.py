@@ -19,7 +19,7 @@ robot up by an integral or its own model, and a measured position has that sag i
 Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -28,17 +28,19 @@ from acquisition.robot import Controller, Robot
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel
+from .disturbances import Disturbances
 
 SURROGATE_DAMPING = 0.8
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """What a controller is to follow: q, dq, ddq (N, n) at its instants."""
+    """The inputs of a loop at its instants: q, dq, ddq (N, n), which it is to follow, and what disturbs it, if anything."""
 
     q: Array
     dq: Array
     ddq: Array
+    disturbances: Disturbances | None = field(default=None, kw_only=True)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,6 +69,15 @@ class ControlLaw:
         return replace(
             self, Kp=self.Kp * gains, Kd=self.Kd * gains, Ki=self.Ki * gains, saturation=self.saturation * factor
         )
+
+    def with_integral(self, rate: float) -> "ControlLaw":
+        """The law with an integral in place of its own, of the velocity error where it feeds no velocity forward.
+
+        `rate` in 1/s: under a constant error the integral gives as much as the rest of the law after 1 / rate.
+        """
+        if self.feedforward == 0.0:
+            return replace(self, Ki=rate * self.Kd, position_share=self.Kp / self.Kd)
+        return replace(self, Ki=rate * self.Kp, position_share=np.ones_like(self.Kp))
 
     def inertias(self, bandwidth_hz: float) -> Array:
         """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal.

@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..model import DirectModel
 
+STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
 MODE_PASSES = 8  # of the search for which directions stick; nearly always one or two are needed
 BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
@@ -19,15 +20,19 @@ class Friction:
     step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
     """
 
-    def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float) -> None:
-        """`dq_ref` (N, n) are the speeds that motion reaches, `v` (n,) the one it starts with, `h` the step in s."""
+    def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
+        """`dq_ref` (N, n) are the speeds that motion reaches, `v` (n,) the one it starts with, `h` the step in s.
+
+        Coulomb friction at rest is (1 + stribeck) of its level.
+        """
         from scipy.linalg import lapack  # takes as long to import as a fit by least squares
 
         self._solve = lapack.dposv
         self._model, self._h, self._S = model, h, model.directions
-        self._v_s = STICTION * np.maximum(np.abs(dq_ref @ self._S.T).max(axis=0, initial=0.0), 1e-9)
+        speed = np.maximum(np.abs(dq_ref @ self._S.T).max(axis=0, initial=0.0), 1e-9)
+        self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
         self._resists = (model.up + model.down) > 0
-        self._slope = np.where(self._resists, (model.up + model.down) / (2 * self._v_s), 0.0)
+        self._slope = np.where(self._resists, (1 + stribeck) * (model.up + model.down) / (2 * self._v_s), 0.0)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
         self._V, self._added = model.viscous, model.rotor + h * model.viscous
         self._turn(np.sign(self._S @ v))
@@ -39,6 +44,8 @@ class Friction:
         stuck = mode == 0
         level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
         self._stuck, self._level = bool(stuck.any()), level @ S + model.offset
+        if self._stribeck:
+            self._slips = np.where(stuck, 0.0, self._stribeck * level)
         self._creep = (S.T * (self._slope * stuck)) @ S
 
     def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
@@ -55,12 +62,14 @@ class Friction:
         if held is not None:
             M = M + np.diag(BRAKE * held)
         force = tau - bias - self._V.dot(v)
+        near = np.exp(-((self._S.dot(v) / self._falls) ** 2)) if self._stribeck else None
         for _ in range(MODE_PASSES):
+            level = self._level if near is None else self._level + (near * self._slips) @ self._S
             if self._stuck:
                 creep = self._creep
-                _, dv, info = self._solve(M + h * creep, h * (force - self._level - creep.dot(v)))
+                _, dv, info = self._solve(M + h * creep, h * (force - level - creep.dot(v)))
             else:
-                _, dv, info = self._solve(M, h * (force - self._level))
+                _, dv, info = self._solve(M, h * (force - level))
             if info:
                 return None
             w = v + dv

@@ -1,9 +1,10 @@
 """Robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies, plants for dry runs."""
 
 from .demo import Rehearsal, description, rehearse
+from .noise import Noise
 from .plant import described_robot
 from .study import FALSE_ERROR, Run, Study, run_study, study_json, study_truth, summaries
-from .synthetic import Noise, closed_loop, random_reference, write_signals
+from .synthetic import closed_loop, random_reference, write_signals
 
 __all__ = [
     "FALSE_ERROR",

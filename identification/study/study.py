@@ -22,7 +22,8 @@ from ..methods import Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from ..trust import inertias, not_positive, poses_of
-from .synthetic import PERIOD_S, Noise, closed_loop, random_reference, truth
+from .noise import Noise
+from .synthetic import PERIOD_S, closed_loop, random_reference, truth
 
 FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 

@@ -1,12 +1,11 @@
 """Recordings of a simulated robot whose parameters are known: what a fit of them must give back.
 
 The robot has the values of the description's `[parameters]` and tracks a random exciting reference under its own
-controller, or under a PD of the stated bandwidth where none is described. Encoder and torque sensor add the noise that is
-asked for.
+controller, or under a PD of the stated bandwidth where none is described. The cell has the imperfections that are asked for.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,33 +18,15 @@ from acquisition.trajectory import FourierReference, fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model
+from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
-from ..simulation import Reference, has_controller, recorded_loop, simulate, surrogate_loop
+from ..simulation import ControlLaw, Reference, has_controller, recorded_loop, simulate, surrogate_loop
 from ..trust import inertias, poses_of
+from .noise import Noise
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
-SUBSTEPS = 4  # of the plant per controller period: a plant that is finer than any instrument
-
-
-@dataclass(frozen=True, kw_only=True)
-class Noise:
-    """What the sensors add: encoder step and white noise of each joint, rad or m; torque noise in % of its rms."""
-
-    encoder_step: float = 0.0
-    position: float = 0.0
-    effort_percent: float = 0.0
-
-    def on_position(self, q: Array, rng: np.random.Generator) -> Array:
-        """Positions as an encoder gives them."""
-        noisy = q + self.position * rng.standard_normal(q.shape)
-        return np.asarray(np.round(noisy / self.encoder_step) * self.encoder_step if self.encoder_step else noisy)
-
-    def on_effort(self, tau: Array, rng: np.random.Generator) -> Array:
-        """Torques as they are recorded."""
-        rms = np.sqrt(np.mean(tau**2, axis=0))
-        return np.asarray(tau + 0.01 * self.effort_percent * rms * rng.standard_normal(tau.shape))
+SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
 
 
 def known_parameters(dynamics: InverseModel) -> Array:
@@ -107,15 +88,14 @@ def random_reference(
 def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
     """Signals of the simulated robot tracking a reference.
 
-    Torque at an instant is the mean of what the controller gives before and after it, as a drive's own current filter
-    shows it.
+    The controller acts on what the encoders give, noise and counts included.
 
     Parameters
     ----------
     robot : described with `[parameters]`.
     q_ref : (N, n) reference positions, rad or m.
     sample_rate_hz : rate of reference, recording and controller.
-    noise, seed : what the sensors add.
+    noise, seed : imperfections of the cell.
 
     Raises
     ------
@@ -124,11 +104,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
     model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
-    if has_controller(robot.controller):
-        loop = recorded_loop(robot)
-    else:
-        J = inertias(model, poses_of(q_ref))
-        loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
+    loop = _loop(robot, model, q_ref, sample_rate_hz, noise)
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
         raise IdentificationError(
             f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
@@ -136,20 +112,19 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         )
     dq_ref = differentiate(q_ref, sample_rate_hz)
     ddq_ref = differentiate(dq_ref, sample_rate_hz)
+    rms = np.sqrt(np.mean(model.torque(q_ref[::10], dq_ref[::10], ddq_ref[::10]) ** 2, axis=0))
+    cell = noise.disturbances(rms, len(q_ref), seed)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     start = (q_ref[0], dq_ref[0])
-    done = simulate(model, loop, Reference(q_ref, dq_ref, ddq_ref), start=start, bound=bound, substeps=SUBSTEPS)
+    reference = Reference(q_ref, dq_ref, ddq_ref, disturbances=cell)
+    done = simulate(model, loop, reference, start=start, bound=bound, substeps=SUBSTEPS)
     if done.reason:
         raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
-    rng = np.random.default_rng(seed)
-    held = done.tau[::SUBSTEPS]
-    tau = held.copy()
-    tau[1:] = 0.5 * (held[1:] + held[:-1])
     return Signals(
         t_s=np.arange(len(q_ref)) / sample_rate_hz,
-        q=noise.on_position(done.q[::SUBSTEPS], rng),
+        q=cell.recorded(done.q[::SUBSTEPS]),
         q_ref=q_ref,
-        effort=noise.on_effort(tau, rng),
+        effort=noise.on_effort(done.tau[::SUBSTEPS], seed),
         sample_rate_hz=sample_rate_hz,
         track=None,
         robot=robot,
@@ -158,7 +133,21 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     )
 
 
-def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[str, str] | None = None) -> None:
+def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float, noise: Noise) -> ControlLaw:
+    """The described control law, or a PD; a PD that sees noise has to tell the speed from it."""
+    if has_controller(robot.controller):
+        loop = recorded_loop(robot)
+    else:
+        J = inertias(model, poses_of(q_ref))
+        loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
+        if noise.position or noise.encoder_step:
+            loop = replace(loop, velocity_estimate="backward_difference")
+    return loop.with_integral(2 * np.pi * noise.integral_hz) if noise.integral_hz else loop
+
+
+def write_signals(
+    path: Path, signals: Signals, *, source: str, noise: Noise | None = None, notes: Mapping[str, str] | None = None
+) -> None:
     """Write simulated signals as a recording.
 
     Parameters
@@ -166,8 +155,12 @@ def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[s
     path : of the recording; it is written whole or not at all.
     signals : with the robot's description.
     source : where they come from, as `info` shows it.
+    noise : imperfections that they were simulated with, which the metadata then name.
     notes : more keys of the recording's metadata.
     """
+    provenance, cell = "simulated joint torque", {}
+    if noise is not None:
+        provenance, cell = f"{provenance}, {noise.effort_text}", {"cell": noise.text}
     samples = np.empty(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
     samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
     samples["position"], samples["effort"] = signals.q, signals.effort
@@ -181,8 +174,8 @@ def write_signals(path: Path, signals: Signals, *, source: str, notes: Mapping[s
                 robot=signals.robot,
                 source=source,
                 sample_rate_hz=signals.sample_rate_hz,
-                effort_provenance="simulated joint torque",
-                notes={"simulated": "true", **(notes or {})},
+                effort_provenance=provenance,
+                notes={"simulated": "true", **cell, **(notes or {})},
             ),
         ) as writer,
     ):
