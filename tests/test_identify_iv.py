@@ -23,7 +23,7 @@ from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.simulation.control_law import recorded_loop
-from identification.study.study import Run, summaries
+from identification.study import Run, summaries
 from identification.study.synthetic import Noise, closed_loop, random_reference, truth
 from identification.trust.physical import not_positive
 
@@ -349,7 +349,7 @@ def test_study_reports_both_methods(capsys, tmp_path):
     assert (tmp_path / "s.rrd").stat().st_size > 1000
     told = capsys.readouterr().out
     assert "SCARA: 4 runs" in told
-    assert "noise: encoder step 2e-05, position 0 (rad or m), effort 2 % of its rms" in told
+    assert "cell: encoder_step 2e-05, effort_percent 2" in told
     study = json.loads(out.read_text())
     assert [r["number"] for r in study["runs"]] == [0, 1, 2, 3]
     assert {s["method"] for s in study["summaries"]} == {"wls", "iv"}

@@ -12,7 +12,7 @@ from identification.report import fit_document
 from identification.report.document import Document, Section, Table, columns
 from identification.report.renderers import print_whole
 from identification.report.study_report import study_notes
-from identification.study.study import FALSE_ERROR, Study
+from identification.study import FALSE_ERROR, Study
 from identification.study.synthetic import Noise
 
 SESSION = REPLAY / "scara" / "session.mcap"
@@ -97,9 +97,9 @@ def test_a_study_says_what_was_varied_and_what_is_false():
     settings, meaning = study_notes(study)
     for part in (
         "7 runs of 4 s at 1000 Hz",
-        "encoder step 2e-05",
+        "encoder_step 2e-05",
         "position 1e-06",
-        "effort 2 %",
+        "effort_percent 2",
         "5, none x bandwidth",
     ):
         assert part in settings

@@ -155,6 +155,14 @@ def factors(text: str) -> tuple[float, ...]:
     return tuple(above_zero(part) for part in text.split(","))
 
 
+def controllers(text: str) -> tuple[str, ...]:
+    """What a fit is told of the controller, separated by commas."""
+    names = tuple(text.split(","))
+    if not set(names) <= {"described", "designed", "none"}:
+        raise ValueError(text)
+    return names
+
+
 def share(text: str) -> float:
     """A percentage from 0 to below 100."""
     value = float(text)

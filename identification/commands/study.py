@@ -6,7 +6,7 @@ from pathlib import Path
 from acquisition.commands import Commands, from_options
 
 from ..errors import IdentificationError
-from .options import add_simulation_options, cutoffs, factors, positive, refuse_outputs, share
+from .options import add_simulation_options, controllers, cutoffs, factors, positive, refuse_outputs, share
 from .results import print_results
 
 
@@ -27,6 +27,17 @@ def add(commands: Commands) -> None:
     )
     varied.add_argument(
         "--gain-errors", type=factors, metavar="A,B", help="gains, times the true ones (default 0.7,1,1.3)"
+    )
+    varied.add_argument(
+        "--controllers",
+        type=controllers,
+        metavar="A,B",
+        help="described, designed (a PD for the bandwidth) or none (the fit is told of none) (default described)",
+    )
+    varied.add_argument(
+        "--vary",
+        choices=["listed", "everything"],
+        help="everything: each run draws imperfections of the cell and a controller as well (default listed)",
     )
     varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
     add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)

@@ -10,7 +10,7 @@ from msgspec import UNSET, UnsetType
 from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
-from ..study import FALSE_ERROR, Run, Study, study_json, summaries
+from ..study import FALSE_ERROR, FALSE_TRUST, INSIDE, Run, Study, Summary, false_trust, study_json, summaries
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
 
 
@@ -115,14 +115,14 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     study, runs : what was varied, and what came of it.
     true : (b,) the values simulated with, SI.
     """
+    rows = summaries(runs, true)
     percents = ("bias %", "spread %", "median error %", "worst error %")
     shares = ("sigma / spread", "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %")
-    table = Table(
+    estimates = Table(
         columns=columns("cut-off", "method", numbers=("runs", *percents, *shares)),
         rows=tuple(
             (
-                f"{s.cutoff:g} x bandwidth" if s.cutoff else "none",
-                s.method,
+                *_of(s),
                 Number(s.runs, "d"),
                 Number(s.bias_percent, ".3f"),
                 Number(s.spread_percent, ".3f"),
@@ -133,10 +133,49 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
                 Number(s.within_percent, ".1f"),
                 *("" if x is None else Number(x, ".1f") for x in (s.converged_percent, s.mean_passes, s.false_percent)),
             )
-            for s in summaries(runs, true)
+            for s in rows
         ),
     )
-    return Document(title=f"{robot}: {len(runs)} runs", sections=(Section(table=table, lines=study_notes(study)),))
+    counts = ("fits", "trust", "false trust", "clean", "false caution")
+    trust = Table(
+        columns=columns("cut-off", "method", numbers=("coverage %", "half-width /\n1.96 spread", *counts)),
+        rows=tuple(
+            (
+                *_of(s),
+                Number(s.coverage_percent, ".1f"),
+                Number(s.half_over_spread, ".2f"),
+                *(Number(x, "d") for x in (s.verdicts, s.trusted, s.false_trust, s.clean, s.false_caution)),
+            )
+            for s in rows
+        ),
+    )
+    return Document(
+        title=f"{robot}: {len(runs)} runs",
+        sections=(
+            Section(table=estimates, lines=study_notes(study)),
+            Section(title="intervals and verdicts", table=trust, lines=trust_notes(runs, true)),
+        ),
+    )
+
+
+def _of(summary: Summary) -> tuple[str, str]:
+    return f"{summary.cutoff:g} x bandwidth" if summary.cutoff else "none", summary.method
+
+
+def trust_notes(runs: Sequence[Run], true: Array) -> tuple[str, ...]:
+    """What the verdicts' columns count, and the runs that say `trust` and should not."""
+    found = {
+        method: [r.number for r in runs if (judged := getattr(r, kind)) is not None and false_trust(judged, true)]
+        for method, kind in (("wls", "ls"), ("iv", "iv"))
+    }
+    listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in found.items() if numbers)
+    return (
+        "coverage %: true values inside the printed 95 % intervals, all parameters; of runs of iv, those that converged",
+        f"false trust: verdict trust though an essential parameter is more than {FALSE_TRUST:g} half-widths off, or M not "
+        f"positive: {f'runs {listed}' if listed else 'no run'}",
+        "clean: the fit is told all but the noise, and every essential parameter is inside "
+        f"{INSIDE:g} half-widths; false caution: of these, a test says caution or worse (tests not made apart)",
+    )
 
 
 def study_notes(study: Study) -> tuple[str, str]:
@@ -146,11 +185,18 @@ def study_notes(study: Study) -> tuple[str, str]:
     def listed(values: Sequence[float]) -> str:
         return ", ".join(f"{x:g}" if x else "none" for x in values)
 
+    given = noise.text
+    cell = (
+        f"imperfections of all kinds, encoder step about {noise.encoder_step:g}"
+        if study.vary == "everything"
+        else given
+    )
+    told = "described, designed, none" if study.vary == "everything" else ", ".join(study.controllers)
     return (
-        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; noise: encoder step "
-        f"{noise.encoder_step:g}, position {noise.position:g} (rad or m), effort {noise.effort_percent:g} % of its rms; "
-        f"drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
-        f"{listed(study.gain_errors)} x true",
+        f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: {cell}; torque "
+        f"recorded as {'either' if study.vary == 'everything' else noise.recorded}; drawn by "
+        f"each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
+        f"{listed(study.gain_errors)} x true, controller {told}",
         "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
         f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is on the same recording",
     )

@@ -27,7 +27,8 @@ from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
-from identification.study.study import Study, one_run
+from identification.study.draws import Study
+from identification.study.study import one_run
 from identification.study.synthetic import known_parameters, truth
 
 pytestmark = pytest.mark.skipif(

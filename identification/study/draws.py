@@ -1,0 +1,132 @@
+"""What a run of a study draws: noise, start, cut-off, and what the fit is told of the controller."""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from acquisition.robot import Robot
+
+from ..arrays import Array
+from ..simulation import SURROGATE_DAMPING
+from .noise import Noise
+from .synthetic import PERIOD_S
+
+Controllers = Literal["described", "designed", "none"]
+CONTROLLERS: tuple[Controllers, ...] = ("described", "designed", "none")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What is varied. Each run draws one of each list, seeded by its number.
+
+    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
+    knows of the robot (`instruments.regular_start`); `gain_errors` factors on the controller's gains (on the bandwidth of a
+    surrogate) as the fit knows them. `controllers`: the robot has the described control law, or one `designed` for the
+    bandwidth; of the law `none` the fit is told nothing. `vary` says whether each run has the imperfections of `noise`, or
+    draws `everything`: imperfections of all kinds in some runs, none that a description leaves out in others, and any of the
+    controllers.
+    """
+
+    runs: int = 100
+    noise: Noise = field(default_factory=Noise)
+    cutoffs: tuple[float, ...] = (5.0, 10.0, 0.0)
+    starts: tuple[float, ...] = (0.05, 1.0, 20.0)
+    gain_errors: tuple[float, ...] = (0.7, 1.0, 1.3)
+    controllers: tuple[Controllers, ...] = ("described",)
+    vary: Literal["listed", "everything"] = "listed"
+    duration_s: float = 10.0
+    period_s: float = PERIOD_S
+    sample_rate_hz: float = 1000.0
+    low_speed_percent: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """What one run has; `seed` is that of its reference and noise."""
+
+    cutoff: float
+    start: float
+    gain_error: float
+    seed: int
+    controller: Controllers
+    noise: Noise
+
+    @property
+    def modelled(self) -> bool:
+        """Whether the fit is told all but the noise."""
+        return self.noise.modelled and (self.gain_error == 1.0 or self.controller == "none")
+
+
+def draw(study: Study, number: int, bandwidth_hz: float) -> Draw:
+    """What run `number` of a study has: the same number gives the same."""
+    rng = np.random.default_rng([study.seed, number])
+    cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
+    gain_error, seed = float(rng.choice(study.gain_errors)), int(rng.integers(2**31))
+    if study.vary == "everything":
+        noise, controller = _any_noise(study.noise, rng, bandwidth_hz), CONTROLLERS[rng.integers(len(CONTROLLERS))]
+    else:
+        noise, controller = study.noise, study.controllers[rng.integers(len(study.controllers))]
+    return Draw(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
+
+
+def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> Noise:
+    """Noise of any kind, its encoder step about that of `noise`; in half of the runs also what no description has."""
+
+    def some(low: float, high: float) -> float:
+        return float(rng.uniform(low, high)) if rng.random() < 0.5 else 0.0
+
+    step = noise.encoder_step * 10 ** rng.uniform(-1.0, 0.3)
+    sensors = Noise(
+        encoder_step=step,
+        position=some(0.0, 2.0) * step,
+        effort_percent=some(0.5, 5.0),
+        coloured_percent=some(0.5, 3.0),
+        disturbance_percent=some(0.5, 3.0),
+        recorded="tick" if rng.random() < 0.5 else "mean",
+    )
+    if rng.random() < 0.5:
+        return sensors
+    return replace(
+        sensors,
+        lag_samples=round(some(0.5, 5.5)),
+        stribeck_percent=some(10.0, 50.0),
+        asymmetry_percent=some(5.0, 30.0),
+        integral_hz=some(0.05, 0.3) * bandwidth_hz,
+    )
+
+
+def simulated_robot(robot: Robot, controller: Controllers, J: Array, rate_hz: float) -> Robot:
+    """The robot that is simulated; a `designed` law is a PD with velocity feed-forward for the inertias J (n,) of joints."""
+    if controller != "designed":
+        return robot
+    w, per_effort = 2 * np.pi * robot.controller.bandwidth_hz, np.diag(robot.R) ** 2 * np.abs(robot.gain)
+    law = msgspec.structs.replace(
+        robot.controller,
+        structure="pd_velocity_feedforward",
+        sample_rate_hz=rate_hz,
+        position_gain=tuple((J * w**2 / per_effort).tolist()),
+        velocity_gain=tuple((2 * SURROGATE_DAMPING * J * w / per_effort).tolist()),
+        integral_gain=None,
+        velocity_estimate="backward_difference",
+    )
+    return replace(robot, controller=law)
+
+
+def told_robot(robot: Robot, drawn: Draw) -> Robot:
+    """The robot with its controller as the fit is told it: gains off by a factor, or nothing but a bandwidth, off by it."""
+    c, factor = robot.controller, drawn.gain_error
+    if drawn.controller == "none":
+        keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
+        c = msgspec.structs.replace(c, **dict.fromkeys(keys))
+    if c.structure is None:
+        return replace(robot, controller=msgspec.structs.replace(c, bandwidth_hz=factor * c.bandwidth_hz))
+    scaled = {
+        name: tuple(factor * g for g in gains)
+        for name in ("position_gain", "velocity_gain")
+        if (gains := getattr(c, name)) is not None
+        and not (name == "position_gain" and c.structure.startswith("cascade"))
+    }
+    return replace(robot, controller=msgspec.structs.replace(c, **scaled))
