@@ -127,7 +127,7 @@ def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
     signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-4, effort_percent=2.0), seed=3)
     # The wrong filter: none. Then, worse, rows at the full rate, with all the noise of the acceleration in W.
-    for wrong, bias, right in ((RAW, 2.0, 0.2), (Overrides(cutoff_hz=0, decimation=1), 90.0, 5.0)):
+    for wrong, bias, right in ((RAW, 2.0, 0.3), (Overrides(cutoff_hz=0, decimation=1), 90.0, 5.0)):
         ls = identify_ls(signals, dataclasses.replace(wrong, low_speed_percent=0.0))
         iv = identify_iv(signals, wrong, Iteration())
         # In all that noise the instruments say nothing of the viscous friction any more, and the status says so.
