@@ -173,9 +173,14 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     file = written(signals)
     n, errors = signals.robot.n, signals.robot.n * (signals.q_ref is not None)
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * (4 * n + errors) + ["BarChart"] * 2 * n + ["2D"] * 4 + ["3D", "StateTimeline", "TextDocument"]
+        ["TimeSeries"] * (4 * n + errors)
+        + ["BarChart"] * 2 * n
+        + ["2D"] * 5
+        + ["3D", "StateTimeline"]
+        + ["TextDocument"] * 2
     )
     assert file.is_complete()
+    assert "## verdict: " in file.static["/verdict"]["TextDocument:text"][0]
 
 
 def numbers_of(file):
@@ -206,7 +211,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * 5 * n + ["BarChart"] * 2 * n + ["2D"] * 5 + ["3D", "StateTimeline", "TextDocument"]
+        ["TimeSeries"] * 5 * n + ["BarChart"] * 2 * n + ["2D"] * 6 + ["3D", "StateTimeline"] + ["TextDocument"] * 2
     )
     assert file.is_complete()
     simulated, name = fit.iv.simulated, signals.robot.joints[0].name
@@ -480,7 +485,7 @@ def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
     rows = Rows(t_s=signals.t_s[:200], tau=nothing, tau_predicted=nothing, speed=nothing)
     views = written(signals, replace(fit, rows=rows)).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
-    assert len(views) == 8 + 4 + 3
+    assert len(views) == 8 + 5 + 4
 
 
 def test_the_report_tells_result_settings_and_parameters(written):

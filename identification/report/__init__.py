@@ -13,7 +13,7 @@ from .comparison import (
 )
 from .document import Cell, Document, Number, Section, Table, columns, write_json
 from .fit_files import fit_file, fit_schema, validation_file
-from .fit_report import fit_document
+from .fit_report import fit_document, trust_document
 from .recording_report import recording_document, validation_document
 from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report
 from .stored_fit import StoredFit, doubts, frame_lines, read_fit
@@ -51,6 +51,7 @@ __all__ = [
     "to_html",
     "to_markdown",
     "true_parameters",
+    "trust_document",
     "truth_document",
     "validation_document",
     "validation_file",

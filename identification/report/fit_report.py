@@ -48,10 +48,15 @@ def _verdict_section(fit: Fit) -> Section:
     )
 
 
+def trust_document(fit: Fit) -> Document:
+    """The verdict on a fit and the tests that it rests on."""
+    return Document(title=f"{fit.method.upper()}, {fit.status}", sections=(_trust_section(fit),))
+
+
 def _trust_section(fit: Fit) -> Section:
     """Every test of the fit, worst first."""
     lines = tuple(f"{line.level}: {line.test}: {line.text}" for line in fit.trust.lines)
-    return Section(title=f"trust: {fit.trust.verdict}", lines=lines)
+    return Section(title=f"verdict: {fit.trust.verdict}", lines=lines)
 
 
 def _essential_line(fit: Fit) -> str:

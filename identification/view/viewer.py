@@ -31,6 +31,7 @@ from ..report import (
     recording_document,
     to_markdown,
     true_parameters,
+    trust_document,
 )
 from ..study import Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
@@ -178,13 +179,16 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> 
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     curves = position_plots(signals, fit, seen), torque_plots(signals, fit, seen)
     deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
+    judged = show(Note(path=("verdict",), title="verdict", text=to_markdown(trust_document(fit))))
     tests = trust_drawing(fit.trust)
+    views = [show(tests), judged] if tests else [judged]
+    trust = rrb.Horizontal(*views, name="trust")
     bars = [b for j in range(n) for b in residual_bars(signals, fit, seen, j)]
     columns = min(len(bars) // 2, 3 if n <= 6 else 4)
     residual = [rrb.Grid(*map(show, bars[k::2]), grid_columns=columns) for k in (0, 1) if bars]
     return [
         _answer(show, signals, fit, *curves, side),
-        *([rrb.Vertical(show(tests), name="trust")] if tests else []),
+        trust,
         rrb.Horizontal(*deviations, column_shares=[3, 1][: len(deviations)], name="parameters"),
         *([rrb.Vertical(*residual, name="residual")] if residual else []),
         *_signal_pages(show, signals, fit.settings, fitted=True),
