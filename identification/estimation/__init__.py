@@ -1,6 +1,12 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals, intervals_of_scores
+from .consistency import (
+    Consistent,
+    PhysicalParameters,
+    consistent_parameters,
+    pseudo_inertia,
+)
 from .diagnostics import (
     MOVING,
     InstrumentTests,
@@ -27,15 +33,18 @@ from .system import System
 
 __all__ = [
     "MOVING",
+    "Consistent",
     "Estimate",
     "InstrumentTests",
     "Intervals",
+    "PhysicalParameters",
     "Reduction",
     "System",
     "TimeBlocks",
     "TorqueError",
     "are_moving",
     "autocorrelation",
+    "consistent_parameters",
     "cosines",
     "deviations",
     "essential_parameters",
@@ -48,6 +57,7 @@ __all__ = [
     "lag_one",
     "one_thread",
     "ordinary_least_squares",
+    "pseudo_inertia",
     "relative_error_percent",
     "torque_errors",
     "weighted_least_squares",

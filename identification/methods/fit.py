@@ -11,7 +11,7 @@ from ..regression import Motion, Problem, Settings
 from ..trust import Trust
 
 Method = Literal["ols", "wls", "iv"]
-InstrumentKind = Literal["simulated", "stepped back", "reference"]
+InstrumentKind = Literal["simulated", "consistent", "reference"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
 
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
@@ -22,8 +22,8 @@ class Pass:
     """One pass of the instrumental variable method.
 
     Attributes:
-        instruments: `simulated`; where the robot could not be simulated with the estimate, for the `reason` given,
-            `stepped back` towards the one before, or along the `reference`.
+        instruments: `simulated`; where the robot could not be simulated with the parameters asked for, for the `reason` given,
+            simulated with the nearest physically `consistent` ones, or along the `reference`.
         residual_norm: |Y - W beta| after the pass, weighted.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
             among those larger than two deviations; the parameter of the former.

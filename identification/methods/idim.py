@@ -33,7 +33,8 @@ from ..regression import (
     regression_of_recording,
     torque_of_recording,
 )
-from .assess import assess_ls, predicted_rows, robust_sigma
+from ..trust import covariance_of_all
+from .assess import assess_ls, intervals_of, predicted_rows, robust_sigma
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, make_experiment
 from .fit import Fit, LeastSquares
 from .instruments import Instruments, simulate_instruments
@@ -45,7 +46,6 @@ from .iteration import (
     is_coarse,
     next_values,
     rows_of_pass,
-    simulated_last,
     start_values,
 )
 from .verdict import assess_iv, assess_pass
@@ -131,15 +131,17 @@ def identify_iv(
     def solve(z: Instruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         return instrumental_variables(system.with_rows(used).with_columns(kept), z.Z[:, kept], ls.full.weights)
 
+    def spread(estimate: Estimate, used: Array) -> Array:  # C = D R D
+        found = intervals_of(observed, estimate, predicted_rows(problem, observed, estimate), used)
+        return covariance_of_all(system.names, estimate, found, ls.full)
+
     trials: list[Trial] = []
-    before = beta = start_values(problem, iteration, ls)
+    beta, covariance = start_values(problem, iteration, ls), spread(ls.full, system.used)
     failure: str | None = None
     while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
         coarse = is_coarse(e, iteration, trials)
-        z = simulate_instruments(
-            early if coarse else e, beta, simulated_last(trials)
-        )  # Z = IDM(q_sim, dq_sim, ddq_sim)
+        z = simulate_instruments(early if coarse else e, beta, covariance)  # Z = IDM(q_sim, dq_sim, ddq_sim)
         used = rows_of_pass(problem, observed, z, trials)
         try:
             estimate = solve(z, used)
@@ -147,9 +149,10 @@ def identify_iv(
             failure = f"pass {len(trials) + 1}, {100 * used.mean():.0f} % of the rows fast enough: {error}"
             failure += f"; {z.reason}" if z.reason else ""
             break
-        evidence = assess_pass(estimate, z, before, system.with_rows(used), iteration.tolerance_percent)
-        trials.append(Trial(z=z, estimate=estimate, used=used, evidence=evidence, coarse=coarse))
-        before, beta = estimate.among(system.names), next_values(trials, system.names)
+        covariance = spread(estimate, used)
+        evidence = assess_pass(estimate, z, system.with_rows(used), iteration.tolerance_percent)
+        trials.append(Trial(z=z, estimate=estimate, covariance=covariance, used=used, evidence=evidence, coarse=coarse))
+        beta = next_values(trials, system.names)
     return assess_iv(problem, observed, ls, e, conclude(e, iteration, trials, failure, solve))
 
 

@@ -1,23 +1,25 @@
 """Instruments: the robot simulated with an estimate in the recorded experiment, and the regressor along its motion."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
+from ..errors import IdentificationError
 from ..estimation import relative_error_percent
 from ..model import direct_model
 from ..regression import Motion, decimated_regressor
 from ..simulation import simulate, surrogate_loop
-from ..trust import inertias, not_positive
+from ..trust import inertias, nearest_consistent, not_positive
 from .experiment import LOST, Experiment
 from .fit import InstrumentKind
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulatedMotion:
-    """The robot simulated with an estimate: its motion at the instruments' instants, or None and the `reason`.
+    """The robot simulated with parameters: its motion at the instruments' instants, or None where it could not be simulated.
 
+    `reason` says why not; where there is a motion all the same, it is that of the nearest physically consistent parameters.
     `tracking_percent` is |q_sim - q| in percent of |q - mean|, all joints together; `gains` the factors on the controller.
     """
 
@@ -31,7 +33,7 @@ class SimulatedMotion:
 class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
-    `beta` (b,) are the parameters simulated. `kind` says whether they are those asked for, or why not, for the `reason`
+    `beta` (b,) are the parameters asked for. `kind` says whether they are those simulated, or why not, for the `reason`
     given. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
@@ -44,36 +46,39 @@ class Instruments:
     tracking_percent: float | None
 
 
-def simulate_instruments(e: Experiment, beta: Array, last: Array | None) -> Instruments:
-    """Instruments along the closed loop simulated with `beta` (b,).
+def simulate_instruments(e: Experiment, beta: Array, covariance: Array) -> Instruments:
+    """Instruments along the closed loop simulated with `beta` (b,), of the given covariance (b, b).
 
-    Where the robot cannot be simulated with it, or leaves its reference, this pass steps back: half, a quarter, an eighth
-    of the way from `last`, the parameters simulated last, to `beta`. Where that does not help either, instruments are taken
-    along the reference itself. `reason` says why in both cases.
+    Where the robot cannot be simulated with it, or leaves its reference, the nearest physically consistent parameters are
+    simulated. Where that does not help either, instruments are taken along the reference itself. `reason` says why.
     """
-    s, simulated = simulated_motion(e, beta), beta
-    reason = s.reason
-    for share in (0.5, 0.25, 0.125) if reason is not None else ():
-        if last is None:
-            break
-        simulated = last + share * (beta - last)
-        s = simulated_motion(e, simulated)
-        if s.motion is not None:
-            break
+    s = simulated_robot(e, beta, covariance)
     motion = s.motion
     if motion is None:
         q, dq, ddq = (_on_grid(e, x, 1) for x in (e.reference.q, e.reference.dq, e.reference.ddq))
         motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
     Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation)  # (n, b, rows)
     return Instruments(
-        beta=beta if s.motion is None else simulated,
+        beta=beta,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
         slip=e.decimation.kept(motion.dq) @ e.problem.model.coulomb_directions.T,
-        kind="reference" if s.motion is None else "simulated" if reason is None else "stepped back",
-        reason=reason,
+        kind="reference" if s.motion is None else "simulated" if s.reason is None else "consistent",
+        reason=s.reason,
         gains=s.gains,
         tracking_percent=s.tracking_percent,
     )
+
+
+def simulated_robot(e: Experiment, beta: Array, covariance: Array) -> SimulatedMotion:
+    """The closed loop simulated with `beta` (b,), or else with the nearest consistent parameters; `reason` is that of beta."""
+    free = simulated_motion(e, beta)
+    if free.reason is None:
+        return free
+    try:
+        nearest = simulated_motion(e, nearest_consistent(e.problem, beta, covariance).beta)
+    except IdentificationError:
+        return free
+    return free if nearest.motion is None else replace(nearest, reason=free.reason)
 
 
 def simulated_motion(e: Experiment, beta: Array) -> SimulatedMotion:

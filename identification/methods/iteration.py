@@ -21,7 +21,7 @@ from ..regression import (
 )
 from .experiment import Experiment
 from .fit import LeastSquares, Pass
-from .instruments import Instruments, SimulatedMotion, joint_tracking_percent, simulated_motion
+from .instruments import Instruments, SimulatedMotion, joint_tracking_percent, simulated_motion, simulated_robot
 
 ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
 RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
@@ -45,10 +45,14 @@ class Iteration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it was simulated coarsely."""
+    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it was simulated coarsely.
+
+    `covariance` (b, b) is that of all base parameters, with honest deviations.
+    """
 
     z: Instruments
     estimate: Estimate
+    covariance: Array
     used: Array
     evidence: Pass
     coarse: bool
@@ -67,7 +71,7 @@ class IterationResult:
         estimate: that of the pass number `returned`, counted from 1.
         used: (r,) rows it rests on.
         z: the instruments that gave it.
-        final: the robot simulated with it.
+        final: the robot simulated with it, or with the nearest consistent parameters.
         passes: all of them.
         start: what the iteration started from.
         failure: why it could not go on, None where it could.
@@ -91,14 +95,9 @@ def start_values(problem: Problem, iteration: Iteration, ls: LeastSquares) -> Ar
 
 
 def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
-    """Base parameters (b,) to simulate next: the estimate, later its mean with those simulated last."""
+    """Base parameters (b,) to simulate next: the estimate, later its mean with those asked for last."""
     beta = trials[-1].estimate.among(names)
     return 0.5 * (beta + trials[-1].z.beta) if len(trials) >= RELAXED_AFTER else beta
-
-
-def simulated_last(trials: Sequence[Trial]) -> Array | None:
-    """Base parameters (b,) that the robot could last be simulated with."""
-    return next((t.z.beta for t in reversed(trials) if t.z.kind != "reference"), None)
 
 
 def is_coarse(e: Experiment, iteration: Iteration, trials: Sequence[Trial]) -> bool:
@@ -138,7 +137,7 @@ def conclude(
     if not last.settled or failure is not None:
         found = _best_pass(e, solve, [trial.z for trial in trials], last.used)
     if found is None:
-        found = len(trials), last.estimate, simulated_motion(e, last.estimate.among(names))
+        found = len(trials), last.estimate, simulated_robot(e, last.estimate.among(names), last.covariance)
     returned, estimate, final = found
     return IterationResult(
         estimate=estimate,
@@ -157,7 +156,8 @@ def _best_pass(
 ) -> tuple[int, Estimate, SimulatedMotion] | None:
     """Where there is no fixed point, the pass whose simulated robot tracks best at its worst joint.
 
-    All passes are solved on the same rows `used` (r,). None where these rows determine no estimate that can be simulated.
+    All passes are solved on the same rows `used` (r,), and their robots simulated with the estimate itself, not with the
+    nearest consistent parameters. None where these rows determine no estimate that can be simulated.
     """
     found = []
     for number, z in enumerate(tried, 1):

@@ -62,21 +62,20 @@ def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Exper
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-def assess_pass(estimate: Estimate, z: Instruments, before: Array, system: System, tolerance_percent: float) -> Pass:
-    """A pass that led from the parameters simulated to `estimate`, and whether it settled.
+def assess_pass(estimate: Estimate, z: Instruments, system: System, tolerance_percent: float) -> Pass:
+    """A pass that led from the parameters asked for to `estimate`, and whether it settled.
 
     `system` has all parameters and the rows that this pass used.
 
-    Where the robot was simulated with other parameters than those asked for, the estimate is compared with the one `before`
-    (b,). Both must hold: the residual norm changed by less than the tolerance, and each parameter by less than the tolerance or
-    half its deviation, whichever is larger. Parameters near zero never settle in percent of themselves.
+    The estimate is compared with what was asked for, not with what was simulated in its place. Both must hold: the residual
+    norm changed by less than the tolerance, and each parameter by less than the tolerance or half its deviation, whichever is
+    larger. Parameters near zero never settle in percent of themselves.
     """
     tolerance = 0.01 * tolerance_percent
-    start = before if z.kind == "stepped back" else z.beta
-    old = np.array([start[system.names.index(name)] for name in estimate.names])
+    old = np.array([z.beta[system.names.index(name)] for name in estimate.names])
     change = np.abs(estimate.beta - old)
     w = estimate.weights[system.joint_of_row] * system.used
-    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ start)))
+    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.beta)))
     norm_change = abs(estimate.residual_norm - norm_before)
     with np.errstate(divide="ignore", invalid="ignore"):
         in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)

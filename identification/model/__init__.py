@@ -4,5 +4,15 @@ from .base import BaseParameters, base_parameters
 from .direct import DirectModel, direct_model
 from .inverse import InverseModel
 from .joint_terms import JointTerm
+from .physical import RESISTING, physical_parameters
 
-__all__ = ["BaseParameters", "DirectModel", "InverseModel", "JointTerm", "base_parameters", "direct_model"]
+__all__ = [
+    "RESISTING",
+    "BaseParameters",
+    "DirectModel",
+    "InverseModel",
+    "JointTerm",
+    "base_parameters",
+    "direct_model",
+    "physical_parameters",
+]

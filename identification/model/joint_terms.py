@@ -6,6 +6,7 @@ the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alo
 the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,7 +23,8 @@ class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
     rotor: matrix ddq; viscous: matrix dq; coulomb: r sign(r·dq) with r = `direction`; offset: `direction`. A `side` of
-    +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint.
+    +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is what a motor adds to the diagonal of
+    joints whose own parameter counts it, so that `matrix` lacks it.
     """
 
     name: str
@@ -30,6 +32,7 @@ class JointTerm:
     kind: str  # rotor, viscous, coulomb, offset; any other is a torque that the speed alone gives
     matrix: Array
     direction: Array
+    given_away: Array
     side: int = 0
 
     @property
@@ -72,27 +75,40 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     nothing, none = np.zeros((n, n)), np.zeros(n)
 
     def through_matrix(
-        name: str, unit: str, kind: Literal["rotor", "viscous"], matrix: Array, side: int = 0
+        name: str, unit: str, kind: Literal["rotor", "viscous"], whole: Array, taken: Sequence[int] = (), side: int = 0
     ) -> JointTerm:
-        return JointTerm(name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, direction=none, side=side)
+        matrix = whole.copy()
+        matrix[list(taken), list(taken)] = 0.0
+        given_away = np.diag(whole - matrix)
+        return JointTerm(
+            name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, direction=none, given_away=given_away, side=side
+        )
 
     def along(name: str, kind: Literal["coulomb", "offset"], direction: Array, side: int = 0) -> JointTerm:
-        return JointTerm(name=f"{name}{j + 1}", unit=effort, kind=kind, matrix=nothing, direction=direction, side=side)
+        return JointTerm(
+            name=f"{name}{j + 1}",
+            unit=effort,
+            kind=kind,
+            matrix=nothing,
+            direction=direction,
+            given_away=none,
+            side=side,
+        )
 
     terms: list[JointTerm] = []
     if joint.rotor_inertia:
         taken = [i for i in range(n) if i != j and alone[i] and robot.joints[i].rotor_inertia]
-        terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", _without_diagonal(np.outer(r, r), taken)))
+        terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", np.outer(r, r), taken))
     for side, mark in ((0, ""),) if joint.friction == "symmetric" else ((1, "p"), (-1, "n")):
         if joint.viscous:
-            terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side))
+            terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side))
         if joint.coulomb:
             terms.append(along(f"Fc{mark}", "coulomb", own, side))
     if joint.offset:
         terms.append(along("Off", "offset", own))
     if coupled and joint.viscous:
         taken = [i for i in range(n) if robot.joints[i].viscous and robot.joints[i].friction == "symmetric"]
-        terms.append(through_matrix("Fvm", viscous_unit, "viscous", _without_diagonal(np.outer(r, r), taken)))
+        terms.append(through_matrix("Fvm", viscous_unit, "viscous", np.outer(r, r), taken))
     if coupled and joint.coulomb:
         terms.append(along("Fcm", "coulomb", r))
     return terms
@@ -111,9 +127,3 @@ def _motor_rows(robot: Robot) -> Array:
     for m in np.flatnonzero(own == 0):
         own[m] = robot.R[m, np.argmax(np.abs(robot.R[m]))]
     return np.asarray(robot.R / own[:, None])
-
-
-def _without_diagonal(matrix: Array, joints: list[int]) -> Array:
-    matrix = matrix.copy()
-    matrix[joints, joints] = 0.0
-    return matrix

@@ -13,12 +13,11 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import Estimate, Intervals, intervals, intervals_of_scores, weighted_least_squares
-from ..model import DirectModel, InverseModel, JointTerm
+from ..model import RESISTING, DirectModel, InverseModel, JointTerm
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
 
 POSES = 300  # positions of the trajectory at which M must be positive
-RESISTING = ("rotor", "viscous", "coulomb")  # kinds of terms that no robot has below zero
 
 
 @dataclass(frozen=True, kw_only=True)

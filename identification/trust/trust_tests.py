@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from .columns import added_columns_test
+from .consistent import consistent_test
 from .evidence import Evidence
 from .lines import Trust, TrustLine, worst_first
 from .physical import physical_test
@@ -19,6 +20,7 @@ from .solution import (
 TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
     fixed_point_test,
     physical_test,
+    consistent_test,
     added_columns_test,
     held_out_test,
     halves_test,

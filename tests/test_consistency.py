@@ -1,0 +1,235 @@
+"""The nearest physically consistent parameters: against differences, against another optimiser, and what a robot asks."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import robot_named
+from scipy.optimize import minimize
+
+from acquisition.robot.robot import Robot, load_robot
+from identification.errors import IdentificationError
+from identification.estimation.consistency import (
+    CERTIFIED,
+    PhysicalParameters,
+    _inverse_root,
+    _Objective,
+    consistent_parameters,
+    pseudo_inertia,
+)
+from identification.model.base import base_parameters
+from identification.model.inverse import FROM_PINOCCHIO, InverseModel
+from identification.model.physical import physical_parameters
+from identification.study.synthetic import known_parameters
+
+rng = np.random.default_rng(8)
+
+
+def body(seed: int) -> np.ndarray:
+    """Ten parameters of a cloud of point masses."""
+    rng = np.random.default_rng(seed)
+    points, masses = rng.normal(size=(6, 3)) * 0.1 + 0.05, rng.uniform(0.2, 1.0, 6)
+    inertia = sum(m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(masses, points, strict=True))
+    upper = inertia[np.triu_indices(3)]
+    return np.concatenate([upper, masses @ points, [masses.sum()]])
+
+
+def one_link() -> tuple[np.ndarray, PhysicalParameters]:
+    """K (7, 12) and what is asked of a link with a rotor inertia of which a share is another's, and friction."""
+    start = np.concatenate([body(1), [0.5, 0.2]])
+    combinations = np.zeros((2, 12))
+    combinations[0, 10], combinations[0, 11], combinations[1, 11] = 1.0, -0.3, 1.0
+    physical = PhysicalParameters(
+        links=np.arange(10)[None], prior=pseudo_inertia(body(2))[None], combinations=combinations, start=start
+    )
+    return np.random.default_rng(3).normal(size=(7, 12)), physical
+
+
+def covariance(b: int, scale: float) -> np.ndarray:
+    A = np.random.default_rng(4).normal(size=(b, b))
+    return scale**2 * (A @ A.T + np.eye(b))
+
+
+def covariance_with(covariance: np.ndarray, sigma: np.ndarray) -> np.ndarray:
+    """The same correlations, other deviations."""
+    scale = sigma / np.sqrt(np.diag(covariance))
+    return covariance * np.outer(scale, scale)
+
+
+def tx40(*, described: bool = True) -> tuple[InverseModel, np.ndarray, np.ndarray, PhysicalParameters]:
+    """Model, K, base parameters of a physical arm, and what is asked of it; its description says its values, or nothing."""
+    robot = robot_named("tx40")
+    values = {**robot.parameters, "Fv6": 1.2}  # the table's own viscous friction of joint 6 is below zero
+    robot = dataclasses.replace(robot, parameters=values)
+    chi = known_parameters(InverseModel(robot))
+    idm = InverseModel(robot if described else dataclasses.replace(robot, parameters={}))
+    return idm, base_parameters(idm).K, chi, physical_parameters(idm)
+
+
+def lowest(physical: PhysicalParameters, chi: np.ndarray) -> float:
+    """The smallest of what must be positive."""
+    P = pseudo_inertia(chi[physical.links])
+    return min(np.linalg.eigvalsh(P).min(), (physical.combinations @ chi).min())
+
+
+def test_a_pseudo_inertia_is_that_of_its_points():
+    """P = sum of m [x; 1] [x; 1]'."""
+    rng = np.random.default_rng(1)
+    points, masses = rng.normal(size=(6, 3)) * 0.1 + 0.05, rng.uniform(0.2, 1.0, 6)
+    h = np.c_[points, np.ones(6)]
+    np.testing.assert_allclose(pseudo_inertia(body(1)), (h * masses[:, None]).T @ h, atol=1e-15)
+    inertia = pin.Inertia.Random()
+    P = pseudo_inertia(np.array(inertia.toDynamicParameters())[list(FROM_PINOCCHIO)])
+    np.testing.assert_allclose(P, pin.PseudoInertia.FromInertia(inertia).toMatrix(), atol=1e-12)
+
+
+def test_gradient_and_hessian_are_those_of_differences():
+    K, physical = one_link()
+    C = covariance(7, 0.1)
+    objective = _Objective(rng.normal(size=7), _inverse_root(np.ones(7), C), K, physical, 0.7, 0.02)
+    chi, h = physical.start, 1e-6
+    g, H = objective.derivatives(chi)
+    steps = h * np.eye(12)
+    by_values = [(objective.value(chi + d) - objective.value(chi - d)) / (2 * h) for d in steps]
+    by_gradients = [(objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h) for d in steps]
+    np.testing.assert_allclose(g, by_values, rtol=1e-6, atol=1e-6 * np.abs(g).max())
+    np.testing.assert_allclose(H, by_gradients, rtol=1e-5, atol=1e-8 * np.abs(H).max())
+    np.testing.assert_array_equal(H, H.T)
+
+
+def test_the_optimum_is_that_of_another_optimiser():
+    """An estimate without a positive rotor inertia, and weights that let the barrier be seen."""
+    K, physical = one_link()
+    C, wrong = covariance(7, 0.05), np.concatenate([body(5), [-0.4, 0.1]])
+    found = consistent_parameters(K @ wrong, C, K, physical, gamma=0.5, gamma_x=0.1)
+
+    def cost(z: np.ndarray) -> float:  # written a second time: P = L L', x = exp(z), and no constraint is left
+        L = np.zeros((4, 4))
+        L[np.tril_indices(4)] = z[:10]
+        P, (own, x) = L @ L.T, np.exp(z[10:])
+        tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
+        rho = K @ (np.concatenate([tensor[np.triu_indices(3)], P[:3, 3], P[3:, 3], [own + 0.3 * x, x]]) - wrong)
+        divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.log(np.linalg.det(P))
+        return float(0.5 * rho @ np.linalg.solve(C, rho) + 0.5 * divergence - 0.05 * (z[10] + z[11]))
+
+    root = np.linalg.cholesky(pseudo_inertia(physical.start[:10]))
+    best = minimize(
+        cost, np.concatenate([root[np.tril_indices(4)], [-1.0, -1.0]]), options={"gtol": 1e-7, "maxiter": 5000}
+    )
+    mine = np.linalg.cholesky(pseudo_inertia(found.chi[:10]))
+    at = np.concatenate([mine[np.tril_indices(4)], np.log(physical.combinations @ found.chi)])
+    assert cost(at) == pytest.approx(best.fun, abs=1e-6)
+    np.testing.assert_allclose(np.abs(at), np.abs(best.x), rtol=1e-3, atol=1e-3)
+    assert found.decrement <= CERTIFIED
+
+
+@pytest.mark.parametrize("described", [True, False])
+def test_an_impossible_arm_becomes_a_possible_one(described):
+    idm, K, chi, physical = tx40(described=described)
+    assert lowest(physical, physical.start) > 0
+    names = list(idm.names)
+    wrong = chi.copy()
+    wrong[[names.index(name) for name in ("ZZ6", "YY6", "Ia6", "Fc5")]] *= -1.0
+    beta = K @ wrong
+    sigma = 0.02 * np.abs(beta) + 0.002
+    C = covariance_with(covariance(len(beta), 1.0), sigma)
+    found = consistent_parameters(beta, C, K, physical)
+    assert lowest(physical, found.chi) > 0
+    np.testing.assert_allclose(K @ found.chi, found.beta)
+    rho = found.beta - beta
+    assert found.chi_squared == pytest.approx(rho @ np.linalg.solve(C, rho), rel=1e-6)
+    np.testing.assert_allclose(found.deviations, rho / sigma)
+    assert np.abs(found.deviations).max() > 3
+    assert found.decrement <= CERTIFIED
+    assert found.steps < 60
+
+
+def test_a_possible_arm_stays_where_it_is():
+    """The prior being its own, by the reach of the barrier of friction and rotors alone; else by that of the links too."""
+    for described, reach in ((True, 1e-3), (False, 1.5)):
+        _, K, chi, physical = tx40(described=described)
+        beta = K @ chi
+        found = consistent_parameters(beta, np.diag((0.01 * np.abs(beta) + 1e-3) ** 2), K, physical)
+        assert np.abs(found.deviations).max() < reach
+        sharp = consistent_parameters(beta, np.diag((1e-5 * np.abs(beta) + 1e-6) ** 2), K, physical)
+        assert np.abs(sharp.beta - beta).max() < 1e-4 * np.abs(beta).max()
+
+
+def test_what_is_asked_of_a_coupled_wrist():
+    """Ia5 - Ia6, Fv5 - Fvm6 and Fv6 - Fvm6; where the description denies the last, Fv6 alone."""
+    idm, _, _, physical = tx40()
+    names = list(idm.names)
+
+    def told(physical: PhysicalParameters) -> set[str]:
+        return {" ".join(f"{row[c]:+g} {names[c]}" for c in np.flatnonzero(row)) for row in physical.combinations}
+
+    plain = {f"+1 {x}{j}" for x in ("Ia", "Fv", "Fc") for j in range(1, 7)} | {"+1 Fvm6", "+1 Fcm6"}
+    coupled = {"+1 Ia5 -1 Ia6", "+1 Fv5 -1 Fvm6", "+1 Fv6 -1 Fvm6"}
+    assert told(physical) == plain - {"+1 Ia5", "+1 Fv5", "+1 Fv6"} | coupled
+    denied = physical_parameters(InverseModel(robot_named("tx40")))
+    assert told(denied) == plain - {"+1 Ia5", "+1 Fv5"} | coupled - {"+1 Fv6 -1 Fvm6"}
+    # Rotors of the motors' own inertias 1 to 6, motor 6 turning with joints 5 and 6.
+    own, R = np.arange(1.0, 7.0), np.eye(6)
+    R[5, 4] = 1.0
+    rotor = np.zeros((6, 6))
+    rows = [
+        i for i, row in enumerate(physical.combinations) if any(names[c].startswith("Ia") for c in np.flatnonzero(row))
+    ]
+    columns = [names.index(f"Ia{j}") for j in range(1, 7)]
+    for c, value in zip(columns, np.linalg.solve(physical.combinations[np.ix_(rows, columns)], own), strict=True):
+        rotor += value * idm.sources[c].matrix
+    np.testing.assert_allclose(rotor, R.T @ np.diag(own) @ R)
+
+
+URDF = """<robot name="arm"><link name="base"/>
+<link name="one"><inertial><origin xyz="0.1 0 0"/><mass value="2"/>
+<inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial></link>
+<link name="two"/>
+<joint name="a" type="revolute"><parent link="base"/><child link="one"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<joint name="b" type="revolute"><parent link="one"/><child link="two"/><origin xyz="0.4 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint></robot>"""
+
+
+def urdf_arm(tmp_path) -> Robot:
+    (tmp_path / "arm.urdf").write_text(URDF)
+    joints = "".join(
+        f'[[joint]]\nname = "{name}"\ntype = "revolute"\n[[motor]]\nname = "{name}"\neffort_unit = "N m"\n'
+        for name in "ab"
+    )
+    path = tmp_path / "robot.toml"
+    path.write_text(f'name = "arm"\nurdf = "arm.urdf"\n{joints}[controller]\nbandwidth_hz = 5.0\n')
+    return load_robot(path)
+
+
+def test_links_expected_are_those_of_a_urdf_or_plausible_ones(tmp_path):
+    physical = physical_parameters(InverseModel(urdf_arm(tmp_path)))
+    link = physical.start[physical.links]
+    np.testing.assert_allclose(link[0], [0.01, 0, 0, 0.04, 0, 0.04, 0.2, 0, 0, 2.0], atol=1e-12)
+    assert 0.1 < link[1, 9] < 10  # nothing is said of it
+    np.testing.assert_allclose(physical.prior, pseudo_inertia(link))
+    # A rod of the TX40's length from joint 2 to joint 3: its middle is half way.
+    idm, _, _, plain = tx40(described=False)
+    M = plain.start[plain.links][1]
+    np.testing.assert_allclose(M[6:9] / M[9], 0.5 * np.array(idm.model.jointPlacements[3].translation), atol=1e-12)
+    assert np.linalg.norm(M[6:9] / M[9]) == pytest.approx(0.5 * np.hypot(0.225, 0.035))
+
+
+def test_estimates_that_are_no_numbers_are_refused():
+    K, physical = one_link()
+    for beta, C in ((np.full(7, np.nan), np.eye(7)), (np.ones(7), -np.eye(7) + 2 * np.ones((7, 7)))):
+        with pytest.raises(IdentificationError, match="no consistent parameters found"):
+            consistent_parameters(beta, C, K, physical)
+
+
+def test_a_recording_of_few_rows_gives_values_that_can_be_simulated():
+    """Correlations of an estimate whose columns are nearly dependent, as those of a real arm."""
+    _, K, chi, physical = tx40(described=False)
+    b = len(K)
+    Q = np.linalg.qr(np.random.default_rng(5).normal(size=(b, b)))[0]
+    C = covariance_with(Q @ np.diag(np.logspace(0, -8, b)) @ Q.T, 0.05 * np.abs(K @ chi) + 0.01)
+    beta = np.random.default_rng(6).multivariate_normal(K @ chi, C)
+    found = consistent_parameters(beta, C, K, physical)
+    assert lowest(physical, found.chi) > 0
+    assert found.decrement <= CERTIFIED
