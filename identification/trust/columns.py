@@ -19,8 +19,9 @@ from .lines import TrustLine
 
 BEYOND = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
-SLOW = 0.1  # of a joint's peak speed: Stribeck friction falls to Coulomb friction about there
-STRIBECK = "Stribeck friction"
+SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
+STRIBECK, ASYMMETRIC, OFFSET = "Stribeck friction", "asymmetric friction", "offset"
+ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
 TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
@@ -71,14 +72,35 @@ def added_columns_test(evidence: Evidence) -> TrustLine:
     if not lacks:
         return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")
     found = [lack for lack in lacks if lack.found]
-    # Several joints may lack the same: kinds are compared as a whole, or one that acts on all joints would come first.
-    first = max(found or lacks, key=lambda lack: (lack.together_percent, lack.taken_percent))
+    first = max(found or lacks, key=_rank)
     told = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
     told += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
     if not found:
-        return TrustLine(test=name, level="ok", value=first.t, text=f"none of {len(lacks)} matters; the first, {told}")
+        return TrustLine(
+            test=name,
+            level="ok",
+            value=first.t,
+            text=f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}",
+        )
     more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
     return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}")
+
+
+def _untried(evidence: Evidence) -> str:
+    """Why relative gains were not tried, where they were not."""
+    robot = evidence.problem.signals.robot
+    if robot.n == 1:
+        return "; one joint has no relative gain"
+    return "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
+
+
+def _rank(lack: Lack) -> tuple[float, float]:
+    """What comes first. Several joints may lack the same: kinds count as a whole, or one that acts on all joints would lead.
+
+    Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both.
+    """
+    ahead = ALIKE_PERCENT if lack.kind == ASYMMETRIC else 0.0
+    return lack.together_percent + ahead, lack.taken_percent
 
 
 def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
@@ -149,15 +171,15 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
         if joint.friction == "symmetric" and (joint.viscous or joint.coulomb):
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
             yield _Column(
-                kind="asymmetric friction",
+                kind=ASYMMETRIC,
                 where=where,
                 torque=0.01 * np.outer(resisting, only),
                 unit="% of it",
-                advice='describe it as friction = "asymmetric"',
+                advice='describe it as friction = "asymmetric", which has an offset too',
             )
         if not joint.offset:
             advice = "describe it as offset = true"
-            yield _Column(kind="offset", where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
+            yield _Column(kind=OFFSET, where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
         yield _Column(
             kind="drift",
             where=where,
