@@ -1,0 +1,126 @@
+"""What a study draws and counts: verdicts against the truth, coverage of intervals, runs without unmodelled effects."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import robot_named
+
+from identification.study import FALSE_TRUST, INSIDE, Judged, Noise, Run, Study, false_trust, summaries
+from identification.study.draws import Draw, draw, simulated_robot, told_robot
+from identification.study.study import one_run
+
+TRUE = np.array([1.0, 2.0])
+NAN = np.full(2, np.nan)
+QUIET = Noise()
+
+
+def judged(off: tuple[float, float], verdict: str = "trust", **others: object) -> Judged:
+    """Of intervals with half-widths of 0.1, off the truth by so many of them."""
+    middle = TRUE + 0.1 * np.array(off)
+    known = {"doubts": (), "essential": np.array([True, False]), "positive": True}
+    return Judged(verdict=verdict, low=middle - 0.1, high=middle + 0.1, **{**known, **others})
+
+
+def run(one: Judged | None, noise: Noise = QUIET, gain_error: float = 1.0, **others: object) -> Run:
+    drawn = Draw(cutoff=5.0, start=1.0, gain_error=gain_error, seed=1, controller="described", noise=noise)
+    return Run(
+        number=0, cutoff=5.0, start=1.0, gain_error=gain_error, status="converged", positive=True, error_ls=0.1, error_iv=0.1,
+        error_tuned_ls=0.1, beta_ls=TRUE, beta_iv=TRUE, sigma_ls=NAN, sigma_iv=NAN, hac_ls=NAN, hac_iv=NAN,
+        drawn=drawn, ls=None, iv=one, **others,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("one", "wrong"),
+    [
+        (judged((FALSE_TRUST - 0.1, 9.0)), False),  # the second is not essential
+        (judged((FALSE_TRUST + 0.1, 0.0)), True),
+        (judged((-FALSE_TRUST - 0.1, 0.0)), True),
+        (judged((FALSE_TRUST + 0.1, 0.0), verdict="caution"), False),
+        (judged((FALSE_TRUST + 0.1, 0.0), verdict="do not use"), False),
+        (judged((0.0, 0.0), positive=False), True),
+        (judged((0.0, 0.0), positive=False, verdict="caution"), False),
+    ],
+)
+def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
+    assert false_trust(one, TRUE) == wrong
+    other = replace(run(judged((0.0, 0.0))), beta_iv=1.1 * TRUE)
+    iv = summaries([run(one), other], TRUE)[1]
+    assert (iv.verdicts, iv.false_trust) == (2, int(wrong))
+    assert iv.trusted == 1 + (one.verdict == "trust")
+
+
+def test_false_caution_is_that_of_clean_runs_alone():
+    doubted = judged((INSIDE - 0.1, 9.0), verdict="caution", doubts=("halves",))
+    capped = judged((0.0, 0.0), verdict="caution")  # a test that was not made: no doubt
+    for one, clean, false in (
+        (run(doubted), 1, 1),
+        (run(capped), 1, 0),
+        (run(judged((INSIDE + 0.1, 0.0), verdict="caution", doubts=("halves",))), 0, 0),
+        (run(doubted, gain_error=1.3), 0, 0),
+        (run(doubted, noise=Noise(encoder_step=1e-5, coloured_percent=2.0)), 1, 1),
+        *((run(doubted, noise=Noise(**{name: 1})), 0, 0) for name in
+          ("lag_samples", "stribeck_percent", "asymmetry_percent", "integral_hz")),
+    ):  # fmt: skip
+        iv = summaries([one], TRUE)[1]
+        assert (iv.clean, iv.false_caution) == (clean, false)
+
+
+def test_coverage_counts_all_parameters_of_the_printed_intervals():
+    runs = [run(judged((0.5, -0.9))), run(judged((1.1, 0.0))), run(judged((0.0, -2.0)))]
+    spread = [replace(one, beta_iv=TRUE + k * np.array([0.1, 0.2])) for k, one in zip((-1, 0, 1), runs, strict=True)]
+    iv = summaries(spread, TRUE)[1]
+    assert iv.coverage_percent == pytest.approx(100 * 4 / 6)
+    assert iv.half_over_spread == pytest.approx(np.median([0.1 / (1.96 * 0.1), 0.1 / (1.96 * 0.2)]))
+
+
+def test_a_run_draws_the_same_each_time_and_everything_where_it_is_asked_to():
+    study = Study(noise=Noise(encoder_step=1e-5), vary="everything")
+    drawn = [draw(study, k, 5.0) for k in range(200)]
+    assert drawn == [draw(study, k, 5.0) for k in range(200)]
+    assert {one.controller for one in drawn} == {"described", "designed", "none"}
+    assert {one.noise.recorded for one in drawn} == {"mean", "tick"}
+    told = [one.noise.modelled for one in drawn]
+    assert 0.4 < np.mean(told) < 0.7
+    for name in ("position", "effort_percent", "coloured_percent", "disturbance_percent"):
+        assert 0.3 < np.mean([getattr(one.noise, name) > 0 for one in drawn]) < 0.7, name
+    for name in ("lag_samples", "stribeck_percent", "asymmetry_percent", "integral_hz"):
+        assert 0.1 < np.mean([getattr(one.noise, name) > 0 for one in drawn]) < 0.4, name
+    plain = draw(Study(noise=study.noise), 3, 5.0)
+    assert (plain.noise, plain.controller) == (study.noise, "described")
+    assert (plain.cutoff, plain.start, plain.seed) == (drawn[3].cutoff, drawn[3].start, drawn[3].seed)
+
+
+def test_what_the_fit_is_told_of_the_controller():
+    robot = robot_named("emps")
+    drawn = Draw(cutoff=5.0, start=1.0, gain_error=0.5, seed=1, controller="described", noise=Noise())
+    assert told_robot(robot, drawn).controller.velocity_gain == (0.5 * 243.45,)
+    assert told_robot(robot, drawn).controller.position_gain == (160.18,)  # a rate, of a cascade
+    nothing = told_robot(robot, replace(drawn, controller="none")).controller
+    assert (nothing.structure, nothing.bandwidth_hz) == (None, 10.0)
+    designed = simulated_robot(robot, "designed", np.array([95.0]), 1000.0).controller
+    w = 2 * np.pi * 20.0
+    assert designed.position_gain == pytest.approx([95.0 * w**2 / 35.15065188])
+    assert designed.velocity_gain == pytest.approx([1.6 * 95.0 * w / 35.15065188])
+    assert simulated_robot(robot, "described", np.array([95.0]), 1000.0) is robot
+
+
+def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
+    study = Study(cutoffs=(5.0,), gain_errors=(1.0,), noise=Noise(effort_percent=1.0), duration_s=4.0)
+    found = one_run(robot_named("scara"), study, 1)
+    assert found.drawn.modelled
+    for one, beta in ((found.ls, found.beta_ls), (found.iv, found.beta_iv)):
+        np.testing.assert_allclose(0.5 * (one.low + one.high), beta)
+        assert (one.high > one.low).all()
+        assert one.positive
+        assert one.essential.any()
+        assert one.verdict in ("trust", "caution", "do not use")
+        assert (one.verdict == "trust") <= (one.doubts == ())
+
+
+def test_a_designed_law_is_simulated_and_told():
+    study = Study(cutoffs=(5.0,), gain_errors=(1.0,), controllers=("designed",), duration_s=4.0)
+    found = one_run(robot_named("tx40"), study, 0)
+    assert found.drawn.controller == "designed"
+    assert found.error_ls < 0.05
