@@ -7,6 +7,7 @@ import pytest
 from conftest import robot_named
 
 from identification.study import FALSE_TRUST, INSIDE, Judged, Noise, Run, Study, false_trust, summaries
+from identification.study import study as study_module
 from identification.study.draws import Draw, draw, simulated_robot, told_robot
 from identification.study.study import one_run
 
@@ -124,3 +125,19 @@ def test_a_designed_law_is_simulated_and_told():
     found = one_run(robot_named("tx40"), study, 0)
     assert found.drawn.controller == "designed"
     assert found.error_ls < 0.05
+
+
+def test_the_fits_are_told_the_wrong_gains(monkeypatch):
+    told = []
+
+    def spy(kind):
+        def fitted(signals, *rest, **options):
+            told.append(signals.robot.controller.velocity_gain)
+            return kind(signals, *rest, **options)
+
+        return fitted
+
+    for name in ("identify_ls", "identify_iv"):
+        monkeypatch.setattr(study_module, name, spy(getattr(study_module, name)))
+    one_run(robot_named("scara"), Study(cutoffs=(5.0,), gain_errors=(2.0,), duration_s=2.0), 0)
+    assert told == [(380.0, 6.2), (380.0, 6.2)]
