@@ -1,9 +1,8 @@
 """When to believe a fit: tests of an estimate against everything that the recording tells, and one verdict."""
 
-from .consistent import covariance_of_all, nearest_consistent
 from .evidence import Evidence
 from .lines import LEVELS, Figure, Level, Trust, TrustLine, Verdict
-from .physical import inertias, not_positive, poses_of
+from .physical import covariance_of_all, inertias, nearest_consistent, not_positive, poses_of
 from .trust_tests import trust_in
 
 __all__ = [

@@ -4,6 +4,7 @@ No method sees to that by itself: an effort or a position of the wrong sign fits
 inertias and friction below zero. What is below zero beyond its 95 % interval is no chance. For M that is judged along single
 directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance, C = D R D with the formula's correlations R and
 the intervals' deviations D. Tried at each pose are each joint alone, and the eigenvector of the lowest eigenvalue.
+A stricter test: how far the nearest parameters are whose links have positive density.
 """
 
 from dataclasses import dataclass
@@ -12,12 +13,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, intervals, intervals_of_scores, weighted_least_squares
-from ..model import RESISTING, DirectModel, InverseModel, JointTerm
+from ..errors import IdentificationError
+from ..estimation import (
+    Consistent,
+    Estimate,
+    Intervals,
+    consistent_parameters,
+    intervals,
+    intervals_of_scores,
+    weighted_least_squares,
+)
+from ..model import RESISTING, DirectModel, InverseModel, JointTerm, physical_parameters
+from ..regression import Problem
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
 
 POSES = 300  # positions of the trajectory at which M must be positive
+FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,3 +151,45 @@ def _inertia_findings(
     return [
         _Finding(level="caution", text=f"{told}, within its interval: a consistent set is needed to simulate it")
     ], least
+
+
+def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
+    """C = D R D (b, b) of all base parameters: the formula's correlations with the intervals' deviations.
+
+    Parameters that the estimate has not count as zero with the deviations of `full`, the least squares of all of them.
+    """
+    covariance = np.diag(np.diag(full.covariance))
+    among = np.array([names.index(name) for name in estimate.names])
+    covariance[np.ix_(among, among)] = intervals.covariance
+    return covariance
+
+
+def nearest_consistent(problem: Problem, beta: Array, covariance: Array) -> Consistent:
+    """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
+
+    Raises `IdentificationError` where there are none to be found.
+    """
+    return consistent_parameters(beta, covariance, problem.base.K, physical_parameters(problem.model))
+
+
+def consistent_test(evidence: Evidence) -> TrustLine:
+    """How far the nearest consistent parameters are: in chi-squared, and the largest move in deviations."""
+    from scipy.special import chdtri
+
+    problem, estimate = evidence.problem, evidence.estimate
+    if not problem.signals.robot.gain_known:
+        text = "links cannot be compared: the drive gains are not known: state drive_gain"
+        return TrustLine(test="consistent", level="not made", value=None, text=text)
+    names = problem.base.names
+    covariance = covariance_of_all(names, estimate, evidence.intervals, evidence.least_squares)
+    try:
+        nearest = nearest_consistent(problem, estimate.among(names), covariance)
+    except IdentificationError as error:
+        return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
+    most, bound = int(np.abs(nearest.deviations).argmax()), float(chdtri(len(names), FAR_LEVEL))
+    text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
+    text += f"{names[most]} moved by {abs(nearest.deviations[most]):.2g} deviations"
+    if nearest.chi_squared > bound:
+        text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
+        return TrustLine(test="consistent", level="caution", value=nearest.chi_squared, text=text)
+    return TrustLine(test="consistent", level="ok", value=nearest.chi_squared, text=text)

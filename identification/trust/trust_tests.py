@@ -3,10 +3,9 @@
 from collections.abc import Callable
 
 from .columns import added_columns_test
-from .consistent import consistent_test
 from .evidence import Evidence
 from .lines import Trust, TrustLine, worst_first
-from .physical import physical_test
+from .physical import consistent_test, physical_test
 from .solution import (
     contrast_test,
     ends_test,
