@@ -32,9 +32,9 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
     assert "…" not in told
     for p in json.loads(out.read_text())["parameters"]:
         (row,) = [line for line in told.splitlines() if line.split()[:1] == [p["name"]] and " = " not in line]
-        value, sigma = (float(x) for x in row.split()[1:3])
+        value, half = (float(x) for x in row.split()[1:3])
         assert value == pytest.approx(p["value"], abs=0.01 * p["sigma"])
-        assert sigma == pytest.approx(p["sigma"], rel=0.01)
+        assert half == pytest.approx((p["high"] - p["low"]) / 2, rel=0.01)
     assert max(len(line) for line in told.splitlines()) < 90
 
 

@@ -38,7 +38,7 @@ def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastS
         fixed_point=True,
         estimate=ls.estimate,
         used=used,
-        intervals=intervals_of(observed, ls.estimate, ls.tau_predicted, used),
+        intervals=ls.intervals,
         least_squares=ls.full,
     )
     return _fit(evidence, ls, Verdict())
@@ -48,7 +48,7 @@ def assess_estimate(evidence: Evidence, ls: LeastSquares, predicted: Array, verd
     """A fit by instruments, with the torque (rows, n) it predicts; least squares of the same rows stands beside it."""
     observed, estimate = evidence.observed, evidence.estimate
     sigma_hac = robust_sigma(observed, estimate, predicted, evidence.used)
-    own = replace(ls, estimate=estimate, sigma_hac=sigma_hac, tau_predicted=predicted)
+    own = replace(ls, estimate=estimate, sigma_hac=sigma_hac, intervals=evidence.intervals, tau_predicted=predicted)
     return replace(_fit(evidence, own, verdict), least_squares=ls)
 
 
@@ -64,7 +64,7 @@ def _fit(evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
         status=verdict.status,
         estimate=solved.estimate,
         sigma_hac=solved.sigma_hac,
-        intervals=evidence.intervals,
+        intervals=solved.intervals,
         least_squares=solved,
         rows=Rows(t_s=signals.t_s[kept], tau=observed.tau, tau_predicted=solved.tau_predicted, speed=observed.speed),
         errors=torque_errors(observed.tau, solved.tau_predicted, observed.speed, names),

@@ -103,6 +103,7 @@ class LeastSquares:
     Attributes:
         estimate: `full`, or that of the essential parameters where only these were asked for.
         sigma_hac: (b,) its deviations that hold for correlated residuals; NaN where rows were reduced.
+        intervals: its 95 % intervals.
         full: of all base parameters.
         essential: the reduction to the essential parameters.
         tau_predicted: (rows, n) decimated torque that `estimate` predicts.
@@ -110,6 +111,7 @@ class LeastSquares:
 
     estimate: Estimate
     sigma_hac: Array
+    intervals: Intervals
     full: Estimate
     essential: Reduction
     tau_predicted: Array

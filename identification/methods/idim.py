@@ -172,6 +172,7 @@ def solve_least_squares(
     return LeastSquares(
         estimate=estimate,
         sigma_hac=robust_sigma(observed, estimate, predicted, observed.system.used),
+        intervals=intervals_of(observed, estimate, predicted, observed.system.used),
         full=full,
         essential=reduction,
         tau_predicted=predicted,

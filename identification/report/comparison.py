@@ -8,20 +8,25 @@ import msgspec
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate
+from ..estimation import Estimate, Intervals
 from ..methods import Fit
 from ..model import BaseParameters
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
 
+PER_INTERVAL = 1.96  # deviations in half a 95 % interval
+
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its deviations; `sigma` is 0 where it is known exactly, `sigma_hac` None where it is not known.
+    """A parameter with its 95 % interval and its deviations, by the formula and HAC.
 
-    `expression` says what it stands for, None in a file of an earlier version.
+    `sigma` is 0 where the value is known exactly, `sigma_hac` None where it is not known. `low`, `high` and `expression`, what
+    it stands for, are None in a file of an earlier version.
     """
 
     name: str
     value: float
+    low: float | None = None
+    high: float | None = None
     unit: str
     expression: str | None = None
     sigma: float = 0.0
@@ -29,9 +34,16 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     essential: bool = False
 
     @property
+    def half(self) -> float:
+        """Half the 95 % interval; without one, 1.96 deviations, the larger of the two."""
+        if self.low is None or self.high is None:
+            return PER_INTERVAL * max(self.sigma, self.sigma_hac or 0.0)
+        return 0.5 * (self.high - self.low)
+
+    @property
     def spread(self) -> float:
-        """The deviation to judge by: the larger of the two."""
-        return max(self.sigma, self.sigma_hac or 0.0)
+        """The deviation to judge by, of which 1.96 make half the interval."""
+        return self.half / PER_INTERVAL
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +58,8 @@ class ParameterSet:
 class Difference:
     """A parameter of two sets; None where one of them has no such parameter.
 
-    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference, taken as independent.
+    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference, taken as independent: beyond
+    1.96 the intervals say that the two differ.
     """
 
     name: str
@@ -60,15 +73,18 @@ class Difference:
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
     """The parameters that a fit estimated, labelled by its method: IV, LS or OLS."""
-    return _estimated({"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.sigma_hac)
+    return _estimated(
+        {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.sigma_hac, fit.intervals
+    )
 
 
 def least_squares_parameters(fit: Fit) -> ParameterSet:
     """The parameters that least squares of the same recording estimated, labelled LS."""
-    return _estimated("LS", fit, fit.least_squares.estimate, fit.least_squares.sigma_hac)
+    ls = fit.least_squares
+    return _estimated("LS", fit, ls.estimate, ls.sigma_hac, ls.intervals)
 
 
-def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array) -> ParameterSet:
+def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array, intervals: Intervals) -> ParameterSet:
     essential = set(fit.essential.estimate.names)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return ParameterSet(
@@ -77,13 +93,17 @@ def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array) -> Parameter
             name: Parameter(
                 name=name,
                 value=float(value),
+                low=float(low),
+                high=float(high),
                 unit=known[name][0],
                 expression=known[name][1],
                 sigma=float(sigma),
                 sigma_hac=float(hac) if math.isfinite(hac) else None,
                 essential=name in essential,
             )
-            for name, value, sigma, hac in zip(e.names, e.beta, e.sigma, sigma_hac, strict=True)
+            for name, value, low, high, sigma, hac in zip(
+                e.names, e.beta, intervals.low, intervals.high, e.sigma, sigma_hac, strict=True
+            )
         },
     )
 
@@ -194,14 +214,14 @@ def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, .
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
-    """Two sets of parameters side by side, as a section; sigma is the larger of a set's two deviations.
+    """Two sets of parameters side by side, as a section, each with half its 95 % interval.
 
     Raises
     ------
     IdentificationError : as `differences` does.
     """
     rows = differences(a, b)
-    numbers = (a.label, "sigma", b.label, "sigma", "off by", "%", "in sigma")
+    numbers = (a.label, "±95%", b.label, "±95%", "off by", "%", "in sigma")
     return Section(
         title=f"{a.label} and {b.label}",
         table=Table(columns=columns("name", "unit", numbers=numbers), rows=tuple(_cells(row) for row in rows)),
@@ -212,7 +232,7 @@ def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
 def _cells(row: Difference) -> Row:
     known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
     form = value_form(min(known, default=0.0))
-    values = [number for x in (row.a, row.b) for number in ((x.value, x.spread) if x else (None, None))]
+    values = [number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))]
     return (
         row.name,
         row.unit,

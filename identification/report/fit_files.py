@@ -80,6 +80,13 @@ class FittedParameter(Parameter, frozen=True, kw_only=True):
     sigma_percent: float | None
 
 
+class Covariance(msgspec.Struct, frozen=True, kw_only=True):
+    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
+
+    names: list[str]
+    values: list[list[float]]
+
+
 class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
     """A test of the fit."""
 
@@ -105,7 +112,7 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit; earlier ones have no verdict. The keys from `reason` on are those of instrumental variables."""
+    """The JSON file of a fit; earlier ones have no verdict and no covariance. The keys from `reason` on are those of instrumental variables."""
 
     method: Method
     status: Status
@@ -116,6 +123,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     parameters: list[FittedParameter]
     essential: EssentialSet
     description: dict[str, str]
+    covariance: Covariance | UnsetType = UNSET
     verdict: Verdict | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
@@ -168,6 +176,7 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
             FittedParameter(**msgspec.structs.asdict(parameter), sigma_percent=_number(percent))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
+        covariance=Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
         essential=EssentialSet(
             names=list(reduction.estimate.names),
             F=_number(reduction.F),

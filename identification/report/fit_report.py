@@ -75,26 +75,34 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
     e, essential = fit.estimate, set(fit.essential.estimate.names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
     rows: list[Row] = []
-    for name, value, sigma, percent, hac in zip(e.names, e.beta, e.sigma, e.sigma_percent, fit.sigma_hac, strict=True):
+    for k, name in enumerate(e.names):
         if everything or name in essential:
-            form = value_form(float(sigma))
-            numbers = (
-                Number(float(value), form),
-                Number(float(sigma), form),
-                Number(float(percent), ".2f", most=1000),
-                Number(float(hac), form),
+            value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
+            form = value_form(sigma)
+            percent = 100 * half / abs(value) if value else math.inf
+            row = (name, Number(value, form), Number(half, form), Number(percent, ".2f", most=1000), units[name])
+            deviations = (
+                Number(sigma, form),
+                Number(float(fit.sigma_hac[k]), form),
+                "yes" if name in essential else "",
             )
-            rows.append((name, *numbers, units[name], *(["yes" if name in essential else ""] if everything else [])))
+            rows.append((*row, *deviations) if everything else row)
     left_out = len(e.names) - len(rows)
     return Section(
         title="parameters" if everything else "essential parameters",
         table=Table(
-            columns=columns("parameter", numbers=("value", "sigma", "%sigma", "sigma HAC"))
-            + columns("unit", *(["essential"] if everything else [])),
+            columns=columns("parameter", numbers=("value", "±95%", "in %"))
+            + columns("unit", numbers=("sigma", "sigma HAC") if everything else ())
+            + columns(*(["essential"] if everything else [])),
             rows=tuple(rows),
         ),
         lines=(
-            "sigma takes the residual for white noise; sigma HAC (Newey, West) allows for a correlated one",
+            f"±95%: half the 95 % interval, by equal-weighted cosines, Student's t of {fit.intervals.freedom} degrees",
+            *(
+                ["sigma takes the residual for white noise; sigma HAC (Newey, West) allows for a correlated one"]
+                if everything
+                else []
+            ),
             *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
         ),
     )

@@ -76,7 +76,7 @@ def base_document(base: BaseParameters, robot: str, true: Array | None = None) -
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     """Estimates beside the values that a recording was simulated with.
 
-    They are off by a number of deviations: the larger of HAC and formula.
+    Each has half its 95 % interval, and by how many of these halves it is off.
 
     Parameters
     ----------
@@ -84,21 +84,23 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     fits : of one recording.
     true : (b,) the values, SI.
     """
-    sigmas = [np.fmax(fit.sigma_hac, fit.estimate.sigma) for fit in fits]
+    halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
     for i, name in enumerate(fits[0].base.names):
-        form = value_form(float(min(sigma[i] for sigma in sigmas)))
+        form = value_form(float(min(half[i] for half in halves)) / 2)
         cells: list[Number] = []
-        for fit, sigma in zip(fits, sigmas, strict=True):
-            off = float((fit.beta[i] - true[i]) / sigma[i]) if sigma[i] > 0 else None
-            cells += [Number(float(fit.beta[i]), form), Number(float(sigma[i]), form), Number(off, "+.1f")]
+        for fit, half in zip(fits, halves, strict=True):
+            off = float((fit.beta[i] - true[i]) / half[i]) if half[i] > 0 else None
+            cells += [Number(float(fit.beta[i]), form), Number(float(half[i]), form), Number(off, "+.2f")]
         rows.append((name, Number(float(true[i]), form), *cells))
     lines = []
-    for fit, sigma in zip(fits, sigmas, strict=True):
-        within = int((np.abs(fit.beta - true) / sigma < 3).sum())
+    for fit, half in zip(fits, halves, strict=True):
+        within = int((np.abs(fit.beta - true) <= half).sum())
         error = 100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true)
-        lines.append(f"{fit.method}: {within} of {len(true)} within 3 sigma; |beta - true| = {error:.2f} % of |true|")
-    headings = (heading for fit in fits for heading in (fit.method, "sigma", "off by,\nsigma"))
+        lines.append(
+            f"{fit.method}: {within} of {len(true)} in their 95 % interval; |beta - true| = {error:.2f} % of |true|"
+        )
+    headings = (heading for fit in fits for heading in (fit.method, "±95%", "off by,\n±95%"))
     table = Table(columns=columns("parameter", numbers=("true", *headings)), rows=tuple(rows))
     return Document(
         title=f"{robot}: {len(true)} estimated parameters and their true values",

@@ -1,4 +1,4 @@
-"""Charts that are not over time, drawn on a sheet: parameters with their deviations, passes of the iteration, studies."""
+"""Charts that are not over time, drawn on a sheet: parameters with their intervals, passes of the iteration, studies."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -27,7 +27,7 @@ TRUSTED = 3.0  # deviations that a difference should stay within
 
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
-    """Every parameter's value with two deviations, others beside it, in one or two columns."""
+    """Every parameter's value with its 95 % interval, others beside it, in one or two columns."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
@@ -43,12 +43,12 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
         y = 34 + pitch * row
         sheet.labels.append((width * c + 27, y - 9, name, _color(own, name)))
         _value(sheet, place, own, others, name, y, pitch)
-    title = f"{own.label} ± 2σ: orange essential, thin σ HAC{_marks(others)}"
+    title = f"{own.label} ± 95 %: orange essential{_marks(others)}"
     return sheet.drawing(("parameters",), title, (540.0, height + 30))
 
 
 def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
-    """Every parameter's value, its deviation in percent and, in deviations, the difference to the other sets."""
+    """Every parameter's value, half its 95 % interval in percent and, in deviations, the difference to the other sets."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
@@ -63,10 +63,10 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
         percent = Scale(
             left=left + parts[0] * width + 15, right=left + parts[1] * width - 15, low=0.01, high=100.0, by=log10
         )
-        sheet.labels.append((0.5 * (value.left + value.right), 2, "value ± 2σ, SI units", LIGHT))
+        sheet.labels.append((0.5 * (value.left + value.right), 2, "value ± 95 %, SI units", LIGHT))
         sheet.labels.append((0.5 * (value.left + value.right), 26, axis, GREY))
         _value_axis(sheet, value, ticks, 78, height)
-        sheet.labels.append((0.5 * (percent.left + percent.right), 2, "σ in % of the value", LIGHT))
+        sheet.labels.append((0.5 * (percent.left + percent.right), 2, "± 95 % in % of the value", LIGHT))
         for tick in (0.01, 0.1, 1.0, 10.0, 100.0):
             sheet.line(percent(tick), 78, percent(tick), height)
             sheet.labels.append((percent(tick), 54, f"{tick:g}", GREY))
@@ -82,17 +82,15 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Draw
             sheet.labels.append((left + 45, y - 9, name, _color(own, name)))
             _value(sheet, value, own, others, name, y, pitch)
             size = abs(p.value)
-            for sigma, radius in ((p.sigma_hac, 0.6), (p.sigma, 2.5)):
-                if sigma is not None:
-                    share = 100 * sigma / size if size > 0 else 100.0
-                    sheet.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), radius)
+            share = 100 * p.half / size if size > 0 else 100.0
+            sheet.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
             for k, off in enumerate(apart):
                 if (x := off.get(name)) is not None:
                     level = y + (k - 0.5 * (len(apart) - 1)) * 0.3 * pitch
                     sheet.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
                     ends = sheet.dots if _is_exact(others[k], name) else sheet.crosses
                     ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
-    title = f"{own.label}: orange essential, grey not; thin line σ HAC{_marks(others)}"
+    title = f"{own.label}: orange essential, grey not{_marks(others)}"
     title += ", vermillion beyond 3 σ" if others else ""
     return sheet.drawing(("deviations",), title, (SHEET[0], height + 10))
 
@@ -102,9 +100,9 @@ def _value_scale(
 ) -> tuple[Callable[[float, float], Scale], list[float], str]:
     """An axis linear about zero and logarithmic beyond, to be put between two edges, its ticks, and what it is in words."""
     shown = [values.parameters[name] for values in sets for name in names if name in values.parameters]
-    reach = max(abs(p.value) + 2 * max(p.sigma, p.spread) for p in shown)
+    reach = max(abs(p.value) + p.half for p in shown)
     top = math.ceil(math.log10(reach)) if reach > 0 else 0
-    typical = float(np.median([2 * p.sigma for p in shown if p.sigma > 0] or [10.0 ** (top - 5)]))
+    typical = float(np.median([p.half for p in shown if p.half > 0] or [10.0 ** (top - 5)]))
     least = max(top - 5, min(top - 1, math.floor(math.log10(max(typical, 10.0 ** (top - 5))))))
     linear = 2 * 10.0**least
 
@@ -125,11 +123,10 @@ def _value_axis(sheet: Sheet, place: Scale, ticks: Sequence[float], top: float, 
 def _value(
     sheet: Sheet, place: Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
 ) -> None:
-    """A parameter's dot with its deviations, and below it the others' crosses with theirs; an upright line if exact."""
+    """A parameter's dot with its interval, and below it the others' crosses with theirs; an upright line if exact."""
     p, color = own.parameters[name], _color(own, name)
     sheet.dots.append((place(p.value), y, color))
-    for sigma, radius in ((p.sigma_hac or 0.0, 0.5), (p.sigma, 1.5)):
-        sheet.line(place(p.value - 2 * sigma), y, place(p.value + 2 * sigma), y, color, radius)
+    sheet.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
     for k, values in enumerate(others):
         if (other := values.parameters.get(name)) is None:
             continue
@@ -138,8 +135,8 @@ def _value(
             sheet.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
         else:
             sheet.crosses.append((x, level, COMPARED[k]))
-            spread = 2 * other.sigma
-            sheet.line(place(other.value - spread), level, place(other.value + spread), level, COMPARED[k], 0.75)
+            ends = place(other.value - other.half), place(other.value + other.half)
+            sheet.line(ends[0], level, ends[1], level, COMPARED[k], 0.75)
 
 
 def _is_exact(values: ParameterSet, name: str) -> bool:
