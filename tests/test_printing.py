@@ -40,7 +40,7 @@ def test_a_narrow_terminal_loses_no_digit_of_a_fit(narrow, capsys, tmp_path):
 
 def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     """Its tables are without their frames there."""
-    print_whole(fit_document(signals_of(emps), ls_of(emps)))
+    print_whole(fit_document(signals_of(emps), ls_of(emps), everything=True))
     printed = [re.findall(r"[^\s│┃]+", line) for line in capsys.readouterr().out.splitlines()]
     section = (ROOT / "identification" / "README.md").read_text().split("\n## What a fit says\n")[1]
     shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]

@@ -112,7 +112,10 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of a fit; earlier ones have no verdict and no covariance. The keys from `reason` on are those of instrumental variables."""
+    """The JSON file of a fit; earlier ones have no verdict and no covariance.
+
+    The keys from `reason` on are those of instrumental variables.
+    """
 
     method: Method
     status: Status
