@@ -55,7 +55,7 @@ def trust_document(fit: Fit) -> Document:
 
 def _trust_section(fit: Fit) -> Section:
     """Every test of the fit, worst first."""
-    lines = tuple(f"{line.level}: {line.test}: {line.text}" for line in fit.trust.lines)
+    lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
     return Section(title=f"verdict: {fit.trust.verdict}", lines=lines)
 
 

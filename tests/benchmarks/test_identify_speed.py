@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import pinocchio as pin
 import pytest
 from conftest import robot_named
 
+import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.rows import sample_dtype
 from acquisition.trajectory.reference import fourier_reference
@@ -30,6 +32,8 @@ from identification.regression.settings import Overrides
 from identification.study.draws import Study
 from identification.study.study import one_run
 from identification.study.synthetic import known_parameters, truth
+from identification.trust import trust_in
+from identification.trust.lines import worst_first
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
@@ -107,6 +111,21 @@ def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
     )
     with capsys.disabled():
         print(f"\niv, MCAP to estimate, {passes} passes: {found:.2f} x the floor of {floor_s:.3f} s (bound 1)")
+
+
+def test_the_trust_block_beside_the_fit(tx40, capsys):
+    """All tests of a fit, beside the fit by instruments that they are of."""
+    signals, seen = load_signals(tx40), []
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or trust_in(evidence))
+        identify_iv(signals, Overrides(), Iteration())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(assess, "trust_in", lambda evidence: worst_first([]))
+        found, fit_s = ratio(
+            lambda: trust_in(replace(seen[0])), lambda: identify_iv(signals, Overrides(), Iteration()), rounds=5
+        )
+    with capsys.disabled():
+        print(f"\ntrust block: {found:.2f} x the fit by iv of {fit_s:.2f} s (bound 0.5)")
 
 
 def hour_long_recording(path: Path, seconds: int = 3600) -> None:
