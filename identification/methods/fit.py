@@ -22,8 +22,9 @@ class Pass:
     """One pass of the instrumental variable method.
 
     Attributes:
-        instruments: `simulated`; where the robot could not be simulated with the parameters asked for, for the `reason` given,
-            simulated with the nearest physically `consistent` ones, or along the `reference`.
+        instruments: along the robot `simulated` with the physically consistent parameters nearest to the estimate before; named
+            `consistent` where the inertia matrix of that estimate itself is not positive; along the `reference` where the
+            simulated robot leaves it. `reason` says why it is one of the last two.
         residual_norm: |Y - W beta| after the pass, weighted.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
             among those larger than two deviations; the parameter of the former.

@@ -136,7 +136,9 @@ def identify_iv(
         return covariance_of_all(system.names, estimate, found, ls.full)
 
     trials: list[Trial] = []
-    beta, covariance = start_values(problem, iteration, ls), spread(ls.full, system.used)
+    beta, covariance = start_values(problem, iteration, ls), None
+    if iteration.start != "regular":
+        covariance = spread(ls.full, system.used)
     failure: str | None = None
     while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")

@@ -33,8 +33,8 @@ class SimulatedMotion:
 class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
-    `beta` (b,) are the parameters asked for. `kind` says whether they are those simulated, or why not, for the `reason`
-    given. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
+    `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in `Pass`.
+    `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
     beta: Array
@@ -46,13 +46,16 @@ class Instruments:
     tracking_percent: float | None
 
 
-def simulate_instruments(e: Experiment, beta: Array, covariance: Array) -> Instruments:
-    """Instruments along the closed loop simulated with `beta` (b,), of the given covariance (b, b).
+def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -> Instruments:
+    """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
-    Where the robot cannot be simulated with it, or leaves its reference, the nearest physically consistent parameters are
-    simulated. Where that does not help either, instruments are taken along the reference itself. `reason` says why.
+    `covariance` (b, b) is that of beta; None takes beta as it is. Nearest parameters follow the estimate smoothly, whereas the
+    estimate itself moves a light wrist wildly long before its inertia matrix is no longer positive: the iteration then has no
+    fixed point. Where the robot leaves its reference all the same, instruments are taken along the reference itself.
     """
-    s = simulated_robot(e, beta, covariance)
+    s, reason = simulated_motion(e, beta if covariance is None else _nearest(e, beta, covariance)), None
+    if s.motion is not None and covariance is not None:
+        reason = not_positive(direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.poses)
     motion = s.motion
     if motion is None:
         q, dq, ddq = (_on_grid(e, x, 1) for x in (e.reference.q, e.reference.dq, e.reference.ddq))
@@ -62,8 +65,8 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array) -> Instr
         beta=beta,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
         slip=e.decimation.kept(motion.dq) @ e.problem.model.coulomb_directions.T,
-        kind="reference" if s.motion is None else "simulated" if s.reason is None else "consistent",
-        reason=s.reason,
+        kind="reference" if s.motion is None else "simulated" if reason is None else "consistent",
+        reason=s.reason or reason,
         gains=s.gains,
         tracking_percent=s.tracking_percent,
     )
@@ -74,11 +77,16 @@ def simulated_robot(e: Experiment, beta: Array, covariance: Array) -> SimulatedM
     free = simulated_motion(e, beta)
     if free.reason is None:
         return free
-    try:
-        nearest = simulated_motion(e, nearest_consistent(e.problem, beta, covariance).beta)
-    except IdentificationError:
-        return free
+    nearest = simulated_motion(e, _nearest(e, beta, covariance))
     return free if nearest.motion is None else replace(nearest, reason=free.reason)
+
+
+def _nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
+    """Consistent base parameters (b,) nearest to beta; beta itself where none are to be found."""
+    try:
+        return nearest_consistent(e.problem, beta, covariance).beta
+    except IdentificationError:
+        return beta
 
 
 def simulated_motion(e: Experiment, beta: Array) -> SimulatedMotion:
