@@ -195,6 +195,10 @@ def test_outputs_are_whole_or_not_there(capsys, tmp_path):
             '{"format": 1, "method": "wls", "status": "", "parameters": [{"name": "MX2", "value": 1, "sigma": 1, "unit":"A"}]}',
             "MX2.unit = 'A': expected kg m, as the recording's robot has it",
         ),
+        (
+            '{"format": 1, "parameters": [{"name": "MX2", "value": 1, "low": 1.5, "high": 0.5, "unit":"kg m"}]}',
+            "expected finite values, sigmas of at least 0, low not above high",
+        ),
     ],
 )
 def test_fits_that_do_not_belong_are_refused(capsys, tmp_path, content, message):

@@ -3,6 +3,7 @@
 import json
 
 import msgspec
+import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
@@ -51,7 +52,13 @@ def test_a_fit_is_read_back_as_it_was_written(fits):
     written = msgspec.json.decode(fits["iv"].read_bytes(), type=FitFile)
     assert [p.value for p in written.parameters] == list(fit.estimate.beta)
     assert [p.sigma for p in written.parameters] == list(fit.estimate.sigma)
+    assert [p.low for p in written.parameters] == list(fit.intervals.low)
+    assert [p.high for p in written.parameters] == list(fit.intervals.high)
+    assert written.covariance.names == [p.name for p in written.parameters]
+    np.testing.assert_array_equal(written.covariance.values, fit.intervals.covariance)
+    np.testing.assert_allclose(np.sqrt(np.diag(written.covariance.values)), fit.intervals.sigma, rtol=1e-12)
     stored = read_fit(fits["iv"])
+    assert [p.half for p in stored.parameters] == pytest.approx(list(fit.intervals.half), rel=1e-9)
     for name in stored.__struct_fields__:
         if name != "parameters":
             assert getattr(stored, name) == getattr(written, name), name

@@ -311,6 +311,17 @@ def test_differences_are_in_deviations_of_the_difference():
         differences(a, values("C", M9=(1.0, 1.0)))
 
 
+def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
+    """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to 1, so 1.96 deviations."""
+    a = Parameter(name="M1", value=2.0, low=1.4, high=2.6, unit="kg", sigma=0.01, sigma_hac=0.02)
+    b = Parameter(name="M1", value=1.0, low=0.2, high=1.8, unit="kg", sigma=5.0)
+    (row,) = differences(ParameterSet(label="A", parameters={"M1": a}), ParameterSet(label="B", parameters={"M1": b}))
+    assert row.off_sigma == pytest.approx(1.96)
+    without = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)
+    assert (without.half, without.spread) == (pytest.approx(1.96 * 0.3), pytest.approx(0.3))
+    assert Parameter(name="M1", value=1.0, unit="kg").half == 0
+
+
 def test_bars_of_a_comparison_end_where_the_difference_is():
     a, b = values("A", M1=(2.0, 0.3), M2=(1.0, 0.1)), values("B", M1=(1.0, 0.4), M2=(9.0, 0.1))
     drawing = deviation_drawing(a, [b])
