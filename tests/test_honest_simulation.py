@@ -14,8 +14,10 @@ from acquisition.commands import from_options
 from acquisition.recording import read_recording
 from identification.commands import main
 from identification.commands.program import PROGRAM
+from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
-from identification.study import Noise, closed_loop
+from identification.regression import Overrides
+from identification.study import Noise, closed_loop, study_truth
 from identification.study.noise import AR
 from identification.study.noise import coloured as own_coloured
 
@@ -168,3 +170,11 @@ def test_every_imperfection_is_an_option_and_stands_in_the_recording(tmp_path):
     options = PROGRAM.parser().parse_args(["simulate", "r.toml", "-o", "x.mcap"])
     assert from_options(Noise, options) == Noise()
     assert {field.name for field in fields(Noise)} <= set(vars(options))
+
+
+def test_without_noise_the_estimate_is_not_biased_by_the_integration():
+    """Viscous friction of a step's end in place of its middle: M 0.056 % too large, more than an interval."""
+    robot = robot_named("emps")
+    signals = closed_loop(robot, reference("emps").q[0], 1000.0, noise=Noise(), seed=1)
+    fit = identify_iv(signals, Overrides(), Iteration())
+    assert fit.beta[0] == pytest.approx(study_truth(robot)[1][0], rel=2e-4)

@@ -15,9 +15,10 @@ BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
 class Friction:
     """The robot's equation of motion, its smooth part stepped explicitly and its friction implicitly.
 
-    A step h solves (M + h V) dv = h (tau - bias - V v - Sᵀ f - offset), where f in each direction slips or sticks. A direction
-    slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The modes of the
-    step before are tried first; a direction that would turn round sticks, one that exceeds v_s slips.
+    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), viscous friction being that of its middle. f in
+    each direction slips or sticks. A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up
+    to a creep speed `v_s`. The modes of the step before are tried first; a direction that would turn round sticks, one that
+    exceeds v_s slips.
     """
 
     def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
@@ -34,7 +35,7 @@ class Friction:
         self._resists = (model.up + model.down) > 0
         self._slope = np.where(self._resists, (1 + stribeck) * (model.up + model.down) / (2 * self._v_s), 0.0)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
-        self._V, self._added = model.viscous, model.rotor + h * model.viscous
+        self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
         self._turn(np.sign(self._S @ v))
 
     def _turn(self, mode: Array) -> None:
@@ -57,7 +58,7 @@ class Friction:
         M, bias = self._model.inertia_and_bias(q, v)
         if self._one_sided:
             self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
-            self._added = self._model.rotor + h * self._V
+            self._added = self._model.rotor + 0.5 * h * self._V
         M = M + self._added
         if held is not None:
             M = M + np.diag(BRAKE * held)
