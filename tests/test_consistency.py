@@ -89,13 +89,13 @@ def test_gradient_and_hessian_are_those_of_differences():
     C = covariance(7, 0.1)
     objective = _Objective(rng.normal(size=7), _inverse_root(np.ones(7), C), K, physical, 0.7, 0.02)
     chi, h = physical.start, 1e-6
-    g, H = objective.derivatives(chi)
+    g, J = objective.derivatives(chi)
+    H = J.T @ J
     steps = h * np.eye(12)
     by_values = [(objective.value(chi + d) - objective.value(chi - d)) / (2 * h) for d in steps]
     by_gradients = [(objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h) for d in steps]
     np.testing.assert_allclose(g, by_values, rtol=1e-6, atol=1e-6 * np.abs(g).max())
     np.testing.assert_allclose(H, by_gradients, rtol=1e-5, atol=1e-8 * np.abs(H).max())
-    np.testing.assert_array_equal(H, H.T)
 
 
 def test_the_optimum_is_that_of_another_optimiser():

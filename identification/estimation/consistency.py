@@ -19,7 +19,10 @@ from ..errors import IdentificationError
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
 CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to the optimum
-STEPS = 200  # at most; some twenty are usual
+STEPS = 60  # at most; some twenty are usual
+SOFTER = 10.0 ** np.arange(
+    8, 0, -1
+)  # covariances times this, one after the other, lead to what cannot be reached at once
 TO_THE_EDGE = 0.95  # of the way to the boundary that a step may go
 LEAST_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
 
@@ -106,15 +109,17 @@ def consistent_parameters(
     ------
     IdentificationError : where the optimum is not reached, as with an estimate that is not finite.
     """
-    objective = _Objective(beta, _inverse_root(beta, covariance), K, physical, gamma, gamma * gamma_x)
-    chi, steps = physical.start, 0
-    step, decrement = _newton_step(*objective.derivatives(chi))
-    while decrement > CERTIFIED and np.isfinite(decrement) and steps < STEPS:
-        length = _length(objective, chi, step, decrement)
-        if length == 0.0:
-            break
-        chi, steps = chi + length * step, steps + 1
-        step, decrement = _newton_step(*objective.derivatives(chi))
+    root = _inverse_root(beta, covariance)
+    objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
+    chi, decrement, steps = _minimum(objective, physical.start)
+    if not decrement <= CERTIFIED:  # an estimate so far from any robot draws the steps into a corner
+        chi = physical.start
+        for softer in SOFTER:
+            drawn = _Objective(beta, root / np.sqrt(softer), K, physical, gamma, gamma * gamma_x)
+            chi, _, more = _minimum(drawn, chi)
+            steps += more
+        chi, decrement, more = _minimum(objective, chi)
+        steps += more
     if not decrement <= CERTIFIED:
         raise IdentificationError(
             "no consistent parameters found", key="Newton decrement", value=decrement, expected=f"{CERTIFIED:g} at most"
@@ -139,7 +144,6 @@ class _Objective:
     ) -> None:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
         self.root, self._target, self._A = root, root @ beta, root @ K
-        self._AtA = self._A.T @ self._A
         self._physical, self._gamma, self._gamma_x = physical, gamma, gamma_x
         self._pull = np.einsum("lab,iba->li", np.linalg.inv(physical.prior), _BASIS)  # of tr(P0⁻¹ P) by the parameters
 
@@ -155,22 +159,21 @@ class _Objective:
         return float(0.5 * rho @ rho + self._gamma * (pull - log_det) - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
-        """Gradient (p,) and Hessian (p, p)."""
+        """Gradient (p,), and J (r, p) of the Hessian J'J, whose own condition is that of J squared."""
         g = self._A.T @ (self._A @ chi - self._target)
-        H = self._AtA.copy()
+        links = np.zeros((len(self._physical.links), 16, len(chi)))
         roots = self._roots(chi)
         assert roots is not None
         back = np.linalg.inv(roots)[:, None]  # (L, 1, 4, 4)
         E = back @ _BASIS @ back.transpose(0, 1, 3, 2)  # (L, 10, 4, 4): L⁻¹ E_i L⁻ᵀ
         flat = E.reshape(len(E), 10, 16)
         traces = np.trace(E, axis1=2, axis2=3)
-        for columns, pull, trace, entries in zip(self._physical.links, self._pull, traces, flat, strict=True):
+        for J, columns, pull, trace, entries in zip(links, self._physical.links, self._pull, traces, flat, strict=True):
             g[columns] += self._gamma * (pull - trace)
-            H[np.ix_(columns, columns)] += self._gamma * (entries @ entries.T)
+            J[:, columns] = np.sqrt(self._gamma) * entries.T
         inverse = self._physical.combinations / (self._physical.combinations @ chi)[:, None]
         g -= self._gamma_x * inverse.sum(axis=0)
-        H += self._gamma_x * (inverse.T @ inverse)
-        return g, H
+        return g, np.concatenate([self._A, links.reshape(-1, len(chi)), np.sqrt(self._gamma_x) * inverse])
 
     def reach(self, chi: Array, step: Array) -> float:
         """How many times a step may be taken until a P_j or an x_i reaches zero."""
@@ -191,6 +194,19 @@ class _Objective:
             return None
 
 
+def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:
+    """Newton steps from chi: where they end, the decrement there, and their number."""
+    steps = 0
+    step, decrement = _newton_step(*objective.derivatives(chi))
+    while decrement > CERTIFIED and np.isfinite(decrement) and steps < STEPS:
+        length = _length(objective, chi, step, decrement)
+        if length == 0.0:
+            break
+        chi, steps = chi + length * step, steps + 1
+        step, decrement = _newton_step(*objective.derivatives(chi))
+    return chi, decrement, steps
+
+
 def _length(objective: _Objective, chi: Array, step: Array, decrement: float) -> float:
     """Share of a Newton step that stays inside and lowers the function as it should; 0 where rounding leaves none."""
     value, length = objective.value(chi), min(1.0, TO_THE_EDGE * objective.reach(chi, step))
@@ -202,14 +218,14 @@ def _length(objective: _Objective, chi: Array, step: Array, decrement: float) ->
     return 0.0
 
 
-def _newton_step(g: Array, H: Array) -> tuple[Array, float]:
-    """The Newton step (p,) and its decrement; the Hessian is scaled by its diagonal, which spans many powers of ten."""
-    d = np.sqrt(np.diag(H))
+def _newton_step(g: Array, J: Array) -> tuple[Array, float]:
+    """The Newton step (p,) and its decrement; columns of J, whose sizes span many powers of ten, are scaled to one."""
+    d = np.linalg.norm(J, axis=0)
     d = np.where(d > 0, d, 1.0)
     try:
-        root = np.linalg.cholesky(H / d[:, None] / d)
-        half = np.linalg.solve(root, g / d)
-        return -np.linalg.solve(root.T, half) / d, float(np.linalg.norm(half))
+        R: Array = np.asarray(np.linalg.qr(J / d, mode="r"))
+        half = np.linalg.solve(R.T, g / d)
+        return -np.linalg.solve(R, half) / d, float(np.linalg.norm(half))
     except np.linalg.LinAlgError:
         return np.zeros_like(g), np.inf
 
