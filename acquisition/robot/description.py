@@ -18,6 +18,8 @@ Rows = Annotated[int, msgspec.Meta(ge=0)]
 
 Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
 
+Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
+
 Edges = Literal["smooth", "matlab"]
 
 EffortUnit = Literal["A", "V", "N m", "N"]
@@ -124,6 +126,7 @@ class Identification(TomlTable, frozen=True):
     cut_end_samples: Rows | None = None
     edges: Edges = "smooth"
     low_speed_percent: Share | LowSpeed | None = None
+    torque_lag_s: Lag | None = None
 
     @property
     def low_speed(self) -> LowSpeed:

@@ -107,6 +107,12 @@ def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
         const="all",
         help="also use the standstill before and after the motion",
     )
+    group.add_argument(
+        "--torque-lag-s",
+        type=finite,
+        metavar="S",
+        help="known lag of the recorded torque, s, positive where it is late: corrected (default: none)",
+    )
     return group
 
 
@@ -174,6 +180,14 @@ def share(text: str) -> float:
 def cutoff(text: str) -> float:
     """A cut-off above 0, or 0 for `none`."""
     return 0.0 if text == "none" else above_zero(text)
+
+
+def finite(text: str) -> float:
+    """A finite number."""
+    value = float(text)
+    if not -float("inf") < value < float("inf"):
+        raise ValueError(text)
+    return value
 
 
 def above_zero(text: str) -> float:

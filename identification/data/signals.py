@@ -15,6 +15,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
+EFFORT_TIMING, MEAN = "effort_timing", "mean over the control period"  # key and value of a recording's metadata
 LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
@@ -44,6 +45,8 @@ class Signals:
         events: what happened, in the order of the recording.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
+        effort_is_mean: whether efforts are means over the control period about their instants, as those that this package
+            simulates; otherwise the command of an instant, held after it.
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
@@ -59,6 +62,7 @@ class Signals:
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
+    effort_is_mean: bool = False
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
@@ -150,6 +154,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ),
         health=_health(recording, int(stamps[0])),
         extras=_extras(samples, recording.robot),
+        effort_is_mean=recording.metadata.get(EFFORT_TIMING) == MEAN,
         off_grid=off_grid,
     )
 

@@ -30,6 +30,7 @@ from .estimators import (
 )
 from .f_test import f_tail
 from .system import System
+from .whitening import whitened
 
 __all__ = [
     "MOVING",
@@ -61,4 +62,5 @@ __all__ = [
     "relative_error_percent",
     "torque_errors",
     "weighted_least_squares",
+    "whitened",
 ]

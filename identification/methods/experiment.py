@@ -16,7 +16,7 @@ from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..model import direct_model
-from ..regression import Decimation, Motion, Problem, differentiate, rule_cutoff_hz
+from ..regression import Decimation, Motion, Problem, differentiate, rule_cutoff_hz, sampled_at
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
 from ..trust import inertias, poses_of
 
@@ -84,7 +84,7 @@ def make_experiment(
     grid = np.arange((settings.stop - 1 - settings.start) % m + settings.start, settings.stop, m)
     times_s, substeps = _instants(problem, loop, grid, step_hz)
     measured = problem.motion.between(settings.start, settings.stop, rule_cutoff_hz(bandwidth_hz, fs))
-    reference = Reference(*(_at(times_s, settings.start / fs, fs, x) for x in _reference(problem, measured)))
+    reference = Reference(*(sampled_at((times_s - settings.start / fs) * fs, x) for x in _reference(problem, measured)))
     q = measured.q[grid - settings.start]
     prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
     J_prior = inertias(prior, poses_of(q))
@@ -157,17 +157,6 @@ def _stride(fs: float, decimation: int, step_hz: float) -> int:
     """The largest divisor of the decimation that leaves a rate of `step_hz`."""
     divisors = [m for m in range(1, decimation + 1) if decimation % m == 0]
     return max((m for m in divisors if fs / m >= step_hz), default=1)
-
-
-def _at(times_s: Array, start_s: float, fs: float, x: Array) -> Array:
-    """x (N, n), sampled at fs from start_s on, at other times (K,): picked, or a cubic spline in between."""
-    at = (times_s - start_s) * fs
-    picks = np.rint(at).astype(np.intp)
-    if np.abs(at - picks).max() < 1e-6 and picks[-1] < len(x):
-        return x[picks]
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(np.arange(len(x)), x)(np.clip(at, 0, len(x) - 1)))
 
 
 def _refuse_foreign_reference(q_ref: Array, q: Array, signals: Signals) -> None:

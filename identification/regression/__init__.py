@@ -2,7 +2,7 @@
 
 from .filtering import Decimation, forward_backward_3db_hz
 from .low_speed import fast_rows, measured_slip
-from .motion import FilteredMotion, Motion, differentiate, motion_between
+from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .problem import Problem, make_problem
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
@@ -13,7 +13,14 @@ from .settings import (
     make_settings,
     rule_cutoff_hz,
 )
-from .system import Regression, decimated_regressor, predicted_torque, regression_of_recording, torque_of_recording
+from .system import (
+    Regression,
+    decimated_regressor,
+    predicted_torque,
+    regression_of_recording,
+    torque_of_recording,
+    torque_rate,
+)
 
 __all__ = [
     "CUTOFF_PER_BANDWIDTH",
@@ -37,5 +44,7 @@ __all__ = [
     "predicted_torque",
     "regression_of_recording",
     "rule_cutoff_hz",
+    "sampled_at",
     "torque_of_recording",
+    "torque_rate",
 ]

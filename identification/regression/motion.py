@@ -55,6 +55,20 @@ def differentiate(x: Array, sample_rate_hz: float) -> Array:
     return np.asarray(np.gradient(x, 1.0 / sample_rate_hz, axis=0))
 
 
+def sampled_at(at: Array, x: Array) -> Array:
+    """Samples x (N, n) at places (K,) counted in samples, such as 1.5: picked, or a cubic spline in between, no phase shift.
+
+    Beyond the ends, the end samples stand.
+    """
+    at = np.clip(at, 0, len(x) - 1)
+    picks = np.rint(at).astype(np.intp)
+    if np.abs(at - picks).max() < 1e-6:
+        return x[picks]
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(np.arange(len(x)), x)(at))
+
+
 def motion_between(
     q: Array, tau: Array, *, cutoff_hz: float | None, sample_rate_hz: float, start: int, stop: int
 ) -> Motion:

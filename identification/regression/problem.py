@@ -1,11 +1,13 @@
 """What a fit is about: a recording, the settings, the robot's model and its base parameters."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from ..data import Signals
 from ..model import BaseParameters, InverseModel, base_parameters
-from .motion import FilteredMotion
-from .settings import Overrides, Settings, make_settings
+from .motion import FilteredMotion, sampled_at
+from .settings import Overrides, Settings, make_settings, torque_lag_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -13,7 +15,7 @@ class Problem:
     """The data of an identification, made once per fit.
 
     Attributes:
-        signals: the recording.
+        signals: the recording, a known lag of its torque corrected.
         settings: cut-off, decimation and span, resolved.
         model: inverse dynamic model of the robot, linear in its standard parameters.
         base: its base parameters.
@@ -32,6 +34,10 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
     Raises `IdentificationError` where the settings do not suit the recording, or the robot cannot be modelled.
     """
+    lag_s = torque_lag_s(signals, overrides)
+    if lag_s:
+        at = np.arange(len(signals.effort), dtype=np.float64) + lag_s * signals.sample_rate_hz
+        signals = replace(signals, effort=sampled_at(at, signals.effort))
     motion = FilteredMotion(signals)
     settings = make_settings(signals, overrides, motion)
     model = InverseModel(signals.robot)

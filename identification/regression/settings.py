@@ -36,6 +36,7 @@ class Overrides:
     span: Span | None = None
     edges: Edges | None = None
     low_speed_percent: float | LowSpeed | None = None
+    torque_lag_s: float | None = None
 
     def over(self, others: "Overrides") -> "Overrides":
         """These, and those of the others where these are silent."""
@@ -53,6 +54,7 @@ class Settings:
         filtered: whether the position's low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
         low_speed: rows slower than this are left out, by method (`low_speed.fast_rows`).
+        torque_lag_s: known lag of the recorded torque in s, positive where it is late, corrected; None where none is stated.
         span: what that range is, in words; `span_rule` the setting it follows from.
         warnings: rules of the method that the settings leave.
     """
@@ -64,6 +66,7 @@ class Settings:
     filtered: bool
     edges: Edges
     low_speed: LowSpeed
+    torque_lag_s: float | None
     span: str
     span_rule: Span
     warnings: tuple[str, ...]
@@ -139,6 +142,9 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
+    lag_s = torque_lag_s(signals, overrides)
+    moved = (lag_s or 0.0) * fs  # samples without a torque, at one end
+    start, stop = max(start, math.ceil(-moved)), min(stop, N - math.ceil(moved))
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
@@ -156,10 +162,16 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         filtered=filtered,
         edges=overrides.edges or stored.edges,
         low_speed=low_speed_by_method(stored.low_speed if given is None else given),
+        torque_lag_s=lag_s,
         span=span,
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
+
+
+def torque_lag_s(signals: Signals, overrides: Overrides) -> float | None:
+    """The known lag of a recording's torque: the option, else that of robot.toml; None where neither states one."""
+    return signals.robot.identification.torque_lag_s if overrides.torque_lag_s is None else overrides.torque_lag_s
 
 
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:

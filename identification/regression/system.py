@@ -11,7 +11,7 @@ from ..estimation import System, TimeBlocks
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation, decimation_reach
 from .low_speed import measured_fast_rows
-from .motion import Motion
+from .motion import Motion, differentiate
 from .problem import Problem
 
 _SERIES_BLOCK = (
@@ -87,6 +87,18 @@ def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Ar
         parts.append((measured, modelled, decimation.kept(motion.dq)[inside]))
     tau, tau_predicted, speed = ([part[i] for part in parts] for i in range(3))
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
+
+
+def torque_rate(problem: Problem, beta: Array) -> Array:
+    """Rate of change (rows, n) of the torque that beta (b,) predicts, per sample of the recording, decimated.
+
+    Differences are central, of the samples before decimation: there they are exact.
+    """
+    parts = []
+    for motion, inside, _ in motion_blocks(problem):
+        rate = differentiate(predicted_torque(motion, problem.model, problem.base, beta), 1.0)
+        parts.append(problem.settings.decimator.filtered(rate.T)[:, inside].T)
+    return np.concatenate(parts)
 
 
 def predicted_torque(motion: Motion, dynamics: InverseModel, base: BaseParameters, beta: Array) -> Array:

@@ -52,6 +52,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     decimation: Annotated[int, msgspec.Meta(ge=1)]
     edges: Edges
     low_speed_percent: LowSpeed
+    torque_lag_s: float | None
     span: str
     span_rule: Span
     samples: tuple[int, int]
@@ -267,6 +268,7 @@ def _on_recording(
         "decimation": settings.decimation,
         "edges": settings.edges,
         "low_speed_percent": settings.low_speed,
+        "torque_lag_s": settings.torque_lag_s,
         "span": settings.span,
         "span_rule": settings.span_rule,
         "samples": (settings.start, settings.stop),

@@ -39,13 +39,20 @@ class StoredFit(msgspec.Struct, frozen=True):
     decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
     span_rule: Span | None = None
     edges: Edges | None = None
+    torque_lag_s: float | None = None
 
     def settings(self, sample_rate_hz: float) -> Overrides:
         """The settings that the fit was made with, for a recording of that rate; known values have none."""
         if self.sample_rate_hz is None:
             return Overrides()
         n_d = self.decimation and max(1, round(self.decimation * sample_rate_hz / self.sample_rate_hz))
-        return Overrides(cutoff_hz=self.cutoff_hz or 0.0, decimation=n_d, span=self.span_rule, edges=self.edges)
+        return Overrides(
+            cutoff_hz=self.cutoff_hz or 0.0,
+            decimation=n_d,
+            span=self.span_rule,
+            edges=self.edges,
+            torque_lag_s=self.torque_lag_s,
+        )
 
     def robot(self, place: str) -> Robot | None:
         """The robot as the fit's own description has it; None where the file holds none."""

@@ -16,7 +16,7 @@ from acquisition.robot import Robot
 from acquisition.trajectory import FourierReference, fourier_reference
 
 from ..arrays import Array
-from ..data import Signals
+from ..data import EFFORT_TIMING, MEAN, Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
@@ -130,6 +130,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         robot=robot,
         recording="simulated",
         sha256="",
+        effort_is_mean=noise.recorded == "mean",
     )
 
 
@@ -166,6 +167,7 @@ def write_signals(
     samples["position"], samples["effort"] = signals.q, signals.effort
     if signals.q_ref is not None:
         samples["reference"] = signals.q_ref
+    timing = {EFFORT_TIMING: MEAN} if signals.effort_is_mean else {}
     with (
         atomic_write(path) as partial,
         RecordingWriter(
@@ -175,7 +177,7 @@ def write_signals(
                 source=source,
                 sample_rate_hz=signals.sample_rate_hz,
                 effort_provenance=provenance,
-                notes={"simulated": "true", **cell, **(notes or {})},
+                notes={"simulated": "true", **timing, **cell, **(notes or {})},
             ),
         ) as writer,
     ):
