@@ -52,7 +52,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     decimation: Annotated[int, msgspec.Meta(ge=1)]
     edges: Edges
     low_speed_percent: LowSpeed
-    torque_lag_s: float | None
+    torque_lag_s: float | None = None
     span: str
     span_rule: Span
     samples: tuple[int, int]

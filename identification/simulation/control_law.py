@@ -153,7 +153,7 @@ class Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
     def __init__(self, model: DirectModel, loop: ControlLaw, reference: Reference, q: Array, v: Array) -> None:
-        """`q`, `v` (n,) are the position and the speed that the simulation starts with."""
+        """`q`, `v` (n,) are the position and the speed that it starts with."""
         self._model, self._loop, self._T, self._reference = model, loop, loop.period_s, reference
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
         self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)

@@ -4,8 +4,10 @@ from collections.abc import Callable
 
 from .columns import added_columns_test
 from .evidence import Evidence
+from .lag import lag_test
 from .lines import Trust, TrustLine, worst_first
 from .physical import consistent_test, physical_test
+from .replay import replay_test
 from .solution import (
     contrast_test,
     ends_test,
@@ -20,6 +22,8 @@ TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
     fixed_point_test,
     physical_test,
     consistent_test,
+    lag_test,
+    replay_test,
     added_columns_test,
     held_out_test,
     halves_test,

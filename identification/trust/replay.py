@@ -1,0 +1,153 @@
+"""The described control law, given the recorded reference and position, against the effort that was recorded.
+
+What it gives has nothing to do with the robot's model, so it sees what a fit cannot: an effort of the wrong size or sign
+scales every parameter, and fits as well. Units are those of the recorded effort: the drive gain that turns it into a torque
+stands on both sides, and is not seen.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from ..model import direct_model
+from ..regression import Problem, differentiate, sampled_at
+from ..simulation import Control, ControlLaw, Reference
+from .evidence import Evidence
+from .lines import Figure, TrustLine
+
+GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
+EARLIER = 3  # samples before those compared, for the velocity estimate to have its past
+MOST_LAG = 20  # samples looked at, to start from
+LAG_PASSES = 3  # of Gauss and Newton, from there
+FURTHEST_STEP = 10.0  # samples that one of them may go
+MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the law's with the wrong sign
+STILL = 1e-9  # of the largest: a joint whose law gives less than this is not compared
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Replay:
+    """By joint, (n,) each; NaN for a joint whose law gives nothing.
+
+    gain, lag: the recorded effort is gain times the replayed one, `lag` samples later. `error_percent`: what the described
+    law leaves of it as it is, its gain one, in percent of it; `left_percent`: what the gain leaves. Lag, and the integral
+    that the law started with, are taken out of both.
+    """
+
+    gain: Array
+    lag: Array
+    error_percent: Array
+    left_percent: Array
+
+
+def replay_test(evidence: Evidence) -> TrustLine:
+    """Whether the recorded effort is what the described controller gives."""
+    problem, loop = evidence.problem, evidence.loop
+    reason = _not_made(problem, loop)
+    if reason is not None or loop is None:
+        text = f"not made: {reason}: gain and delay are not verified"
+        return TrustLine(test="replay", level="not made", value=None, text=text, caps=True)
+    return _line([joint.name for joint in problem.signals.robot.joints], replay(problem, loop))
+
+
+def replay(problem: Problem, loop: ControlLaw) -> Replay:
+    """Gains, lags and errors of the described law, behind the decimation that torques go through."""
+    effort, replayed = _efforts(problem, loop)
+    size = np.abs(replayed).max(axis=0)
+    acts = size > STILL * max(size.max(), np.abs(effort).max())
+    integrates = bool(loop.Ki.any())
+    found = np.full((4, len(acts)), np.nan)
+    for j in np.flatnonzero(acts):
+        found[:, j] = _compared(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
+    found[1] += (problem.settings.torque_lag_s or 0.0) * problem.signals.sample_rate_hz
+    return Replay(gain=found[0], lag=found[1], error_percent=found[2], left_percent=found[3])
+
+
+def _compared(
+    problem: Problem, effort: Array, replayed: Array, *, integrates: bool
+) -> tuple[float, float, float, float]:
+    """Gain, lag in samples, errors in percent of efforts (N, 1). An unknown start of the integral is a constant."""
+    start, stop, decimation = problem.settings.start, problem.settings.stop, problem.settings.decimator
+    measured = decimation.filtered(effort[start:stop].T)[0]
+    norm, gain, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0
+    lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
+    for _ in range(LAG_PASSES):
+        law = sampled_at(np.arange(start, stop, dtype=np.float64) - lag, replayed)
+        rows = [decimation.filtered(x.T)[0] for x in (law, -differentiate(law, 1.0))]
+        A = np.stack([*rows, np.ones_like(measured)] if integrates else rows, axis=1)
+        solution, *_ = np.linalg.lstsq(A, measured)
+        gain = float(solution[0])
+        step = float(np.clip(solution[1] / gain, -FURTHEST_STEP, FURTHEST_STEP)) if gain else 0.0
+        rho = measured - rows[0] - step * rows[1]
+        rho = rho - rho.mean() if integrates else rho
+        error, left = (
+            100 * float(np.linalg.norm(r)) / norm if norm > 0 else np.inf for r in (rho, measured - A @ solution)
+        )
+        lag += step
+    return gain, lag, error, left
+
+
+def _whole_lag(effort: Array, replayed: Array, start: int) -> float:
+    """The lag in whole samples at which a multiple of the replayed effort (N,) leaves least of `effort`, from `start` on."""
+    lags = np.arange(max(-MOST_LAG, start + len(effort) - len(replayed)), min(MOST_LAG, start) + 1)
+    shifted = [replayed[start - lag : start - lag + len(effort)] for lag in lags]
+    explained = [(effort @ law) ** 2 / max(float(law @ law), 1e-300) for law in shifted]
+    return float(lags[int(np.argmax(explained))])
+
+
+def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
+    """Recorded and replayed joint efforts (N, n) of the whole recording; zero replayed before the samples used."""
+    signals, fs = problem.signals, problem.signals.sample_rate_hz
+    assert signals.q_ref is not None
+    first, last = max(0, problem.settings.start - EARLIER), problem.settings.stop - 1
+    count = int((last - first) / (loop.period_s * fs) + 1e-6) + 1
+    ticks = first + loop.period_s * fs * np.arange(count, dtype=np.float64)
+    q, q_ref = sampled_at(ticks, signals.q), sampled_at(ticks, signals.q_ref)
+    v = differentiate(q, 1 / loop.period_s)
+    dq_ref = differentiate(q_ref, 1 / loop.period_s)
+    reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s))
+    model = direct_model(problem.model, np.zeros(problem.model.p))  # of no use here: these laws have none in them
+    control = Control(model, loop, reference, q[0], (q[1] - q[0]) / loop.period_s)
+    given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
+    replayed = np.zeros_like(signals.effort)
+    samples = np.arange(first, last + 1, dtype=np.float64)
+    replayed[first : last + 1] = sampled_at((samples - first) / (loop.period_s * fs), given)
+    return signals.effort, replayed
+
+
+def _not_made(problem: Problem, loop: ControlLaw | None) -> str | None:
+    if problem.signals.q_ref is None:
+        return "the recording has no reference"
+    if loop is None:
+        return "[controller] describes no control law, or not all of one"
+    if loop.computed_torque:
+        return "computed torque has the robot's own model in it"
+    return None
+
+
+def _line(names: list[str], found: Replay) -> TrustLine:
+    figures = tuple(
+        Figure(name=name, value=float(gain), expected=1.0)
+        for name, gain in zip(names, found.gain, strict=True)
+        if np.isfinite(gain)
+    )
+    if not figures:
+        return TrustLine(test="replay", level="cannot tell", value=None, text="the described law gives nothing")
+    off, error = np.nan_to_num(np.abs(found.gain - 1)), np.nan_to_num(found.error_percent)
+    mirrored = (found.gain < 0) & (found.left_percent < MIRRORED_PERCENT)
+    worst = int(np.argmax(np.maximum(np.maximum(off / GAIN_OFF, error / ERROR_PERCENT), 1e9 * mirrored)))
+    gain = float(found.gain[worst])
+    text = f"joint {names[worst]}: recorded effort = {gain:.4g} x what the described controller gives"
+    text += f", {error[worst]:.2g} % off it, {found.lag[worst]:.2f} samples late"
+    if mirrored.any():
+        return TrustLine(
+            test="replay",
+            level="do not use",
+            value=gain,
+            text=f"{text}: look at the sign of its effort",
+            figures=figures,
+        )
+    if off[worst] > GAIN_OFF or error[worst] > ERROR_PERCENT:
+        text += ": check rated value, ratio, sample rate, structure and gains of [controller]"
+        return TrustLine(test="replay", level="caution", value=gain, text=text, figures=figures)
+    return TrustLine(test="replay", level="ok", value=gain, text=text, figures=figures)
