@@ -17,8 +17,8 @@ from .evidence import Evidence
 from .lines import Figure, TrustLine
 
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
-EARLIER = 3  # samples before those compared, for the velocity estimate to have its past
 MOST_LAG = 20  # samples looked at, to start from
+EARLIER = MOST_LAG + 3  # samples replayed before those compared: a lag, and the past of the velocity estimate
 LAG_PASSES = 3  # of Gauss and Newton, from there
 FURTHEST_STEP = 10.0  # samples that one of them may go
 MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the law's with the wrong sign
@@ -67,7 +67,8 @@ def _compared(
     problem: Problem, effort: Array, replayed: Array, *, integrates: bool
 ) -> tuple[float, float, float, float]:
     """Gain, lag in samples, errors in percent of efforts (N, 1). An unknown start of the integral is a constant."""
-    start, stop, decimation = problem.settings.start, problem.settings.stop, problem.settings.decimator
+    settings, decimation = problem.settings, problem.settings.decimator
+    start, stop = max(settings.start, EARLIER), settings.stop
     measured = decimation.filtered(effort[start:stop].T)[0]
     norm, gain, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0
     lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
