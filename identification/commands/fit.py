@@ -37,6 +37,11 @@ def add(commands: Commands) -> None:
     settings.add_argument(
         "--essential", action="store_true", help="keep only the parameters the recording determines well"
     )
+    settings.add_argument(
+        "--trust",
+        action="store_true",
+        help="after least squares, simulate the robot once for the tests that need it: lag, instruments, contrast",
+    )
     iv = parser.add_argument_group("settings of --method iv")
     iv.add_argument(
         "--start",
@@ -100,7 +105,9 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
 
     overrides = from_options(Overrides, options)
     if options.method != "iv":
-        return identify_ls(signals, overrides, method=options.method, essential=options.essential, say=say)
+        return identify_ls(
+            signals, overrides, method=options.method, essential=options.essential, trust=options.trust, say=say
+        )
     values = None
     if options.start not in (None, "regular", "ls"):
         values = partial(read_fit(Path(options.start)).beta, place=options.start)

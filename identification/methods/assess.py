@@ -1,11 +1,13 @@
 """Assesses an estimate: torque errors of all rows, robust deviations, tests, warnings."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..data import Signals
+from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     Intervals,
@@ -15,6 +17,7 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Problem, Regression, torque_of_recording
+from ..simulation import has_controller, recorded_loop
 from ..trust import Evidence, trust_in
 from .fit import Fit, InstrumentEvidence, LeastSquares, Method, Rows, Status
 
@@ -28,10 +31,13 @@ class Verdict:
     warnings: tuple[str, ...] = ()
 
 
-def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastSquares) -> Fit:
-    """A fit by least squares."""
-    used = observed.system.used
-    evidence = Evidence(
+def evidence_of_ls(problem: Problem, observed: Regression, method: Method, ls: LeastSquares) -> Evidence:
+    """What least squares has to show for itself: it has no instruments."""
+    used, robot, loop = observed.system.used, problem.signals.robot, None
+    if has_controller(robot.controller):
+        with suppress(IdentificationError):  # described in part: least squares does without
+            loop = recorded_loop(robot)
+    return Evidence(
         problem=problem,
         observed=observed,
         method=method,
@@ -40,7 +46,12 @@ def assess_ls(problem: Problem, observed: Regression, method: Method, ls: LeastS
         used=used,
         intervals=ls.intervals,
         least_squares=ls.full,
+        loop=loop,
     )
+
+
+def assess_ls(evidence: Evidence, ls: LeastSquares) -> Fit:
+    """A fit by least squares."""
     return _fit(evidence, ls, Verdict())
 
 

@@ -34,7 +34,7 @@ from ..regression import (
     torque_of_recording,
 )
 from ..trust import covariance_of_all
-from .assess import assess_ls, intervals_of, predicted_rows, robust_sigma
+from .assess import assess_ls, evidence_of_ls, intervals_of, predicted_rows, robust_sigma
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, make_experiment
 from .fit import Fit, LeastSquares
 from .instruments import Instruments, simulate_instruments
@@ -48,7 +48,7 @@ from .iteration import (
     rows_of_pass,
     start_values,
 )
-from .verdict import assess_iv, assess_pass
+from .verdict import assess_iv, assess_pass, with_instruments
 
 Say = Callable[[str], None]
 
@@ -64,6 +64,7 @@ def identify_ls(
     *,
     method: Literal["ols", "wls"] = "wls",
     essential: bool = False,
+    trust: bool = False,
     say: Say = _silent,
 ) -> Fit:
     """IDIM-LS, section 2: base parameters beta from measured torque and filtered position.
@@ -74,6 +75,7 @@ def identify_ls(
     overrides : settings in place of those of the description; `Overrides()` for none.
     method : `wls`, rows weighted joint by joint, or `ols`, all rows alike.
     essential : keep only the parameters that the recording determines well.
+    trust : simulate the robot once with the estimate, for the tests that need instruments; the estimate stays the same.
     say : called with a line of text for each step.
 
     Returns
@@ -87,7 +89,13 @@ def identify_ls(
     problem = make_problem(signals, overrides)  # (2): tau = IDM(q, dq, ddq) beta
     observed = regression_of_recording(problem, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     ls = solve_least_squares(problem, observed, method, essential=essential)
-    return assess_ls(problem, observed, method, ls)
+    evidence = evidence_of_ls(problem, observed, method, ls)
+    if trust and not observed.reduced:
+        say("simulating the robot")
+        e = make_experiment(problem, inertia_prior(problem, overrides, ls))
+        z = simulate_instruments(e, ls.full.beta, ls.full.covariance)
+        evidence = with_instruments(evidence, e, z)
+    return assess_ls(evidence, ls)
 
 
 @one_thread

@@ -34,10 +34,11 @@ class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
     `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in `Pass`.
-    `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
+    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
     """
 
     beta: Array
+    motion: Motion | None
     Z: Array
     slip: Array
     kind: InstrumentKind
@@ -63,6 +64,7 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
     Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation)  # (n, b, rows)
     return Instruments(
         beta=beta,
+        motion=s.motion,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
         slip=e.decimation.kept(motion.dq) @ e.problem.model.coulomb_directions.T,
         kind="reference" if s.motion is None else "simulated" if reason is None else "consistent",

@@ -1,9 +1,20 @@
 """Assesses the instrumental variable method: each pass, the instruments, the direct model, and whether it converged."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one, relative_error_percent
+from ..errors import IdentificationError
+from ..estimation import (
+    Estimate,
+    InstrumentTests,
+    System,
+    instrument_tests,
+    instrumental_variables,
+    lag_one,
+    relative_error_percent,
+)
 from ..regression import Problem, Regression
 from ..trust import Evidence
 from .assess import Verdict, assess_estimate, intervals_of, predicted_rows
@@ -59,6 +70,24 @@ def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Exper
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
     )
     return assess_estimate(found, ls, predicted, verdict)
+
+
+def with_instruments(evidence: Evidence, e: Experiment, z: Instruments) -> Evidence:
+    """The evidence of least squares with the instruments of a robot simulated with it, for the tests that need them."""
+    system, weights = evidence.observed.system, evidence.least_squares.weights
+    try:
+        estimate = instrumental_variables(system.with_rows(evidence.used), z.Z, weights)
+    except IdentificationError:
+        return evidence
+    return replace(
+        evidence,
+        Z=z.Z,
+        simulated=z.motion,
+        decimation=e.decimation,
+        reference=e.reference_kind,
+        loop=e.loop,
+        first_stage_F=_tests(evidence.observed, estimate, evidence.used).first_stage_F,
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything

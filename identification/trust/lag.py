@@ -15,7 +15,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import System, instrumental_variables, intervals, whitened
-from ..regression import Problem, differentiate, torque_rate
+from ..regression import Problem, differentiate, fast_rows, torque_rate
 from .evidence import Evidence
 from .lines import Figure, TrustLine
 
@@ -95,7 +95,7 @@ def expected_lag_s(problem: Problem) -> float:
 
 
 def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
-    """The system and the instruments with the lag columns, without the rows next to those that do not count."""
+    """The system and the instruments with the lag columns, in the rows of iv without those next to slow ones."""
     problem, simulated, decimation = evidence.problem, evidence.simulated, evidence.decimation
     assert evidence.Z is not None
     assert simulated is not None
@@ -104,7 +104,9 @@ def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
     per_sample = 1 / ((simulated.t_s[1] - simulated.t_s[0]) * problem.signals.sample_rate_hz)
     rate = torque_rate(problem, evidence.estimate.among(problem.base.names))
     rate_simulated = decimation.filtered(differentiate(simulated.tau, per_sample).T)
-    used = evidence.used.reshape(n, -1)
+    directions, low_speed_percent = problem.model.coulomb_directions, problem.settings.low_speed.iv
+    slip = decimation.kept(simulated.dq) @ directions.T
+    used = fast_rows(slip, evidence.observed.slip_noise, directions, low_speed_percent).T.astype(float)
     inner = used.copy()
     inner[:, 1:] *= used[:, :-1]
     inner[:, :-1] *= used[:, 1:]

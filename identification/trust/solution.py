@@ -29,7 +29,7 @@ WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instrum
 ORDER = 12  # of the autoregression that whitens a joint's residual, at most
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
 REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
-NO_INSTRUMENTS = "not made: least squares has no instruments; --method iv makes this test"
+NO_INSTRUMENTS = "not made: least squares has no instruments; --trust or --method iv makes this test"
 
 
 def _not_made(test: str, text: str) -> TrustLine:
