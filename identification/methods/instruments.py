@@ -34,7 +34,8 @@ class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
     `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in `Pass`.
-    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the rows' instants.
+    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the
+    rows' instants.
     """
 
     beta: Array
