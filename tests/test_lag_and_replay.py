@@ -88,10 +88,13 @@ def test_the_mean_over_the_period_is_expected_at_zero():
     signals = recorded("scara")
     mean = np.array(signals.effort)
     mean[1:] = 0.5 * (mean[1:] + mean[:-1])
-    found = line(fitted(replace(signals, effort=mean, effort_is_mean=True)), "lag")
+    found = line(fitted(replace(signals, effort=mean, effort_timing="mean")), "lag")
     assert found.level == "ok"
     assert [figure.expected for figure in found.figures] == [0.0, 0.0]
-    assert line(fitted(load_signals(REPLAY / "emps" / "session.mcap"), trust=False), "lag").level == "not made"
+    timings = [load_signals(REPLAY / name / "session.mcap").effort_timing for name in ("scara", "tx40")]
+    assert timings == ["drive", "drive"]
+    found = line(fitted(load_signals(REPLAY / "scara" / "session.mcap")), "replay")
+    assert (found.level, found.caps) == ("not made", True)
 
 
 def test_a_known_lag_is_corrected_and_the_test_counts_from_it():

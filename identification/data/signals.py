@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,7 @@ from ..errors import IdentificationError
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
 EFFORT_TIMING, MEAN = "effort_timing", "mean over the control period"  # key and value of a recording's metadata
+EffortTiming = Literal["command", "mean", "drive"]
 LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
@@ -45,8 +47,8 @@ class Signals:
         events: what happened, in the order of the recording.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
-        effort_is_mean: whether efforts are means over the control period about their instants, as those that this package
-            simulates; otherwise the command of an instant, held after it.
+        effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
+            package simulates; `drive`: an object of drives whose loops are faster than the recording.
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
@@ -62,7 +64,7 @@ class Signals:
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
-    effort_is_mean: bool = False
+    effort_timing: EffortTiming = "command"
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
@@ -154,9 +156,16 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ),
         health=_health(recording, int(stamps[0])),
         extras=_extras(samples, recording.robot),
-        effort_is_mean=recording.metadata.get(EFFORT_TIMING) == MEAN,
+        effort_timing=_effort_timing(recording.metadata),
         off_grid=off_grid,
     )
+
+
+def _effort_timing(metadata: Mapping[str, str]) -> EffortTiming:
+    """What instants efforts belong to, by what the recording says of them."""
+    if metadata.get(EFFORT_TIMING) == MEAN:
+        return "mean"
+    return "drive" if ": object " in metadata.get("effort_provenance", "") else "command"
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:

@@ -130,7 +130,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         robot=robot,
         recording="simulated",
         sha256="",
-        effort_is_mean=noise.recorded == "mean",
+        effort_timing="mean" if noise.recorded == "mean" else "command",
     )
 
 
@@ -167,7 +167,7 @@ def write_signals(
     samples["position"], samples["effort"] = signals.q, signals.effort
     if signals.q_ref is not None:
         samples["reference"] = signals.q_ref
-    timing = {EFFORT_TIMING: MEAN} if signals.effort_is_mean else {}
+    timing = {EFFORT_TIMING: MEAN} if signals.effort_timing == "mean" else {}
     with (
         atomic_write(path) as partial,
         RecordingWriter(

@@ -85,13 +85,14 @@ def lags(evidence: Evidence) -> Lags:
 def expected_lag_s(problem: Problem) -> float:
     """The lag, in s, of a torque that is recorded as it should be.
 
-    A lag that is stated; else 0 where efforts are means over the control period, or that is not known; else minus half of it.
+    A lag that is stated; else minus half the control period for a held command; 0 for efforts of other kinds, or without a
+    described period.
     """
     given = problem.settings.torque_lag_s
     if given is not None:
         return given
     rate_hz = problem.signals.robot.controller.sample_rate_hz
-    return 0.0 if rate_hz is None or problem.signals.effort_is_mean else -0.5 / rate_hz
+    return 0.0 if rate_hz is None or problem.signals.effort_timing != "command" else -0.5 / rate_hz
 
 
 def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
@@ -142,9 +143,7 @@ def _line(problem: Problem, found: Lags) -> TrustLine:
     value = float(found.found[worst])
     text = f"joint {names[worst]}: torque {value:.2f} ± {found.half[worst]:.2f} samples late, {found.expected:.2g} expected"
     blind = [name for name, is_told in zip(names, told, strict=True) if not is_told]
-    unknown = (
-        f"cannot tell for {', '.join(blind)}, where the interval is wider than {WIDEST:g} samples" if blind else ""
-    )
+    unknown = f"the interval is wider than {WIDEST:g} samples for {', '.join(blind)}" if blind else ""
     if late.any():
         text += f", t = {found.t[worst]:.1f}: state torque_lag_s = {value / fs:.3g} if this is the drive's delay"
         return TrustLine(test="lag", level="caution", value=value, text=text, figures=figures, unit="samples")

@@ -119,6 +119,8 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
 def _not_made(problem: Problem, loop: ControlLaw | None) -> str | None:
     if problem.signals.q_ref is None:
         return "the recording has no reference"
+    if problem.signals.effort_timing == "drive":
+        return "the drives have loops of their own, which interpolate the reference between two SYNCs"
     if loop is None:
         return "[controller] describes no control law, or not all of one"
     if loop.computed_torque:
