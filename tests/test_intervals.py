@@ -5,14 +5,15 @@ import dataclasses
 import numpy as np
 import pytest
 from conftest import REPLAY
+from coverage_cases import Case, coverage_of, fits_of
+from independent_simulator import Imperfections
 from scipy import stats
 from scipy.signal import lfilter
 
 import identification.regression.system as regression_module
 from identification.data.signals import load_signals
-from identification.estimation.confidence import MOST, TimeBlocks, cosines, intervals, intervals_of_scores
+from identification.estimation.confidence import MOST, TimeBlocks, cosines, deviations, intervals
 from identification.estimation.estimators import (
-    Estimate,
     instrumental_variables,
     ordinary_least_squares,
     weighted_least_squares,
@@ -21,15 +22,6 @@ from identification.estimation.system import System
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_ls
 from identification.regression.settings import Overrides
-
-
-def estimate(b: int = 1, rows: int = 10**15) -> Estimate:
-    """An estimate of zeros, of so many rows that their number does not show."""
-    return Estimate(
-        names=tuple("abcdefgh"[:b]), beta=np.zeros(b), covariance=np.eye(b), weights=np.ones(1), residual_norm=1.0,
-        condition_number=1.0, condition_number_scaled=1.0, rows=rows, Q=np.eye(b), bread=np.eye(b),
-    )  # fmt: skip
-
 
 # Closed forms
 
@@ -43,17 +35,14 @@ def test_how_many_cosines(T, B):
 def test_a_cosine_of_the_family_is_measured_by_its_own_coefficient_alone(k):
     """S_t = cos(pi k (t + 1/2)/T): its L is sqrt(T/2), all others 0, so sigma² = T (T/2)/B; of k = 17 nothing is left."""
     T, t = 400, np.arange(400)
-    found = intervals_of_scores(estimate(), np.cos(np.pi * k * (t + 0.5) / T)[:, None])
-    assert found.freedom == 16
-    assert found.sigma[0] == pytest.approx(np.sqrt(T * T / 2 / 16), rel=1e-12)
-    assert found.half[0] == pytest.approx(stats.t.ppf(0.975, 16) * found.sigma[0], rel=1e-12)
-    beyond = intervals_of_scores(estimate(), np.cos(np.pi * 17 * (t + 0.5) / T)[:, None])
-    assert beyond.sigma[0] < 1e-10 * found.sigma[0]
+    found = deviations(np.cos(np.pi * k * (t + 0.5) / T)[:, None], 16)
+    assert found[0] == pytest.approx(np.sqrt(T * T / 2 / 16), rel=1e-12)
+    assert deviations(np.cos(np.pi * 17 * (t + 0.5) / T)[:, None], 16)[0] < 1e-10 * found[0]
 
 
 def test_a_mean_is_not_of_the_residual():
     """Scores of an estimate add up to zero; a mean that is left does not widen the interval: cosines from k = 1 on."""
-    assert intervals_of_scores(estimate(), np.ones((300, 1))).sigma[0] < 1e-10
+    assert deviations(np.ones((300, 1)), 16)[0] < 1e-10
 
 
 def test_the_whole_family_has_the_energy_of_the_scores():
@@ -61,13 +50,13 @@ def test_the_whole_family_has_the_energy_of_the_scores():
     T, rng = 5, np.random.default_rng(1)
     S = rng.normal(size=(T, 3))
     assert cosines(T) == T - 1
-    found = intervals_of_scores(estimate(3), S)
-    np.testing.assert_allclose(found.sigma**2, T * ((S - S.mean(axis=0)) ** 2).sum(axis=0) / (T - 1), rtol=1e-12)
+    found = deviations(S, T - 1)
+    np.testing.assert_allclose(found**2, T * ((S - S.mean(axis=0)) ** 2).sum(axis=0) / (T - 1), rtol=1e-12)
 
 
 def test_every_step_from_rows_to_an_interval():
-    """Scores of two joints, bread, weights, rows that do not count, and rows/(rows - b), worked out row by row."""
-    T, rng = 300, np.random.default_rng(2)
+    """Scores of two joints, bread, weights, rows that do not count, and what white noise leaves, worked out row by row."""
+    T, rng = 120, np.random.default_rng(2)
     W, Z = rng.normal(size=(2, 2 * T, 3))
     Z = W + 0.3 * Z
     Y, weights = W @ [1.0, -2.0, 0.5] + rng.normal(size=2 * T), np.array([2.0, 0.3])
@@ -80,12 +69,18 @@ def test_every_step_from_rows_to_an_interval():
     D = weights[joint] * used
     to_beta = np.linalg.inv(Z.T @ (D[:, None] ** 2 * W)) @ (D[:, None] * Z).T  # beta - beta_true = to_beta rho
     S = np.array([to_beta[:, t] * rho[t] + to_beta[:, T + t] * rho[T + t] for t in range(T)])
-    L = [np.sqrt(2 / T) * sum(np.cos(np.pi * k * (t + 0.5) / T) * S[t] for t in range(T)) for k in range(1, 17)]
-    r = int(used.sum())
-    variance = T * np.mean(np.square(L), axis=0) * r / (r - 3)
+    B = 9  # 0.4 T^(2/3) = 9.7
+    L = [np.sqrt(2 / T) * sum(np.cos(np.pi * k * (t + 0.5) / T) * S[t] for t in range(T)) for k in range(1, B + 1)]
+    H = found.Q @ found.Q.T
+    at = np.tile(np.arange(T), 2)
+    of_white = np.zeros(3)
+    for k in range(1, B + 1):  # L_k = a'(I - H)e
+        a = np.sqrt(2 / T) * np.cos(np.pi * k * (at + 0.5) / T) * to_beta
+        of_white += np.sum((a - a @ H) ** 2, axis=1) / B
+    variance = np.mean(np.square(L), axis=0) / of_white * np.sum(to_beta**2, axis=1)
     np.testing.assert_allclose(by_rows.sigma, np.sqrt(variance), rtol=1e-9)
-    np.testing.assert_allclose(by_rows.low, found.beta - stats.t.ppf(0.975, 16) * by_rows.sigma, rtol=1e-9)
-    np.testing.assert_allclose(by_rows.high, found.beta + stats.t.ppf(0.975, 16) * by_rows.sigma, rtol=1e-9)
+    np.testing.assert_allclose(by_rows.low, found.beta - stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
+    np.testing.assert_allclose(by_rows.high, found.beta + stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
 
 
 def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations_of_the_formula():
@@ -101,7 +96,7 @@ def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations
             correlation, np.linalg.inv(W.T @ W) / np.outer(*2 * [np.sqrt(np.diag(np.linalg.inv(W.T @ W)))])
         )
     assert np.linalg.matrix_rank(found.covariance / np.outer(found.sigma, found.sigma)) == 6
-    exact = intervals_of_scores(dataclasses.replace(fit, covariance=np.zeros((6, 6))), np.zeros((50, 6)))
+    exact = intervals(dataclasses.replace(fit, covariance=np.zeros((6, 6))), np.zeros(200), 1)
     np.testing.assert_array_equal(exact.covariance, 0)
 
 
@@ -128,6 +123,15 @@ def test_white_rows_are_covered_in_95_percent():
     assert by_formula == pytest.approx(95, abs=1.0)
 
 
+def test_regressors_as_slow_as_the_cosines_are_covered_in_95_percent():
+    """Eight sines of 1 to 8 periods: with r/(r - b), 1.01 here, 89 % would be covered."""
+    t = np.arange(600)[:, None]
+    W = np.cos(2 * np.pi * (t * np.arange(1, 9) / 600 + np.arange(8) / 8))
+    by_cosines, by_formula = coverage_percent(W, 0.0, 1000)
+    assert by_cosines == pytest.approx(95, abs=1.0)
+    assert by_formula == pytest.approx(95, abs=1.0)
+
+
 def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
     """AR(0.98), and a motion that takes 100 rows a period: its spectrum there is nine times that of white rows."""
     t = np.arange(2000)
@@ -135,6 +139,18 @@ def test_strongly_correlated_rows_are_covered_where_the_formula_is_lost():
     by_cosines, by_formula = coverage_percent(W, 0.98, 500)
     assert by_cosines == pytest.approx(95, abs=2.5)
     assert by_formula < 65
+
+
+def test_a_sample_of_recordings_is_covered():
+    """Coloured torque noise, on the axis; the whole table is a benchmark."""
+    case = Case(
+        robot="emps", what="AR(0.98)", cell=Imperfections(coloured_noise_percent=2.0), method="wls", duration_s=5.0
+    )
+    found = coverage_of(case, 20, [fits_of(case, range(20))])
+    assert found.beta.shape == (20, 4)
+    assert 85 <= found.whole <= 99
+    assert found.by_formula < found.whole - 15
+    assert 0.6 < np.median(found.half_over_spread) < 1.6
 
 
 # Long recordings
@@ -163,21 +179,29 @@ def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwa
     np.testing.assert_allclose(reduced.intervals.low, reduced.beta[reduced.beta != 0] - reduced.intervals.half)
 
 
-def test_scores_of_time_blocks_are_sums_of_scores_of_rows(monkeypatch):
-    """Joints weighted, rows left out, some of the parameters; brought in pieces that end within a block."""
-    T, n, b, rng = 1000, 2, 4, np.random.default_rng(5)
+def test_time_blocks_are_sums_over_their_rows():
+    """As many instants as blocks: the intervals of the rows. Joints weighted, rows left out, all or some of the parameters."""
+    T, n, b, rng = 128, 2, 4, np.random.default_rng(5)
     W, Y, counts = rng.normal(size=(n, b, T)), rng.normal(size=(n, T)), rng.uniform(size=(T, n)) > 0.3
     system = System.whole(W.transpose(0, 2, 1).reshape(n * T, b), Y.ravel(), np.repeat([0, 1], T), tuple("abcd"))
     system = system.with_rows(counts.T.ravel().astype(float))
     blocks = TimeBlocks.none_yet(T, n, tuple("abcd"))
-    for a, z in ((0, 13), (13, 500), (500, 501), (501, T)):
+    for a, z in ((0, 13), (13, 50), (50, 51), (51, T)):
         blocks.add(a, W[..., a:z], Y[:, a:z], counts[a:z])
     for columns in (np.arange(4), np.array([1, 3])):
         some = system.with_columns(columns)
         fit = weighted_least_squares(some)
         W_w, Y_w = some.weighted(fit.weights)
-        by_rows = (fit.Q * (Y_w - W_w @ fit.beta)[:, None]).reshape(n, T, -1).sum(axis=0) @ fit.bread.T
-        of_block = np.arange(T) * 128 // T
-        sums = np.array([by_rows[of_block == k].sum(axis=0) for k in range(128)])
-        np.testing.assert_allclose(blocks.scores(fit), sums, atol=1e-12)
-        assert np.ptp(np.bincount(of_block)) <= 1
+        by_rows, by_blocks = intervals(fit, Y_w - W_w @ fit.beta, n), blocks.intervals(fit)
+        np.testing.assert_allclose(by_blocks.sigma, by_rows.sigma, rtol=1e-9)
+        np.testing.assert_allclose(by_blocks.low, by_rows.low, rtol=1e-9)
+
+
+def test_time_blocks_are_equal():
+    """1000 instants in 128 blocks of 7 or 8, brought in pieces that end within a block."""
+    blocks = TimeBlocks.none_yet(1000, 1, ("a",))
+    for a, z in ((0, 13), (13, 500), (500, 501), (501, 1000)):
+        blocks.add(a, np.ones((1, 1, z - a)), np.zeros((1, z - a)), np.ones((z - a, 1), dtype=bool))
+    assert blocks.products.shape == (128, 1, 1, 2)
+    assert set(blocks.products[:, 0, 0, 0]) == {7.0, 8.0}
+    assert blocks.products[..., 0].sum() == 1000

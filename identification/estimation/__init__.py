@@ -1,6 +1,6 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
-from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals, intervals_of_scores
+from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals
 from .consistency import (
     Consistent,
     PhysicalParameters,
@@ -54,7 +54,6 @@ __all__ = [
     "instrument_tests",
     "instrumental_variables",
     "intervals",
-    "intervals_of_scores",
     "lag_one",
     "one_thread",
     "ordinary_least_squares",

@@ -13,7 +13,6 @@ from ..estimation import (
     Intervals,
     hac_sigma,
     intervals,
-    intervals_of_scores,
     torque_errors,
 )
 from ..regression import Problem, Regression, torque_of_recording
@@ -101,7 +100,7 @@ def columns_of(observed: Regression, estimate: Estimate) -> Array:
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
     """Intervals of an estimate from the rows that are `used` (r,)."""
     if observed.time_blocks is not None:
-        return intervals_of_scores(estimate, observed.time_blocks.scores(estimate), len(observed.tau))
+        return observed.time_blocks.intervals(estimate)
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
     return intervals(estimate, rho * used, observed.tau.shape[1])
 

@@ -20,7 +20,6 @@ from ..estimation import (
     Intervals,
     consistent_parameters,
     intervals,
-    intervals_of_scores,
     weighted_least_squares,
 )
 from ..model import RESISTING, DirectModel, InverseModel, JointTerm, physical_parameters
@@ -89,7 +88,7 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
     """Intervals of another least squares estimate of the same rows."""
     observed = evidence.observed
     if observed.time_blocks is not None:
-        return intervals_of_scores(estimate, observed.time_blocks.scores(estimate), len(observed.tau))
+        return observed.time_blocks.intervals(estimate)
     W, Y = observed.system.weighted(estimate.weights)
     return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1])
 

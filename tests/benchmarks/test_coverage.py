@@ -1,0 +1,44 @@
+"""Coverage of the printed 95 % intervals, by the independent simulator: the table of identification/README.md.
+
+Run with `COVERAGE_RUNS=200 pytest tests/benchmarks/test_coverage.py -s --benchmark-enable`; the arm has a fifth as many. The
+bounds are those of 200 runs: with fewer the table is only printed, as the shares then spread by more than the bounds leave.
+"""
+
+import os
+import sys
+
+import numpy as np
+import pytest
+from coverage_cases import ARM, AXES, HEADER, Coverage, covered
+
+pytestmark = pytest.mark.skipif(
+    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
+)
+
+RUNS = int(os.environ.get("COVERAGE_RUNS", "200"))
+
+
+def broken(c: Coverage, lowest: float, worst: float) -> list[str]:
+    """What is outside the bounds of a case."""
+    largest = c.half_over_spread.max()
+    found = [
+        *([] if lowest <= c.whole <= 98 else [f"coverage {c.whole:.1f} %"]),
+        *([] if c.by_parameter.min() >= worst else [f"worst parameter {c.by_parameter.min():.0f} %"]),
+        *([] if largest <= 1.6 else [f"half-width {largest:.2f}"]),
+    ]
+    return [f"{c.case.name}: {text}" for text in found]
+
+
+def test_intervals_cover_the_truth():
+    print(f"\n{HEADER}")
+    found, outside = [], []
+    for cases, runs, lowest, worst in ((AXES, RUNS, 90, 82), (ARM, max(2, RUNS // 5), 86, 75)):
+        for c in covered(cases, runs, os.cpu_count() or 1):
+            print(c.row(), flush=True)
+            found.append(c)
+            outside += broken(c, lowest, worst)
+    mean = np.mean([c.whole for c in found if c.case in AXES])
+    print(f"mean over EMPS and SCARA: {mean:.1f} %; outside the bounds: {'; '.join(outside) or 'nothing'}")
+    if RUNS >= 200:
+        assert not outside
+        assert 93 <= mean <= 97
