@@ -46,8 +46,11 @@ def test_the_readme_shows_the_real_record_as_it_is_printed(emps, capsys):
     shown = [line.split() for line in section.split("\n- ")[0].splitlines() if line.startswith("    ")]
     assert shown[0][0] == "EMPS:"
     assert len(shown) >= 10
-    for line in shown:
-        assert line in printed
+    for *line, last in shown:
+        if last == "...":
+            assert line in [whole[: len(line)] for whole in printed]
+        else:
+            assert [*line, last] in printed
 
 
 def document(table: Table) -> Document:
