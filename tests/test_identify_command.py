@@ -35,7 +35,7 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     files = "--json", tmp_path / "fit.json", "--report", tmp_path / "fit.md"
     status, out, err = run(capsys, "fit", SESSION, *files)
     assert (status, err) == (0, "")
-    assert out.startswith("SCARA: WLS, solved, 0.")
+    assert out.startswith("SCARA: WLS, solved, caution, 0.")
     assert (tmp_path / "fit.md").read_text().startswith(f"# {out.splitlines()[0]}")
     assert "fit.txt: ending = '.txt'" in refused(capsys, "fit", SESSION, "--report", tmp_path / "fit.txt")
     assert "essential: 8 of 8 parameters" in out

@@ -116,7 +116,7 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     kept = dataclasses.replace(plan.decimator, factor=steps).kept(m.dq)
     fast = fast_rows(kept @ D.T, np.zeros(len(D)), D, None)
     used = fast.T.reshape(-1).astype(float)
-    assert used.sum() == pytest.approx(iv.estimate.rows, rel=2e-3)  # these are the rows of an earlier pass
+    assert used.sum() == pytest.approx(iv.estimate.rows, rel=5e-3)  # these are the rows of an earlier pass
     on_its_rows = weighted_least_squares(regression_of_recording(ls.problem).system.with_rows(used))
     beside = dataclasses.replace(ls, estimate=on_its_rows)
     assert off_percent(ls, signals) < 1.5 * off_percent(beside, signals)

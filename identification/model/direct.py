@@ -53,12 +53,18 @@ class DirectModel:
             bias = bias + value * term.torque(dq)
         return pin.crba(self.rigid, self.data, q), bias
 
-    def gravity(self, q: Array) -> Array:
-        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside."""
-        g = np.tile(self.offset, (len(q), 1))
-        if self.rigid.gravity.linear.any():
+    def gravity(self, q: Array, along: Array | None = None) -> Array:
+        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside.
+
+        `along` (3,) is a gravity in m/s² in place of the description's.
+        """
+        g, rigid = np.tile(self.offset, (len(q), 1)), self.rigid
+        if along is not None:
+            rigid = rigid.copy()
+            rigid.gravity.linear = along
+        if rigid.gravity.linear.any():
             for k, qk in enumerate(np.ascontiguousarray(q)):
-                g[k] += pin.computeGeneralizedGravity(self.rigid, self.data, qk)
+                g[k] += pin.computeGeneralizedGravity(rigid, self.data, qk)
         return g
 
     def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:

@@ -6,13 +6,13 @@ instruments c is the column of the simulated motion, so that noise of the positi
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import Array
 from ..estimation import cosines, deviations
-from ..model import InverseModel, JointTerm, direct_model
+from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion
 from .evidence import Evidence
 from .lines import TrustLine
@@ -208,8 +208,7 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
         turned = np.cross(axis, gravity)
         if not turned.any():
             continue
-        tilted = InverseModel(replace(robot, gravity=turned))
-        torque = direct_model(tilted, links).gravity(q)
+        torque = direct_model(idm, links).gravity(q, along=turned)
         yield _Column(
             kind="tilt of gravity",
             where=f"about {about}",
