@@ -27,7 +27,7 @@ from ..regression import Problem
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
 
-SEVERE = 2.0  # half-widths below zero that chance does not explain: of clean runs, 1 in 60 had a friction beyond one
+SEVERE = 2.0  # half-widths below zero that chance does not explain
 POSES = 300  # positions of the trajectory at which M must be positive
 FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
 
@@ -101,19 +101,26 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     findings, lowest = _inertia_findings(
         idm, base.columns[among], estimate.beta, found, poses_of(signals.q[settings.start : settings.stop])
     )
-    below: dict[tuple[Level, int], list[str]] = {}
+    below: dict[int, list[tuple[str, float, bool]]] = {}  # by joint: name and value, in half-widths, whether it resists
     half = found.reach * np.sqrt(np.diag(found.covariance))
     for i, value, width in zip(among, estimate.beta, half, strict=True):
         terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
         kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
         of_joints = all(isinstance(term, JointTerm) for term in terms) and "offset" not in kinds
         if of_joints and (base.K[i] >= 0).all() and value < -width:
-            level: Level = "do not use" if kinds <= set(RESISTING) and value < -SEVERE * width else "caution"
             joint = int("".join(filter(str.isdigit, base.names[i]))) - 1
-            below.setdefault((level, joint), []).append(f"{base.names[i]} = {value:.4g} ± {width:.2g} {base.units[i]}")
-    for (level, joint), told in sorted(below.items()):
-        name = signals.robot.joints[joint].name
-        findings.append(_Finding(level=level, text=f"below zero: {', '.join(told)}: {_question(name)}"))
+            text = f"{base.names[i]} = {value:.4g} ± {width:.2g} {base.units[i]}"
+            below.setdefault(joint, []).append((text, -value / width, kinds <= set(RESISTING)))
+    for joint, told in sorted(below.items()):
+        # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
+        together = sum(resists for _, _, resists in told) > 1
+        severe = [text for text, beyond, resists in told if resists and (together or beyond > SEVERE)]
+        mild = [text for text, _, _ in told if text not in severe]
+        levels: tuple[tuple[Level, list[str]], ...] = (("do not use", severe), ("caution", mild))
+        for level, texts in levels:
+            if texts:
+                question = _question(signals.robot.joints[joint].name)
+                findings.append(_Finding(level=level, text=f"below zero: {', '.join(texts)}: {question}"))
     return findings, lowest
 
 
