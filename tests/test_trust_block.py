@@ -24,6 +24,7 @@ from scipy.signal import lfilter
 import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from identification.data.signals import Signals
+from identification.estimation.whitening import autoregression
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
@@ -32,7 +33,6 @@ from identification.trust import Evidence, Trust, TrustLine
 from identification.trust.columns import lacks_of
 from identification.trust.lines import LEVELS, worst_first
 from identification.trust.solution import (
-    _autoregression,
     _whitened,
     contrast_test,
     fixed_point_test,
@@ -284,7 +284,7 @@ def test_an_autoregression_is_found_despite_gaps():
     rng = np.random.default_rng(2)
     rho = lfilter([1.0], [1.0, -0.7, 0.2], rng.standard_normal(20_000))
     used = (rng.random(20_000) > 0.001).astype(float)
-    np.testing.assert_allclose(_autoregression(rho, used, 4), [0.7, -0.2, 0.0, 0.0], atol=0.03)
+    np.testing.assert_allclose(autoregression(rho * used, 4), [0.7, -0.2, 0.0, 0.0], atol=0.03)
 
 
 def test_prewhitened_rows_are_those_of_the_filter():
@@ -297,7 +297,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
     for j in range(n):
         rows = slice(j * T, (j + 1) * T)
         used = evidence.used[rows]
-        taps = np.r_[1.0, -_autoregression(evidence.rows.rho[rows], used, order)]
+        taps = np.r_[1.0, -autoregression(evidence.rows.rho[rows] * used, order)]
         counts = lfilter(np.ones(order + 1), [1.0], used) == order + 1
         stack = np.c_[system.W, evidence.Z, system.Y][rows]
         parts.append((lfilter(taps, [1.0], stack, axis=0) * weight[rows, None])[counts])

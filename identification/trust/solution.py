@@ -4,14 +4,13 @@ Parts are solved with the factors at hand: with A = QᵀW, the rows of a part ad
 that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated or factorised again.
 """
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, cosines, deviations, f_tail, instrumental_variables, intervals
+from ..estimation import Estimate, are_moving, cosines, deviations, f_tail, instrumental_variables, intervals, whitened
 from .evidence import Evidence
 from .lines import Figure, TrustLine
 
@@ -19,10 +18,8 @@ BLOCKS = 5
 HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
 HALVES_LEVEL = 0.001  # of the Wald test
 ROBUST = 6.0  # deviations, of a row that does not belong to the others
-BAD_END, OUTSTANDING = (
-    30.0,
-    2.0,
-)  # deviations of a row at an end that spoils an estimate, and times the largest elsewhere
+BAD_END = 30.0  # deviations of a row at an end that spoils an estimate
+OUTSTANDING = 2.0  # times the largest deviation elsewhere, for a row at an end to be one that does not belong
 END_ROWS = 5  # rows at each end that a bad edge shows in
 CONTRAST = 3.0  # deviations of IV from LS that say that LS is biased
 WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
@@ -223,35 +220,14 @@ def prewhitened_test(evidence: Evidence) -> TrustLine:
 def _whitened(evidence: Evidence) -> Estimate | str:
     """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why there are none."""
     assert evidence.Z is not None
-    T, n = evidence.observed.tau.shape
-    system, p = evidence.observed.system, min(ORDER, T // 20)
-    kept = np.array([system.names.index(name) for name in evidence.estimate.names])
-    used, rho = evidence.used.reshape(n, T), evidence.rows.rho.reshape(n, T)
-    stack = np.c_[system.W[:, kept], evidence.Z[:, kept], system.Y].reshape(n, T, -1)
-    filtered, count = np.zeros_like(stack), np.zeros((n, T))
-    for j in range(n):
-        a = _autoregression(rho[j], used[j], p)
-        filtered[j, p:] = stack[j, p:]
-        whole = used[j, p:].copy()
-        for k in range(1, p + 1):
-            filtered[j, p:] -= a[k - 1] * stack[j, p - k : T - k]
-            whole *= used[j, p - k : T - k]
-        count[j, p:] = whole
-    flat, b = filtered.reshape(n * T, -1), len(kept)
-    part = replace(system.with_columns(kept), W=flat[:, :b], Y=flat[:, -1]).with_rows(count.reshape(-1))
-    if count.sum() <= 4 * b:
-        return f"not made: {int(count.sum())} rows in a row are fast for {b} parameters; record longer"
+    names = evidence.estimate.names
+    kept = np.array([evidence.observed.system.names.index(name) for name in names])
+    system = evidence.observed.system.with_columns(kept).with_rows(evidence.used)
+    order = min(ORDER, len(evidence.observed.tau) // 20)
+    system, Z = whitened(system, evidence.Z[:, kept], evidence.rows.rho, order)
+    if system.used.sum() <= 4 * len(names):
+        return f"not made: {int(system.used.sum())} rows in a row are fast for {len(names)} parameters; record longer"
     try:
-        return instrumental_variables(part, flat[:, b : 2 * b], evidence.estimate.weights)
+        return instrumental_variables(system, Z, evidence.estimate.weights)
     except IdentificationError as error:
         return f"not made: {error}"
-
-
-def _autoregression(rho: Array, used: Array, order: int) -> Array:
-    """Coefficients (order,) by Yule and Walker, from the rows that count."""
-    x = rho * used
-    r = np.array([x[k:] @ x[: len(x) - k] for k in range(order + 1)]) / max(1.0, used.sum())
-    if not r[0] > 0:
-        return np.zeros(order)
-    places = np.abs(np.subtract.outer(np.arange(order), np.arange(order)))
-    return np.asarray(np.linalg.lstsq(r[places] + 1e-9 * r[0] * np.eye(order), r[1:], rcond=None)[0])
