@@ -8,7 +8,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import relative_error_percent
 from ..model import direct_model
-from ..regression import Motion, decimated_regressor
+from ..regression import Motion, decimated_regressor, lowest_nearby, slip_cutoff_hz
 from ..simulation import simulate, surrogate_loop
 from ..trust import inertias, nearest_consistent, not_positive
 from .experiment import LOST, Experiment
@@ -34,8 +34,8 @@ class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
     `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in `Pass`.
-    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction at the
-    rows' instants.
+    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction, the lowest
+    near the rows' instants.
     """
 
     beta: Array
@@ -67,12 +67,19 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
         beta=beta,
         motion=s.motion,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
-        slip=e.decimation.kept(motion.dq) @ e.problem.model.coulomb_directions.T,
+        slip=_slip(e, motion),
         kind="reference" if s.motion is None else "simulated" if reason is None else "consistent",
         reason=s.reason or reason,
         gains=s.gains,
         tracking_percent=s.tracking_percent,
     )
+
+
+def _slip(e: Experiment, motion: Motion) -> Array:
+    """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
+    reach = round(0.5 / ((e.grid_s[1] - e.grid_s[0]) * slip_cutoff_hz(e.problem)))
+    speed = np.abs(motion.dq @ e.problem.model.coulomb_directions.T)
+    return lowest_nearby(speed, e.decimation.instants(len(speed)), reach)
 
 
 def simulated_robot(e: Experiment, beta: Array, covariance: Array) -> SimulatedMotion:

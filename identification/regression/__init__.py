@@ -1,7 +1,7 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .low_speed import fast_rows, measured_slip
+from .low_speed import fast_rows, lowest_nearby, measured_slip, slip_cutoff_hz
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .problem import Problem, make_problem
 from .settings import (
@@ -37,6 +37,7 @@ __all__ = [
     "differentiate",
     "fast_rows",
     "forward_backward_3db_hz",
+    "lowest_nearby",
     "make_problem",
     "make_settings",
     "measured_slip",
@@ -45,6 +46,7 @@ __all__ = [
     "regression_of_recording",
     "rule_cutoff_hz",
     "sampled_at",
+    "slip_cutoff_hz",
     "torque_of_recording",
     "torque_rate",
 ]

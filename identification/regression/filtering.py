@@ -65,7 +65,11 @@ class Decimation:
 
     def kept(self, x: Array) -> Array:
         """The samples of x (N, n) at the instants that are kept, unfiltered."""
-        return x[(len(x) - 1) % self.factor :: self.factor]
+        return x[self.instants(len(x))]
+
+    def instants(self, N: int) -> NDArray[np.intp]:
+        """Which of N samples are kept: the last one, and every `factor`-th before it."""
+        return np.arange((N - 1) % self.factor, N, self.factor)
 
 
 def decimation_passes(factor: int) -> tuple[int, ...]:

@@ -1,7 +1,8 @@
 """Which rows count: those at low speed are left out, of least squares and of instrumental variables by the same rule.
 
 Joints that stick and slip, and the sign of a noisy velocity, are not what the model describes. Least squares goes by the
-measured speed behind the low-pass; instrumental variables go by the simulated one, which is exogenous.
+measured speed behind the low-pass; instrumental variables go by the simulated one, which is exogenous. Of either speed it is
+the lowest within the time that the low-pass blurs W by.
 """
 
 import numpy as np
@@ -40,10 +41,10 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     that sticks for a moment seems to creep: a row has the lowest speed within that time of its instant.
     """
     signals, settings = problem.signals, problem.settings
-    fs, n_d, start, stop = signals.sample_rate_hz, settings.decimation, settings.start, settings.stop
-    cutoff_hz = settings.cutoff_hz if settings.filtered else rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
-    blur = 0 if cutoff_hz is None else round(0.5 * fs / cutoff_hz)
-    kept = np.arange((stop - 1 - start) % n_d + start, stop, n_d)
+    fs, start, stop = signals.sample_rate_hz, settings.start, settings.stop
+    cutoff_hz = slip_cutoff_hz(problem)
+    blur = round(0.5 * fs / cutoff_hz)
+    kept = start + settings.decimator.instants(stop - start)
     slip = np.empty((len(kept), len(directions)))
     total, squares = np.zeros((2, signals.robot.n))
     for a in range(start, stop, _BLOCK):
@@ -51,15 +52,27 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
         low, high = max(start, a - blur), min(stop, b + blur)
         wide = problem.motion.between(low, high, cutoff_hz).dq
         here = (kept >= a) & (kept < b)
-        windows = np.stack([kept[here] - blur, kept[here] + blur + 1], axis=1).clip(low, high) - low
-        speed = np.abs(wide @ directions.T)
-        slip[here] = np.minimum.reduceat(np.concatenate([speed, speed[-1:]]), windows.ravel())[::2]
+        slip[here] = lowest_nearby(np.abs(wide @ directions.T), kept[here] - low, blur)
         if not settings.filtered:
             off = problem.motion.between(a, b, settings.cutoff_hz).dq - wide[a - low : b - low]
             total += off.sum(axis=0)
             squares += (off**2).sum(axis=0)
     N = stop - start
     return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
+
+
+def slip_cutoff_hz(problem: Problem) -> float:
+    """Cut-off of the low-pass that speeds are judged behind: the fit's own, or the rule's where it goes without or higher."""
+    signals, settings = problem.signals, problem.settings
+    if settings.filtered and settings.cutoff_hz is not None:
+        return settings.cutoff_hz
+    return rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
+
+
+def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:
+    """The lowest of each speed (N, c) within `reach` samples of the samples `at` (K,): (K, c)."""
+    windows = np.stack([at - reach, at + reach + 1], axis=1).clip(0, len(speed))
+    return np.asarray(np.minimum.reduceat(np.concatenate([speed, speed[-1:]]), windows.ravel())[::2])
 
 
 def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:

@@ -15,7 +15,7 @@ class Problem:
     """The data of an identification, made once per fit.
 
     Attributes:
-        signals: the recording, a known lag of its torque corrected.
+        signals: the recording, the lag of its torque corrected.
         settings: cut-off, decimation and span, resolved.
         model: inverse dynamic model of the robot, linear in its standard parameters.
         base: its base parameters.
@@ -34,7 +34,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
     Raises `IdentificationError` where the settings do not suit the recording, or the robot cannot be modelled.
     """
-    lag_s = torque_lag_s(signals, overrides)
+    lag_s, _ = torque_lag_s(signals, overrides)
     if lag_s:
         at = np.arange(len(signals.effort), dtype=np.float64) + lag_s * signals.sample_rate_hz
         signals = replace(signals, effort=sampled_at(at, signals.effort))

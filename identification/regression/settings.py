@@ -28,7 +28,8 @@ _BLOCK = 200_000  # samples looked through at a time for the span of motion
 class Overrides:
     """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
 
-    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv.
+    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv; `torque_lag_s` "none"
+    corrects nothing.
     """
 
     cutoff_hz: float | None = None
@@ -36,7 +37,7 @@ class Overrides:
     span: Span | None = None
     edges: Edges | None = None
     low_speed_percent: float | LowSpeed | None = None
-    torque_lag_s: float | None = None
+    torque_lag_s: float | Literal["none"] | None = None
 
     def over(self, others: "Overrides") -> "Overrides":
         """These, and those of the others where these are silent."""
@@ -54,7 +55,8 @@ class Settings:
         filtered: whether the position's low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
         low_speed: rows slower than this are left out, by method (`low_speed.fast_rows`).
-        torque_lag_s: known lag of the recorded torque in s, positive where it is late, corrected; None where none is stated.
+        torque_lag_s: lag of the recorded torque in s, positive where it is late, that is corrected; 0 where none is.
+        expected_lag_s: the lag, in s, of a torque that is recorded as it should be.
         span: what that range is, in words; `span_rule` the setting it follows from.
         warnings: rules of the method that the settings leave.
     """
@@ -66,7 +68,8 @@ class Settings:
     filtered: bool
     edges: Edges
     low_speed: LowSpeed
-    torque_lag_s: float | None
+    torque_lag_s: float
+    expected_lag_s: float
     span: str
     span_rule: Span
     warnings: tuple[str, ...]
@@ -142,8 +145,8 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
-    lag_s = torque_lag_s(signals, overrides)
-    moved = (lag_s or 0.0) * fs  # samples without a torque, at one end
+    lag_s, expected_lag_s = torque_lag_s(signals, overrides)
+    moved = lag_s * fs  # samples without a torque, at one end
     start, stop = max(start, math.ceil(-moved)), min(stop, N - math.ceil(moved))
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
@@ -163,15 +166,26 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         edges=overrides.edges or stored.edges,
         low_speed=low_speed_by_method(stored.low_speed if given is None else given),
         torque_lag_s=lag_s,
+        expected_lag_s=expected_lag_s,
         span=span,
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
 
 
-def torque_lag_s(signals: Signals, overrides: Overrides) -> float | None:
-    """The known lag of a recording's torque: the option, else that of robot.toml; None where neither states one."""
-    return signals.robot.identification.torque_lag_s if overrides.torque_lag_s is None else overrides.torque_lag_s
+def torque_lag_s(signals: Signals, overrides: Overrides) -> tuple[float, float]:
+    """The lag of a recording's torque that is corrected, and the one expected of it, in s, positive where it is late.
+
+    A lag that is stated is both. Otherwise a command held for a control period is half that period early: it is written down
+    at the tick, and acts on the mean half a period later. Efforts of other kinds, or without a described period, have 0.
+    `"none"` corrects nothing and expects the same.
+    """
+    own, rate_hz = signals.robot.identification.torque_lag_s, signals.robot.controller.sample_rate_hz
+    given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
+    if given is not None and given != "none":
+        return given, given
+    expected = 0.0 if rate_hz is None or signals.effort_timing != "command" else -0.5 / rate_hz
+    return 0.0 if given == "none" else expected, expected
 
 
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
