@@ -153,8 +153,8 @@ def fits_of(case: Case, seeds: range) -> tuple[tuple[str, ...], Array, list[Arra
     robot = replace(robot, identification=type(robot.identification)())
     reference = references(body, seeds, duration_s=case.duration_s, rate_hz=controller.rate_hz)
     runs = simulate(body, controller, reference, case.cell, seed=seeds.start)
-    # The command of a tick, held until the next: the torque recorded is half a period early.
-    known = Overrides(torque_lag_s=-0.5 / controller.rate_hz)
+    # The command of a tick, held until the next. The arm's description has no period that would tell so.
+    known = Overrides() if robot.controller.sample_rate_hz else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
     found, names, true = [], (), np.empty(0)
     for k in range(len(seeds)):
         signals = runs.signals(robot, k)

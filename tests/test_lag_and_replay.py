@@ -15,10 +15,12 @@ from identification.estimation.system import System
 from identification.estimation.whitening import autoregression, whitened
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_ls, validate
+from identification.model.inverse import InverseModel
 from identification.regression.motion import sampled_at
 from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides
+from identification.regression.settings import Overrides, torque_lag_s
 from identification.simulation.control_law import recorded_loop
+from identification.study.synthetic import truth
 from identification.trust.lines import TrustLine
 from identification.trust.replay import replay
 
@@ -34,7 +36,7 @@ def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0,
 
 
 @cache
-def fitted(signals: Signals, *, trust: bool = True, torque_lag_s: float | None = None) -> Fit:
+def fitted(signals: Signals, *, trust: bool = True, torque_lag_s: float | str | None = None) -> Fit:
     return identify_ls(signals, Overrides(torque_lag_s=torque_lag_s), trust=trust)
 
 
@@ -111,6 +113,39 @@ def test_a_known_lag_is_corrected_and_the_test_counts_from_it():
     np.testing.assert_array_equal(by_description.beta, fit.beta)
     errors = [validate(late, Overrides(torque_lag_s=s), lambda base: fit.beta)[1][-1] for s in (0.003, 0.0)]
     assert errors[0].relative_error_percent < 0.8 * errors[1].relative_error_percent
+
+
+@pytest.mark.parametrize(
+    ("timing", "rate_hz", "stated", "option", "corrected", "expected"),
+    [
+        ("command", 1000.0, None, None, -0.5e-3, -0.5e-3),
+        ("command", 500.0, None, None, -1e-3, -1e-3),
+        ("mean", 1000.0, None, None, 0.0, 0.0),
+        ("drive", 1000.0, None, None, 0.0, 0.0),
+        ("command", None, None, None, 0.0, 0.0),
+        ("command", 1000.0, "none", None, 0.0, -0.5e-3),
+        ("command", 1000.0, 2e-3, None, 2e-3, 2e-3),
+        ("command", 1000.0, 2e-3, "none", 0.0, -0.5e-3),
+        ("command", 1000.0, "none", 0.0, 0.0, 0.0),
+    ],
+)
+def test_which_lag_is_corrected_and_which_is_expected(timing, rate_hz, stated, option, corrected, expected):
+    signals = with_controller(replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz)
+    own = msgspec.structs.replace(signals.robot.identification, torque_lag_s=stated)
+    signals = replace(signals, robot=replace(signals.robot, identification=own))
+    assert torque_lag_s(signals, Overrides(torque_lag_s=option)) == (corrected, expected)
+
+
+def test_a_held_command_is_shifted_by_half_its_period():
+    """As recorded, half a period early, the parameters are further off than noise takes them."""
+    signals = recorded("scara")
+    true = truth(InverseModel(signals.robot), fitted(signals, trust=False).base)
+    error = {
+        lag: np.linalg.norm(fitted(signals, trust=False, torque_lag_s=lag).beta - true)
+        for lag in (None, "none", -0.5e-3)
+    }
+    assert error[None] == error[-0.5e-3]
+    assert error[None] < 0.5 * error["none"]
 
 
 def test_the_shift_is_that_of_a_sine_and_ends_are_cut():

@@ -112,9 +112,13 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     assert ls.estimate.rows < 0.9 * rows
     # Least squares on the rows that instrumental variables use: of the simulated speed.
     m, plan, D = iv.iv.simulated, ls.settings, InverseModel(signals.robot).coulomb_directions
-    steps = round(plan.decimation / (m.t_s[1] - m.t_s[0]) / signals.sample_rate_hz)
-    kept = dataclasses.replace(plan.decimator, factor=steps).kept(m.dq)
-    fast = fast_rows(kept @ D.T, np.zeros(len(D)), D, None)
+    step_s = m.t_s[1] - m.t_s[0]
+    steps, half = round(plan.decimation / step_s / signals.sample_rate_hz), round(0.5 / step_s / plan.cutoff_hz)
+    speed = np.abs(m.dq @ D.T)
+    slip = [
+        speed[max(0, k - half) : k + half + 1].min(axis=0) for k in range((len(speed) - 1) % steps, len(speed), steps)
+    ]
+    fast = fast_rows(np.array(slip), np.zeros(len(D)), D, None)
     used = fast.T.reshape(-1).astype(float)
     assert used.sum() == pytest.approx(iv.estimate.rows, rel=5e-3)  # these are the rows of an earlier pass
     on_its_rows = weighted_least_squares(regression_of_recording(ls.problem).system.with_rows(used))

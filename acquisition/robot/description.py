@@ -126,7 +126,7 @@ class Identification(TomlTable, frozen=True):
     cut_end_samples: Rows | None = None
     edges: Edges = "smooth"
     low_speed_percent: Share | LowSpeed | None = None
-    torque_lag_s: Lag | None = None
+    torque_lag_s: Lag | Literal["none"] | None = None
 
     @property
     def low_speed(self) -> LowSpeed:

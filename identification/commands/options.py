@@ -6,7 +6,7 @@ Options have the names of the fields that they set, of `Overrides` and `Noise`: 
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from ..errors import IdentificationError
 
@@ -109,9 +109,10 @@ def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
     )
     group.add_argument(
         "--torque-lag-s",
-        type=finite,
+        type=seconds_or_none,
         metavar="S",
-        help="known lag of the recorded torque, s, positive where it is late: corrected (default: none)",
+        help="known lag of the recorded torque, s, positive where it is late: corrected (default: half a period early for a "
+        "held command), or none",
     )
     return group
 
@@ -180,6 +181,11 @@ def share(text: str) -> float:
 def cutoff(text: str) -> float:
     """A cut-off above 0, or 0 for `none`."""
     return 0.0 if text == "none" else above_zero(text)
+
+
+def seconds_or_none(text: str) -> float | Literal["none"]:
+    """A finite number of seconds, or `none`."""
+    return "none" if text == "none" else finite(text)
 
 
 def finite(text: str) -> float:

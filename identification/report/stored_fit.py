@@ -51,7 +51,7 @@ class StoredFit(msgspec.Struct, frozen=True):
             decimation=n_d,
             span=self.span_rule,
             edges=self.edges,
-            torque_lag_s=self.torque_lag_s,
+            torque_lag_s="none" if self.torque_lag_s is None else self.torque_lag_s,
         )
 
     def robot(self, place: str) -> Robot | None:

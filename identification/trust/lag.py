@@ -75,28 +75,15 @@ def lags(evidence: Evidence) -> Lags:
     w = estimate.weights[system.joint_of_row] * system.used
     within = intervals(estimate, w * (system.Y - system.W @ estimate.beta), n)
     return Lags(
-        found=estimate.beta[b:] + _samples(problem, problem.settings.torque_lag_s or 0.0),
-        expected=_samples(problem, expected_lag_s(problem)),
+        found=estimate.beta[b:] + _samples(problem, problem.settings.torque_lag_s),
+        expected=_samples(problem, problem.settings.expected_lag_s),
         sigma=within.sigma[b:],
         half=within.half[b:],
     )
 
 
-def expected_lag_s(problem: Problem) -> float:
-    """The lag, in s, of a torque that is recorded as it should be.
-
-    A lag that is stated; else minus half the control period for a held command; 0 for efforts of other kinds, or without a
-    described period.
-    """
-    given = problem.settings.torque_lag_s
-    if given is not None:
-        return given
-    rate_hz = problem.signals.robot.controller.sample_rate_hz
-    return 0.0 if rate_hz is None or problem.signals.effort_timing != "command" else -0.5 / rate_hz
-
-
 def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
-    """The system and the instruments with the lag columns, in the rows of iv without those next to slow ones."""
+    """The system and the instruments with the lag columns, in rows that are neither slow nor next to slow ones."""
     problem, simulated, decimation = evidence.problem, evidence.simulated, evidence.decimation
     assert evidence.Z is not None
     assert simulated is not None

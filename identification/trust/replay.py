@@ -59,7 +59,7 @@ def replay(problem: Problem, loop: ControlLaw) -> Replay:
     found = np.full((4, len(acts)), np.nan)
     for j in np.flatnonzero(acts):
         found[:, j] = _compared(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
-    found[1] += (problem.settings.torque_lag_s or 0.0) * problem.signals.sample_rate_hz
+    found[1] += problem.settings.torque_lag_s * problem.signals.sample_rate_hz
     return Replay(gain=found[0], lag=found[1], error_percent=found[2], left_percent=found[3])
 
 
