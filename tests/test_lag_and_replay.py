@@ -78,7 +78,7 @@ def test_the_worst_joint_is_named():
 def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
     found = line(fitted(recorded("emps", lag=lag, noise=2e-5)), "lag")
     assert found.value == pytest.approx(lag - 0.5, abs=2.5 * found.figures[0].half_width)
-    assert found.figures[0].half_width < 0.6
+    assert found.figures[0].half_width < 0.8
     assert found.level in (("ok", "cannot tell") if not lag else ("caution", "cannot tell"))
 
 
@@ -267,7 +267,8 @@ def test_a_replay_that_cannot_be_made_caps_the_verdict():
 def test_the_real_emps(emps):
     """Controller confirmed. Away from reversals the volts are 0.8 ms early; half a period, 0.5 ms, is that of a held command.
 
-    Rows next to reversals, where friction rises smoothly in place of a step, would add 0.25 ms (-0.50 with them).
+    Rows beside reversals, where friction rises smoothly in place of a step, would add 0.3 ms (-0.50 with them); rows above 20,
+    30 % of the peak speed agree on -0.80.
     """
     fit = identify_ls(load_signals(emps), Overrides(), trust=True)
     found = line(fit, "replay")

@@ -2,8 +2,9 @@
 
 To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta), one for each joint in that joint's rows, takes the
 coefficient L. Its instrument is -d/dt of the simulated torque, so that noise of the position does not bias it; least squares
-would find a lag where there is none. Rows next to a reversal are left out, where friction that the model does not know looks
-like a lag, and residuals are whitened: noise of the position grows with the frequency in them, and drowns a lag otherwise.
+would find a lag where there is none. Rows slower than a fifth of the peak are left out: friction that rises smoothly from a
+reversal on, where the model has a step, looks like a lag. Residuals are whitened: noise of the position grows with frequency in
+them, and drowns a lag otherwise.
 
 A controller's command, recorded at its tick, acts from there until the next one: it is half a control period early.
 """
@@ -22,6 +23,7 @@ from .lines import Figure, TrustLine
 WIDEST = 0.25  # samples: a half-width beyond this does not tell one sample from none
 FURTHEST = 0.25  # samples off the expected value
 BEYOND = 4.0  # deviations off the expected value
+SLOW_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
 ORDER = 6  # of the autoregression that whitens: shorter, model error passes for a lag; longer, few rows are left
 
 
@@ -83,7 +85,7 @@ def lags(evidence: Evidence) -> Lags:
 
 
 def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
-    """The system and the instruments with the lag columns, in rows that are neither slow nor next to slow ones."""
+    """The system and the instruments with the lag columns, in rows that are fast."""
     problem, simulated, decimation = evidence.problem, evidence.simulated, evidence.decimation
     assert evidence.Z is not None
     assert simulated is not None
@@ -92,13 +94,11 @@ def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
     per_sample = 1 / ((simulated.t_s[1] - simulated.t_s[0]) * problem.signals.sample_rate_hz)
     rate = torque_rate(problem, evidence.estimate.among(problem.base.names))
     rate_simulated = decimation.filtered(differentiate(simulated.tau, per_sample).T)
-    directions, low_speed_percent = problem.model.coulomb_directions, problem.settings.low_speed.iv
+    directions = problem.model.coulomb_directions
+    percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
-    used = fast_rows(slip, evidence.observed.slip_noise, directions, low_speed_percent).T.astype(float)
-    inner = used.copy()
-    inner[:, 1:] *= used[:, :-1]
-    inner[:, :-1] *= used[:, 1:]
-    system = evidence.observed.system.with_rows(inner.reshape(-1))
+    used = fast_rows(slip, evidence.observed.slip_noise, directions, percent).T.astype(float)
+    system = evidence.observed.system.with_rows(used.reshape(-1))
     own = np.eye(n)[system.joint_of_row]  # a column for each joint, in its rows
     names = (*system.names, *(f"lag {joint.name}" for joint in problem.signals.robot.joints))
     W, Z = (np.c_[A, -own * r.reshape(-1, 1)] for A, r in ((system.W, rate.T), (evidence.Z, rate_simulated)))
