@@ -14,7 +14,7 @@ from .results import print_results, untrusted
 
 if TYPE_CHECKING:
     from ..data import Signals
-    from ..methods import Fit
+    from ..methods import Fit, Prior
 
 
 def add(commands: Commands) -> None:
@@ -41,6 +41,19 @@ def add(commands: Commands) -> None:
         "--trust",
         action="store_true",
         help="after least squares, simulate the robot once for the tests that need it: lag, instruments, contrast",
+    )
+    consistent = parser.add_argument_group("physically consistent parameters")
+    consistent.add_argument(
+        "--consistent", action="store_true", help="also give all standard parameters, as a physical robot can have them"
+    )
+    consistent.add_argument(
+        "--prior",
+        type=Path,
+        metavar="ROBOT.toml|URDF",
+        help="links expected: those of its [parameters] or its URDF (default: those of the recording's description)",
+    )
+    consistent.add_argument(
+        "--prior-weight", type=above_zero, metavar="W", help="weight of the expected links (default 1)"
     )
     iv = parser.add_argument_group("settings of --method iv")
     iv.add_argument(
@@ -72,7 +85,12 @@ def run(options: argparse.Namespace) -> int:
                 value=getattr(options, name),
                 expected="--method iv with it",
             )
-    inputs = [options.recording, options.robot, Path(options.start or "regular")]
+    for name in ("prior", "prior_weight"):
+        value = getattr(options, name)
+        if value is not None and not options.consistent:
+            shown = {"value": str(value) if name == "prior" else value, "expected": "--consistent with it"}
+            raise IdentificationError("does nothing alone", key=f"--{name.replace('_', '-')}", **shown)
+    inputs = [options.recording, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
     with Progress("reading") as progress:
         from ..report import check_report_file, fit_document, fit_file, write_json, write_report
@@ -80,8 +98,13 @@ def run(options: argparse.Namespace) -> int:
         if options.report:
             check_report_file(options.report)
         signals = load(options)
+        prior = _prior(options, signals) if options.consistent else None
         progress.say("fitting")
         fit = _identify(options, signals, progress.say)
+        if prior is not None:
+            from ..methods import with_consistent
+
+            fit = with_consistent(fit, prior)
     document = fit_document(signals, fit, everything=options.all)
     try:
         if options.json:
@@ -96,6 +119,25 @@ def run(options: argparse.Namespace) -> int:
     finally:  # print the fit even if a file cannot be written
         print_results(document)
     return untrusted(fit.distrust)
+
+
+def _prior(options: argparse.Namespace, signals: "Signals") -> "Prior":
+    """What `--prior` expects of the links; before any fit, so that a recording in A or V is refused at once."""
+    from acquisition.robot import load_robot
+
+    from ..methods import Prior, refuse_unknown_gain, urdf_prior
+
+    path, weight = options.prior, options.prior_weight or 1.0
+    refuse_unknown_gain(signals.robot)
+    if path is None:
+        return Prior(weight=weight)
+    if path.suffix.lower() == ".toml":
+        return Prior(robot=load_robot(path), name=path.name, weight=weight)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
+    return Prior(robot=urdf_prior(signals.robot, text, path.name), name=path.name, weight=weight)
 
 
 def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":

@@ -2,9 +2,12 @@
 
 from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals
 from .consistency import (
+    GAMMA,
     Consistent,
     PhysicalParameters,
     consistent_parameters,
+    link_parameters,
+    prior_shares,
     pseudo_inertia,
 )
 from .diagnostics import (
@@ -33,6 +36,7 @@ from .system import System
 from .whitening import whitened
 
 __all__ = [
+    "GAMMA",
     "MOVING",
     "Consistent",
     "Estimate",
@@ -55,8 +59,10 @@ __all__ = [
     "instrumental_variables",
     "intervals",
     "lag_one",
+    "link_parameters",
     "one_thread",
     "ordinary_least_squares",
+    "prior_shares",
     "pseudo_inertia",
     "relative_error_percent",
     "torque_errors",

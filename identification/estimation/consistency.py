@@ -68,6 +68,14 @@ def pseudo_inertia(parameters: Array) -> Array:
     return np.asarray(np.tensordot(parameters, _BASIS, axes=1))
 
 
+def link_parameters(P: Array) -> Array:
+    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the inverse of `pseudo_inertia`."""
+    second = P[..., :3, :3]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    rows, columns = np.triu_indices(3)
+    return np.concatenate([inertia[..., rows, columns], P[..., :3, 3], P[..., 3:, 3]], axis=-1)
+
+
 def _basis() -> Array:
     basis = np.zeros((10, 4, 4))
     for place, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
@@ -134,6 +142,38 @@ def consistent_parameters(
         decrement=decrement,
         steps=steps,
     )
+
+
+def prior_shares(
+    found: Consistent,
+    covariance: Array,
+    K: Array,
+    physical: PhysicalParameters,
+    *,
+    gamma: float = GAMMA,
+    gamma_x: float = GAMMA_X,
+) -> Array:
+    """Variance of each standard parameter (p,) in parts of the one that the prior alone would leave it, from 0 to 1.
+
+    Both are the inverses of Hessians at the optimum: of the whole function, and of it without the estimate (Laplace). A value
+    above a half comes from the prior rather than from the recording; offsets, of which nothing is expected, have 0.
+    The parameters are those of `consistent_parameters`.
+    """
+    objective = _Objective(found.beta, _inverse_root(found.beta, covariance), K, physical, gamma, gamma * gamma_x)
+    _, J = objective.derivatives(found.chi)
+    of_prior = J[len(K) :]
+    expected = of_prior.any(axis=0)
+    shares = np.zeros(len(found.chi))
+    shares[expected] = (_variances(J)[expected] / _variances(of_prior[:, expected])).clip(0.0, 1.0)
+    return shares
+
+
+def _variances(J: Array) -> Array:
+    """Diagonal (p,) of (J'J)⁻¹, through the triangular factor of J with columns scaled to one."""
+    d = np.linalg.norm(J, axis=0)
+    d = np.where(d > 0, d, 1.0)
+    back = np.linalg.inv(np.linalg.qr(J / d, mode="r"))
+    return np.asarray((back**2).sum(axis=1) / d**2)
 
 
 class _Objective:

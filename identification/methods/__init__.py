@@ -1,7 +1,9 @@
 """The method on one screen, the simulated replica of the experiment, and what a fit is worth."""
 
+from .consistent import Prior, consistent_set, refuse_unknown_gain, urdf_prior, with_consistent
 from .fit import (
     NO_FIXED_POINT,
+    ConsistentSet,
     DirectModelError,
     Fit,
     InstrumentEvidence,
@@ -17,6 +19,7 @@ from .iteration import Iteration, regular_start
 
 __all__ = [
     "NO_FIXED_POINT",
+    "ConsistentSet",
     "DirectModelError",
     "Fit",
     "InstrumentEvidence",
@@ -25,10 +28,15 @@ __all__ = [
     "LeastSquares",
     "Method",
     "Pass",
+    "Prior",
     "Rows",
     "Status",
+    "consistent_set",
     "identify_iv",
     "identify_ls",
+    "refuse_unknown_gain",
     "regular_start",
+    "urdf_prior",
     "validate",
+    "with_consistent",
 ]

@@ -4,6 +4,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
@@ -129,6 +132,46 @@ class Rows:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class ConsistentSet:
+    """The physically consistent standard parameters nearest to an estimate.
+
+    Attributes:
+        names, units: (p,) of the standard parameters, as the model has them.
+        chi: (p,) values: every link's pseudo-inertia, every own rotor inertia and friction is positive.
+        from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
+        base_names, beta: (b,) the base parameters K chi.
+        prior, prior_weight: what was expected of the links, in words, and the weight of it.
+        chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
+        deviations: (b,) moves of the base parameters in deviations of the estimate.
+        reach: deviations in half a 95 % interval.
+        certificate: Newton decrement at the optimum.
+    """
+
+    names: tuple[str, ...]
+    units: tuple[str, ...]
+    chi: Array
+    from_prior: NDArray[np.bool_]
+    base_names: tuple[str, ...]
+    beta: Array
+    prior: str
+    prior_weight: float
+    chi_squared: float
+    deviations: Array
+    reach: float
+    certificate: float
+
+    @property
+    def moved_most(self) -> str:
+        """The base parameter that moved most."""
+        return self.base_names[int(np.abs(self.deviations).argmax())]
+
+    @property
+    def largest_move(self) -> float:
+        """By how many half-widths of its 95 % interval that parameter moved: beyond 1 it left the interval."""
+        return float(np.abs(self.deviations).max()) / self.reach
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
     """Base parameters of a robot from one recording, and the evidence for them.
 
@@ -145,6 +188,8 @@ class Fit:
         errors: one entry per joint and, last, all joints together.
         trust: tests of the estimate, and the verdict.
         iv: there for the instrumental variable method only.
+        consistent: the nearest physically consistent parameters, where asked for, and `consistent_errors`: their torque errors,
+            as `errors`.
     """
 
     problem: Problem
@@ -159,6 +204,8 @@ class Fit:
     warnings: tuple[str, ...]
     trust: Trust
     iv: InstrumentEvidence | None = None
+    consistent: ConsistentSet | None = None
+    consistent_errors: tuple[TorqueError, ...] = ()
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     @property

@@ -4,15 +4,18 @@ from .base import BaseParameters, base_parameters
 from .direct import DirectModel, direct_model
 from .inverse import InverseModel
 from .joint_terms import JointTerm
-from .physical import RESISTING, physical_parameters
+from .physical import RESISTING, ExpectedLinks, expected_links, link_columns, physical_parameters
 
 __all__ = [
     "RESISTING",
     "BaseParameters",
     "DirectModel",
+    "ExpectedLinks",
     "InverseModel",
     "JointTerm",
     "base_parameters",
     "direct_model",
+    "expected_links",
+    "link_columns",
     "physical_parameters",
 ]

@@ -18,7 +18,7 @@ from ..regression import Settings, Span, forward_backward_3db_hz
 from ..trust import Level, Verdict
 from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
-from .stored_fit import Doubt
+from .stored_fit import ConsistentFile, Covariance, Doubt, LeftOut, StandardParameter, consistent_keys
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,13 +81,6 @@ class FittedParameter(Parameter, frozen=True, kw_only=True):
     sigma_percent: float | None
 
 
-class Covariance(msgspec.Struct, frozen=True, kw_only=True):
-    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
-
-    names: list[str]
-    values: list[list[float]]
-
-
 class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
     """A test of the fit."""
 
@@ -115,7 +108,8 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
 class FitFile(OnRecording, frozen=True, kw_only=True):
     """The JSON file of a fit; earlier ones have no verdict and no covariance.
 
-    The keys from `reason` on are those of instrumental variables.
+    `left_out` are the base parameters that `--essential` leaves out; `consistent` and `standard_parameters` are those of
+    `--consistent`. The keys from `reason` on are those of instrumental variables.
     """
 
     method: Method
@@ -128,6 +122,9 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     essential: EssentialSet
     description: dict[str, str]
     covariance: Covariance | UnsetType = UNSET
+    left_out: list[LeftOut] | UnsetType = UNSET
+    consistent: ConsistentFile | UnsetType = UNSET
+    standard_parameters: list[StandardParameter] | UnsetType = UNSET
     verdict: Verdict | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
@@ -180,7 +177,7 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
             FittedParameter(**msgspec.structs.asdict(parameter), sigma_percent=_number(percent))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
-        covariance=Covariance(names=list(e.names), values=fit.intervals.covariance.tolist()),
+        **consistent_keys(fit),
         essential=EssentialSet(
             names=list(reduction.estimate.names),
             F=_number(reduction.F),

@@ -33,6 +33,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
             _verdict_section(fit),
             _trust_section(fit),
             _parameters(fit, everything=everything),
+            *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
             settings,
@@ -106,6 +107,33 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
             *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
         ),
     )
+
+
+def _consistent(fit: Fit) -> list[Section]:
+    """The physically consistent parameters, and how far they are from the estimate."""
+    c = fit.consistent
+    if c is None:
+        return []
+    free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
+    rows: list[Row] = [
+        (name, Number(round(float(value), 12), ".5g"), unit, "prior" if from_prior else "recording")
+        for name, value, unit, from_prior in zip(c.names, c.chi, c.units, c.from_prior, strict=True)
+    ]
+    lines = (
+        f"every link's pseudo-inertia is positive, every own rotor inertia and friction too; prior: {c.prior}; "
+        f"weight {c.prior_weight:g}",
+        f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
+        f"95 % interval, of {c.moved_most}",
+        f"relative torque error {_percent(free)} → {_percent(held)} of all rows; certificate {c.certificate:.1e} "
+        "(Newton decrement)",
+        f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
+    )
+    table = Table(columns=columns("parameter", numbers=("value",)) + columns("unit", "mostly from"), rows=tuple(rows))
+    return [Section(title="physically consistent standard parameters", table=table, lines=lines)]
+
+
+def _percent(error: float | None) -> str:
+    return "-" if error is None else f"{error:.2f} %"
 
 
 def _rows_line(fit: Fit) -> str:

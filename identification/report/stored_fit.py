@@ -2,18 +2,20 @@
 
 import math
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import msgspec
 import numpy as np
+from msgspec import UNSET, UnsetType
 
 from acquisition.robot import Edges, Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import NO_FIXED_POINT
+from ..methods import NO_FIXED_POINT, Fit
 from ..model import BaseParameters
 from ..regression import Overrides, Span
+from ..trust import Verdict
 from .comparison import Parameter, ParameterSet
 from .document import FORMAT
 
@@ -25,6 +27,43 @@ class Doubt(msgspec.Struct, frozen=True):
     severe: bool
 
 
+class Covariance(msgspec.Struct, frozen=True, kw_only=True):
+    """Covariance (b, b) of the parameters `names`: deviations of the intervals, correlations of the formula."""
+
+    names: list[str]
+    values: list[list[float]]
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+    """A base parameter that `--essential` leaves out, with its deviation by least squares of all parameters."""
+
+    name: str
+    sigma: float
+
+
+class StandardParameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A standard parameter of the physically consistent set; `from_prior`: the recording says less of it than the prior."""
+
+    name: str
+    value: float
+    unit: str
+    from_prior: bool
+
+
+class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
+    """The consistent set: what was expected, how far it is from the estimate (chi², the largest move in half-widths of a 95 %
+    interval), its certificate (Newton decrement), its torque error beside the estimate's.
+    """
+
+    prior: str
+    prior_weight: Annotated[float, msgspec.Meta(gt=0)]
+    chi2: float
+    largest_move: float
+    moved_most: str
+    certificate: float
+    relative_error_percent: float | None
+
+
 class StoredFit(msgspec.Struct, frozen=True):
     """The JSON file of a fit, or of known values, as far as it is read back."""
 
@@ -34,6 +73,11 @@ class StoredFit(msgspec.Struct, frozen=True):
     status: str = "known"
     doubts: list[Doubt] = msgspec.field(default_factory=list)
     description: dict[str, str] = msgspec.field(default_factory=dict)
+    covariance: Covariance | UnsetType = UNSET
+    left_out: list[LeftOut] | UnsetType = UNSET
+    consistent: ConsistentFile | UnsetType = UNSET
+    standard_parameters: list[StandardParameter] | UnsetType = UNSET
+    verdict: Verdict | UnsetType = UNSET
     sample_rate_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
     cutoff_hz: Annotated[float, msgspec.Meta(gt=0)] | None = None
     decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
@@ -94,6 +138,35 @@ class StoredFit(msgspec.Struct, frozen=True):
                     expected=f"{unit}, as the recording's robot has it",
                 )
         return np.array([values.get(name, 0.0) for name in base.names])
+
+
+def consistent_keys(fit: Fit) -> dict[str, Any]:
+    """The keys `covariance` and `left_out` of any fit, `consistent` and `standard_parameters` of one made consistent."""
+    full, names = fit.least_squares.full, fit.estimate.names
+    sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
+    keys: dict[str, Any] = {
+        "covariance": Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
+        "left_out": [LeftOut(name=n, sigma=float(sigma[n])) for n in fit.base.names if n not in names],
+    }
+    c = fit.consistent
+    if c is None:
+        return keys
+    standard = zip(c.names, c.chi, c.units, c.from_prior, strict=True)
+    return keys | {
+        "consistent": ConsistentFile(
+            prior=c.prior,
+            prior_weight=c.prior_weight,
+            chi2=c.chi_squared,
+            largest_move=c.largest_move,
+            moved_most=c.moved_most,
+            certificate=c.certificate,
+            relative_error_percent=fit.consistent_errors[-1].relative_error_percent,
+        ),
+        "standard_parameters": [
+            StandardParameter(name=name, value=float(value), unit=unit, from_prior=bool(from_prior))
+            for name, value, unit, from_prior in standard
+        ],
+    }
 
 
 def doubts(stored: StoredFit, place: str) -> list[str]:

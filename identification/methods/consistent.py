@@ -1,0 +1,116 @@
+"""Physically consistent standard parameters of a fit: what a simulator accepts, as near to the estimate as it allows."""
+
+from dataclasses import dataclass, replace
+
+import msgspec
+
+from acquisition.robot import Robot
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import GAMMA, consistent_parameters, one_thread, prior_shares, torque_errors
+from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
+from ..regression import torque_of_recording
+from ..trust import covariance_of_all
+from .fit import ConsistentSet, Fit
+
+FROM_PRIOR = 0.5  # of the variance that the prior alone gives: above, the recording says less of a value than the prior
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Prior:
+    """What is expected of the links before anything is measured.
+
+    Attributes:
+        robot: another description of the robot, whose `[parameters]` or URDF are expected; None for the fit's own.
+        name: of that description.
+        weight: of the expectation; 1 is the default.
+    """
+
+    robot: Robot | None = None
+    name: str = "the description"
+    weight: float = 1.0
+
+
+def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
+    """The robot as a URDF (its text) has it: its joints by their names, and nothing but its inertials expected."""
+    joints = tuple(msgspec.structs.replace(joint, dh=None) for joint in robot.joints)
+    return replace(robot, name=name, joints=joints, urdf=urdf, parameters={})
+
+
+@one_thread
+def with_consistent(fit: Fit, prior: Prior) -> Fit:
+    """The fit with the nearest physically consistent parameters and their torque errors; the estimate stays the same.
+
+    Raises
+    ------
+    IdentificationError : a drive gain is not known, the prior is of another robot, or no consistent parameters are found.
+    """
+    problem, full = fit.problem, fit.least_squares.full
+    covariance = covariance_of_all(fit.base.names, fit.estimate, fit.intervals, full)
+    found = consistent_set(problem.model, fit.base, fit.beta, covariance, prior=prior, reach=fit.intervals.reach)
+    tau, predicted, speed = torque_of_recording(problem, found.beta)
+    names = tuple(joint.name for joint in problem.signals.robot.joints)
+    return replace(fit, consistent=found, consistent_errors=torque_errors(tau, predicted, speed, names))
+
+
+@one_thread
+def consistent_set(
+    model: InverseModel, base: BaseParameters, beta: Array, covariance: Array, *, prior: Prior, reach: float
+) -> ConsistentSet:
+    """The physically consistent parameters nearest to base parameters.
+
+    Parameters
+    ----------
+    model, base : of the robot.
+    beta, covariance : (b,), (b, b) the estimate and C = D R D.
+    prior : what is expected of the links.
+    reach : deviations in half a 95 % interval of the estimate.
+
+    Raises
+    ------
+    IdentificationError : as `with_consistent`.
+    """
+    refuse_unknown_gain(model.robot)
+    expected = None if prior.robot is None else InverseModel(prior.robot)
+    physical, gamma = physical_parameters(model, expected, strict=True), GAMMA * prior.weight
+    found = consistent_parameters(beta, covariance, base.K, physical, gamma=gamma)
+    shares = prior_shares(found, covariance, base.K, physical, gamma=gamma)
+    return ConsistentSet(
+        names=model.names,
+        units=model.units,
+        chi=found.chi,
+        from_prior=shares > FROM_PRIOR,
+        base_names=base.names,
+        beta=found.beta,
+        prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
+        prior_weight=prior.weight,
+        chi_squared=found.chi_squared,
+        deviations=found.deviations,
+        reach=reach,
+        certificate=found.decrement,
+    )
+
+
+def refuse_unknown_gain(robot: Robot) -> None:
+    """Refuse a fit in A or V: joints have unknown gains of their own, and a link's parameters would mix them."""
+    for k, motor in enumerate(robot.motors):
+        if motor.gain is None:
+            raise IdentificationError(
+                f"the fit is in {motor.recorded_unit}, and a link is the same for all joints only in N m",
+                place=f"robot {robot.name}",
+                key=f"motor[{k}].drive_gain",
+                value=None,
+                expected="a drive gain for every motor",
+            )
+
+
+def _in_words(sources: tuple[str, ...]) -> str:
+    """`links 1, 2 of its URDF; link 3 plausible`."""
+    words = {"[parameters]": "of its [parameters]", "URDF": "of its URDF", "plausible": "plausible by their lengths"}
+    of = {source: [str(j + 1) for j, s in enumerate(sources) if s == source] for source in words}
+    return "; ".join(
+        f"{'all links' if len(links) == len(sources) else 'links ' + ', '.join(links)} {words[source]}"
+        for source, links in of.items()
+        if links
+    )
