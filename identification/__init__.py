@@ -10,6 +10,7 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
     methods      the method on one screen (`idim`), the simulated replica of the experiment, what a fit is worth
     study        robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies
     report       one report of a fit as a document; terminal, Markdown, HTML and JSON show it
+    export       a fit as URDF, MJCF and robot.toml
     view         pictures for Rerun
     commands     the command line
     notebook     the names below, and how a notebook shows a fit

@@ -4,7 +4,7 @@ from .base import BaseParameters, base_parameters
 from .direct import DirectModel, direct_model
 from .inverse import InverseModel
 from .joint_terms import JointTerm
-from .physical import RESISTING, ExpectedLinks, expected_links, link_columns, physical_parameters
+from .physical import RESISTING, ExpectedLinks, expected_links, is_a_body, link_columns, physical_parameters
 
 __all__ = [
     "RESISTING",
@@ -16,6 +16,7 @@ __all__ = [
     "base_parameters",
     "direct_model",
     "expected_links",
+    "is_a_body",
     "link_columns",
     "physical_parameters",
 ]

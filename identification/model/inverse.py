@@ -88,6 +88,19 @@ class InverseModel:
         """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
+    @property
+    def joint_frames(self) -> tuple[Array, Array, Array]:
+        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in that of the link it sits on,
+        and its axis (n, 3) in its link's frame.
+        """
+        placements = list(self.model.jointPlacements)[1:]
+        pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
+        axes = np.empty((self.robot.n, 3))
+        for j, joint in enumerate(self.robot.joints):
+            column = pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL)[:, j]
+            axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
+        return np.array([p.translation for p in placements]), np.array([p.rotation for p in placements]), axes
+
     def placements(self, q: Array) -> tuple[Array, Array]:
         """Where the links' frames are at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3), in the base."""
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))

@@ -24,10 +24,11 @@ class JointTerm:
 
     rotor: matrix ddq; viscous: matrix dq; coulomb: r sign(r·dq) with r = `direction`; offset: `direction`. A `side` of
     +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is what a motor adds to the diagonal of
-    joints whose own parameter counts it, so that `matrix` lacks it.
+    joints whose own parameter counts it, so that `matrix` lacks it. `joint` is the one whose number the name carries, from 0.
     """
 
     name: str
+    joint: int
     unit: str
     kind: str  # rotor, viscous, coulomb, offset; any other is a torque that the speed alone gives
     matrix: Array
@@ -39,6 +40,16 @@ class JointTerm:
     def rows(self) -> NDArray[np.intp]:
         """Joints whose torque the parameter can change."""
         return np.flatnonzero(self.matrix.any(axis=1) | (self.direction != 0))
+
+    @property
+    def row(self) -> Array:
+        """(n,) speed of its joint or motor per joint speed, 1 at `joint`: the direction that it acts along, whole.
+
+        The share that counts in other joints' own parameters is included.
+        """
+        if self.direction.any():
+            return self.direction
+        return np.asarray(self.matrix[self.joint] + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint])
 
     def torque(self, dq: Array) -> Array:
         """Torque (..., n) per unit of the parameter at the speed dq (..., n), of a kind in which acceleration has no part."""
@@ -81,12 +92,20 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
         matrix[list(taken), list(taken)] = 0.0
         given_away = np.diag(whole - matrix)
         return JointTerm(
-            name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, direction=none, given_away=given_away, side=side
+            name=f"{name}{j + 1}",
+            joint=j,
+            unit=unit,
+            kind=kind,
+            matrix=matrix,
+            direction=none,
+            given_away=given_away,
+            side=side,
         )
 
     def along(name: str, kind: Literal["coulomb", "offset"], direction: Array, side: int = 0) -> JointTerm:
         return JointTerm(
             name=f"{name}{j + 1}",
+            joint=j,
             unit=effort,
             kind=kind,
             matrix=nothing,

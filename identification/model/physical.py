@@ -104,7 +104,7 @@ def _expected_link(idm: InverseModel, j: int, described: Array) -> tuple[Array, 
     inertia = idm.model.inertias[j + 1]
     of_urdf = np.asarray(inertia.toDynamicParameters())[list(FROM_PINOCCHIO)]
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
-        if _is_a_body(parameters):
+        if is_a_body(parameters):
             return np.array(parameters), source
     after = [k for k in range(len(idm.model.parents)) if k > 0 and idm.model.parents[k] == j + 1]
     along = np.array(idm.model.jointPlacements[after[0]].translation) if after else np.zeros(3)
@@ -145,9 +145,10 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     return np.asarray(T[0])
 
 
-def _is_a_body(parameters: Array) -> bool:
+def is_a_body(parameters: Array, least: float = LEAST_EIGENVALUE) -> bool:
+    """Whether a body of positive density has these ten parameters: its pseudo-inertia, scaled, has no lower eigenvalue."""
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
     if not (diagonal > 0).all():
         return False
-    return float(np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min()) > LEAST_EIGENVALUE
+    return float(np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min()) > least

@@ -1,0 +1,19 @@
+"""A fit as a model for simulators: URDF, MJCF and robot.toml, and what each of them cannot say."""
+
+from .exporting import Exported, Outputs, export_model
+from .losses import Loss
+from .mechanism import Coupling, Mechanism, mechanism_of
+from .stored_model import StoredModel, distrust, model_of_fit
+
+__all__ = [
+    "Coupling",
+    "Exported",
+    "Loss",
+    "Mechanism",
+    "Outputs",
+    "StoredModel",
+    "distrust",
+    "export_model",
+    "mechanism_of",
+    "model_of_fit",
+]
