@@ -8,6 +8,7 @@ combinations of the other parameters that must be positive. Beta, its covariance
 the rows say. Solved by damped Newton steps; every gamma is a problem of its own, and the Newton decrement certifies it.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,10 +20,8 @@ from ..errors import IdentificationError
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
 CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to the optimum
-STEPS = 60  # at most; some twenty are usual
-SOFTER = 10.0 ** np.arange(
-    8, 0, -1
-)  # covariances times this, one after the other, lead to what cannot be reached at once
+STEPS = 40  # at most; some twenty are usual
+SOFTEST, FACTOR, LEAST_FACTOR = 1e8, 100.0, 1.02  # covariances times the first lead to what cannot be reached at once
 TO_THE_EDGE = 0.95  # of the way to the boundary that a step may go
 LEAST_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
 
@@ -120,13 +119,12 @@ def consistent_parameters(
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
     chi, decrement, steps = _minimum(objective, physical.start)
-    if not decrement <= CERTIFIED:  # an estimate so far from any robot draws the steps into a corner
-        chi = physical.start
-        for softer in SOFTER:
-            drawn = _Objective(beta, root / np.sqrt(softer), K, physical, gamma, gamma * gamma_x)
-            chi, _, more = _minimum(drawn, chi)
-            steps += more
-        chi, decrement, more = _minimum(objective, chi)
+    if (
+        not decrement <= CERTIFIED
+    ):  # an estimate far from any robot draws the steps along the boundary, where they are short
+        chi, decrement, more = _along_path(
+            lambda softer: _Objective(beta, root / np.sqrt(softer), K, physical, gamma, gamma * gamma_x), physical.start
+        )
         steps += more
     if not decrement <= CERTIFIED:
         raise IdentificationError(
@@ -232,6 +230,28 @@ class _Objective:
             return np.asarray(np.linalg.cholesky(pseudo_inertia(chi[self._physical.links])))
         except np.linalg.LinAlgError:
             return None
+
+
+def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
+    """Minima of problems with ever harder covariances, each from the one before: the last, its decrement, all steps.
+
+    A problem that is not solved from the one before is put off: another, closer one comes between.
+    """
+    softer, factor, steps, decrement = SOFTEST, 1.0, 0, np.inf
+    while factor >= LEAST_FACTOR or softer == SOFTEST:
+        harder = max(1.0, softer / factor)
+        found, decrement, more = _minimum(problem(harder), chi)
+        steps += more
+        if not decrement <= CERTIFIED:
+            if factor == 1.0:
+                break
+            factor **= 0.5
+            continue
+        chi, softer = found, harder
+        if softer == 1.0:
+            break
+        factor = FACTOR if factor == 1.0 else min(FACTOR, factor**1.5)
+    return chi, decrement, steps
 
 
 def _minimum(objective: _Objective, chi: Array) -> tuple[Array, float, int]:

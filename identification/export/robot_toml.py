@@ -48,12 +48,12 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
     if urdf is not None:
         before = [_renamed(line, urdf) for line in before]
     made = "\n".join([*before, *table, *after]) + "\n"
-    expected: dict[str, Any] = (
+    now: dict[str, Any] = (
         was
         | {"parameters": {name: float(value) for name, value in written.items()}}
         | ({"urdf": urdf} if urdf is not None else {})
     )
-    if _read(made) != expected:
+    if _read(made) != now:
         raise IdentificationError(
             "cannot be replaced line by line",
             place="the fit's robot.toml",
