@@ -16,12 +16,10 @@ from test_consistency import tx40 as described_tx40
 from acquisition.robot import robot_from_files
 from identification.commands.program import main
 from identification.errors import IdentificationError
-from identification.estimation import intervals, prior_shares, weighted_least_squares
+from identification.estimation import intervals, link_parameters, prior_shares, pseudo_inertia, weighted_least_squares
 from identification.estimation.consistency import (
     CERTIFIED,
     consistent_parameters,
-    link_parameters,
-    pseudo_inertia,
 )
 from identification.methods import Prior, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters

@@ -6,9 +6,7 @@ from .consistency import (
     Consistent,
     PhysicalParameters,
     consistent_parameters,
-    link_parameters,
     prior_shares,
-    pseudo_inertia,
 )
 from .diagnostics import (
     MOVING,
@@ -32,6 +30,7 @@ from .estimators import (
     weighted_least_squares,
 )
 from .f_test import f_tail
+from .pseudo_inertia import link_parameters, pseudo_inertia
 from .system import System
 from .whitening import whitened
 

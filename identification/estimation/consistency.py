@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from .pseudo_inertia import BASIS, pseudo_inertia
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
@@ -60,34 +61,6 @@ class Consistent:
     deviations: Array
     decrement: float
     steps: int
-
-
-def pseudo_inertia(parameters: Array) -> Array:
-    """Pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10): [[tr(I)/2 1 - I, h], [h', M]]."""
-    return np.asarray(np.tensordot(parameters, _BASIS, axes=1))
-
-
-def link_parameters(P: Array) -> Array:
-    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the inverse of `pseudo_inertia`."""
-    second = P[..., :3, :3]
-    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
-    rows, columns = np.triu_indices(3)
-    return np.concatenate([inertia[..., rows, columns], P[..., :3, 3], P[..., 3:, 3]], axis=-1)
-
-
-def _basis() -> Array:
-    basis = np.zeros((10, 4, 4))
-    for place, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
-        basis[place, [i, j], [j, i]] = -1.0
-        if i == j:
-            basis[place, range(3), range(3)] += 0.5
-    for i in range(3):
-        basis[6 + i, [i, 3], [3, i]] = 1.0
-    basis[9, 3, 3] = 1.0
-    return basis
-
-
-_BASIS = _basis()  # P = sum of parameter times matrix
 
 
 def consistent_parameters(
@@ -183,7 +156,7 @@ class _Objective:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
         self.root, self._target, self._A = root, root @ beta, root @ K
         self._physical, self._gamma, self._gamma_x = physical, gamma, gamma_x
-        self._pull = np.einsum("lab,iba->li", np.linalg.inv(physical.prior), _BASIS)  # of tr(P0⁻¹ P) by the parameters
+        self._pull = np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)  # of tr(P0⁻¹ P) by the parameters
 
     def value(self, chi: Array) -> float:
         """Infinite outside."""
@@ -203,7 +176,7 @@ class _Objective:
         roots = self._roots(chi)
         assert roots is not None
         back = np.linalg.inv(roots)[:, None]  # (L, 1, 4, 4)
-        E = back @ _BASIS @ back.transpose(0, 1, 3, 2)  # (L, 10, 4, 4): L⁻¹ E_i L⁻ᵀ
+        E = back @ BASIS @ back.transpose(0, 1, 3, 2)  # (L, 10, 4, 4): L⁻¹ E_i L⁻ᵀ
         flat = E.reshape(len(E), 10, 16)
         traces = np.trace(E, axis1=2, axis2=3)
         for J, columns, pull, trace, entries in zip(links, self._physical.links, self._pull, traces, flat, strict=True):

@@ -97,7 +97,8 @@ class InverseModel:
         pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
         axes = np.empty((self.robot.n, 3))
         for j, joint in enumerate(self.robot.joints):
-            column = pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL)[:, j]
+            jacobian = np.asarray(pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL))
+            column = jacobian.reshape(6, -1)[:, j]  # of a single joint pinocchio gives a vector
             axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
         return np.array([p.translation for p in placements]), np.array([p.rotation for p in placements]), axes
 

@@ -1,0 +1,484 @@
+"""`robot-identify export`: reloaded in pinocchio and MuJoCo, models have the fit's torques; the user's files keep the rest."""
+
+import dataclasses
+import json
+import re
+import time
+import tomllib
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import REPLAY, robot_named
+from fits_of_records import ls_of
+
+from acquisition.robot import load_robot, robot_from_files
+from identification.commands.program import main
+from identification.errors import IdentificationError
+from identification.export import Outputs, StoredModel, export_model, mechanism_of
+from identification.export.numbers import quaternion, roll_pitch_yaw, rotation
+from identification.export.robot_toml import with_parameters
+from identification.methods import Prior, with_consistent
+from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
+from identification.report import fit_document, fit_file, write_json
+from identification.study import study_truth
+
+SCARA = REPLAY / "scara" / "session.mcap"
+RNG = np.random.default_rng(5)
+
+
+def states(n, speed=2.0, acceleration=5.0, count=40):
+    return (RNG.uniform(-s, s, (count, n)) for s in (3.0, speed, acceleration))
+
+
+def values_of(model, seed=1):
+    """Standard parameters of a physical robot: its expected links, changed; random friction and rotors, offsets."""
+    physical, rng = physical_parameters(model, strict=True), np.random.default_rng(seed)
+    chi = physical.start.copy()
+    chi[physical.links] *= rng.uniform(0.5, 2.0, (len(physical.links), 1))
+    rows = np.flatnonzero(np.abs(physical.combinations).sum(axis=0))
+    chi[rows] = np.linalg.solve(physical.combinations[:, rows], rng.uniform(0.1, 2.0, len(rows)))
+    for c, source in enumerate(model.sources):
+        if isinstance(source, JointTerm) and c not in rows:
+            chi[c] = rng.uniform(0.1, 1.0)
+    return chi
+
+
+def exported(model, chi, folder, **outputs):
+    """Texts written by format, and the report."""
+    paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
+    stored = StoredModel(mechanism=mechanism_of(model, chi, "fit.json"), lines=())
+    done = export_model(stored, Outputs(**paths), "fit.json")
+    done.write()
+    return {name: path.read_text() for name, path in paths.items()}, done.document
+
+
+def torque(model, chi, q, dq, ddq, *, without=()):
+    """The fit's torque (N, n), terms of some kinds left out; `links` of all terms that are of joints."""
+    kept = [
+        c
+        for c, s in enumerate(model.sources)
+        if not isinstance(s, JointTerm) or (s.kind not in without and "terms" not in without)
+    ]
+    return model.regressor(q, dq, ddq)[:, :, kept] @ chi[kept]
+
+
+def in_pinocchio(urdf, names, q, dq, ddq):
+    whole = pin.buildModelFromXML(urdf)
+    locked = [whole.getJointId(name) for name in list(whole.names)[1:] if name not in names]
+    model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
+    return rnea(model, q, dq, ddq), model
+
+
+def rnea(model, q, dq, ddq):
+    """Torques (N, n); a continuous joint has cosine and sine as its coordinates."""
+    data, found = model.createData(), np.empty_like(dq)
+    for k in range(len(q)):
+        at = [
+            ([x] if joint.nq == 1 else [np.cos(x), np.sin(x)])
+            for x, joint in zip(q[k], list(model.joints)[1:], strict=True)
+        ]
+        found[k] = pin.rnea(model, data, np.concatenate(at), dq[k], ddq[k])
+    return found
+
+
+@pytest.fixture(scope="module")
+def tx40_model():
+    return InverseModel(dataclasses.replace(robot_named("tx40"), parameters={}))
+
+
+@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
+def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
+    """Viscous and dry friction too where no motor turns several joints."""
+    robot = robot_named(name)
+    model = InverseModel(robot)
+    chi = values_of(model)
+    texts, _ = exported(model, chi, tmp_path)
+    q, dq, ddq = states(robot.n)
+    names = [joint.name for joint in robot.joints]
+    found, loaded = in_pinocchio(texts["urdf"], names, q, dq, ddq)
+    if tuple(robot.gravity) != (0.0, 0.0, -9.81):
+        loaded.gravity.linear = np.array(robot.gravity)
+        found = rnea(loaded, q, dq, ddq)
+    assert list(loaded.names)[1:] == names
+    np.testing.assert_allclose(found, torque(model, chi, q, dq, ddq, without=["terms"]), atol=1e-9)
+    if name != "tx40":
+        value = dict(zip(model.names, chi, strict=True))
+        np.testing.assert_allclose(loaded.damping, [value[f"Fv{j + 1}"] for j in range(robot.n)])
+        np.testing.assert_allclose(loaded.upperDryFrictionLimit, [value[f"Fc{j + 1}"] for j in range(robot.n)])
+    for j, joint in enumerate(robot.joints):
+        limits = joint.si("position")
+        if limits is not None:  # of joints with one coordinate each
+            assert (loaded.lowerPositionLimit[j], loaded.upperPositionLimit[j]) == limits
+
+
+def inverse_in_mujoco(text, q, dq, ddq, *, friction):
+    mujoco = pytest.importorskip("mujoco", reason="mujoco, of the extra `test`, is not installed")
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_LIMIT | mujoco.mjtDisableBit.mjDSBL_CONTACT
+    if not friction:
+        model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
+    data, found = mujoco.MjData(model), np.empty_like(q)
+    for k in range(len(q)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = q[k], dq[k], ddq[k]
+        mujoco.mj_inverse(model, data)
+        found[k] = data.qfrc_inverse
+    return found, model
+
+
+@pytest.mark.parametrize("name", ["tx40", "scara", "emps"])
+def test_an_mjcf_has_the_torques_of_links_rotors_and_viscous_friction(name, tmp_path):
+    """The coupled wrist of the TX40 included, at any speed and acceleration; constraints off."""
+    robot = robot_named(name)
+    model = InverseModel(robot)
+    chi = values_of(model)
+    texts, _ = exported(model, chi, tmp_path)
+    q, dq, ddq = states(robot.n)
+    found, loaded = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=False)
+    expected = torque(model, chi, q, dq, ddq, without=["coulomb", "offset"])
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert (loaded.ntendon, loaded.nu) == (1 if name == "tx40" else 0, robot.n)
+    if name == "tx40":
+        without = torque(model, chi, q, dq, ddq, without=["rotor", "coulomb", "offset"])
+        assert (np.abs(expected - without).max(axis=0) > 0.1).all()
+
+
+def test_frictionloss_is_dry_friction_where_it_is_saturated(tx40_model, tmp_path):
+    """|v| > 0.25 rad/s of every joint and of motor 6, |a| < 2 rad/s²."""
+    chi = values_of(tx40_model)
+    texts, _ = exported(tx40_model, chi, tmp_path)
+    q, dq, ddq = states(6, speed=3.0, acceleration=2.0, count=200)
+    fast = (np.abs(dq) > 0.25).all(axis=1) & (np.abs(dq[:, 4] + dq[:, 5]) > 0.25)
+    q, dq, ddq = q[fast], dq[fast], ddq[fast]
+    assert len(q) > 50
+    found, _ = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=True)
+    np.testing.assert_allclose(found, torque(tx40_model, chi, q, dq, ddq, without=["offset"]), atol=1e-9)
+
+
+USERS = """<?xml version="1.0" encoding="utf-8"?>
+<!-- made by a CAD program; do not edit -->
+<robot name="arm" xmlns:xacro="http://www.ros.org/wiki/xacro">
+  <!-- the base -->
+  <material name="grey"><color rgba="0.5 0.5 0.5 1"/></material>
+  <link name="base"><inertial><mass value="9"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/></inertial></link>
+  <link name="one">
+    <visual><geometry><mesh filename="package://arm/one.stl" scale="1 1 1"/></geometry></visual>
+    <inertial><origin xyz="0.1 0 0"/><mass value="2"/>
+      <inertia ixx="0.01" ixy="0" ixz="0" iyy="0.02" iyz="0" izz="0.02"/></inertial> <!-- by hand -->
+  </link>
+  <link name="camera">
+    <inertial><origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>
+      <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial>
+  </link>
+  <link name="two"/>
+  <link name="finger">
+    <inertial><origin xyz="0 0 0.1"/><mass value="0.2"/>
+      <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.001" iyz="0" izz="0.001"/></inertial>
+  </link>
+  <xacro:note text="a > b"/>
+  <joint name="a" type="continuous"><parent link="base"/><child link="one"/><axis xyz="0 0.6 0.8"/></joint>
+  <joint name="eye" type="fixed"><parent link="one"/><child link="camera"/><origin xyz="0.2 0 0.1" rpy="0 0.5 0"/></joint>
+  <joint name="b" type="prismatic">
+    <parent link="one"/><child link="two"/><origin xyz="0.4 0 0" rpy="0 0 0.3"/><axis xyz="1 0 0"/>
+    <limit lower="-0.3" upper="0.3" effort="10" velocity="1"/>
+    <dynamics damping="99" friction="98"/>
+  </joint>
+  <joint name="grip" type="revolute"><parent link="two"/><child link="finger"/><origin xyz="0 0.1 0"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="1" effort="1" velocity="1"/></joint>
+  <gazebo><plugin name="x" filename="libx.so"/></gazebo>
+</robot>
+<!-- the end -->
+"""
+USERS_TOML = """# my arm
+name = "arm"
+urdf = "arm.urdf"
+[[joint]]
+name = "a"
+type = "revolute"
+[[joint]]
+name = "b"
+type = "prismatic"
+[[motor]]
+name = "a"
+effort_unit = "N m"
+[[motor]]
+name = "b"
+effort_unit = "N"
+[controller]
+bandwidth_hz = 5
+"""
+
+
+def users_robot():
+    return robot_from_files({"robot.toml": USERS_TOML.encode(), "robot.urdf": USERS.encode()}, "arm.toml")
+
+
+def without_values(text):
+    """A URDF's bytes without inertials and dynamics, and without blanks between elements."""
+    for tag in ("inertial", "dynamics"):
+        text = re.sub(rf"<{tag}[^>]*/>|<{tag}[ >].*?</{tag}>", "", text, flags=re.DOTALL)
+    return re.sub(r">\s+<", "><", text).replace('<link name="two"/>', '<link name="two"></link>')
+
+
+@pytest.mark.parametrize("light", [False, True])
+def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp_path):
+    """Header, comments, prefixes, meshes, limits stay. A link too light for what is fixed to it takes the whole."""
+    model = InverseModel(users_robot())
+    chi = values_of(model)
+    if light:
+        chi[:10] *= 0.05
+    texts, document = exported(model, chi, tmp_path)
+    assert without_values(texts["urdf"]) == without_values(USERS)
+    assert texts["urdf"].startswith('<?xml version="1.0" encoding="utf-8"?>\n<!-- made by')
+    q, dq, ddq = states(2)
+    found, loaded = in_pinocchio(texts["urdf"], ("a", "b"), q, dq, ddq)
+    np.testing.assert_allclose(found, torque(model, chi, q, dq, ddq, without=["terms"]), atol=1e-9)
+    value = dict(zip(model.names, chi, strict=True))
+    np.testing.assert_allclose(loaded.damping, [value["Fv1"], value["Fv2"]])
+    assert loaded.lowerPositionLimit[-1] == -0.3
+    said = " ".join(line for section in document.sections for line in section.lines)
+    if light:
+        assert '<link name="camera">\n  </link>' in texts["urdf"]
+        assert "link one: the inertials of camera (0.3 kg)" in said
+    else:
+        assert '<origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>' in texts["urdf"]
+        assert "link one: camera, fixed to it, keep" in said
+
+
+def test_the_users_urdf_names_the_bodies_of_the_mjcf(tmp_path):
+    model = InverseModel(users_robot())
+    chi = values_of(model)
+    texts, _ = exported(model, chi, tmp_path)
+    q, dq, ddq = states(2)
+    found, loaded = inverse_in_mujoco(texts["mjcf"], q, dq, ddq, friction=False)
+    expected = torque(model, chi, q, dq, ddq, without=["coulomb", "offset"])
+    np.testing.assert_allclose(found, expected, atol=1e-9)
+    assert [loaded.body(k).name for k in (1, 2)] == ["one", "two"]
+
+
+def test_a_toml_has_the_values_and_all_other_lines(tx40_model, tmp_path):
+    chi = values_of(tx40_model)
+    texts, _ = exported(tx40_model, chi, tmp_path)
+    own = (REPLAY / "tx40" / "robot.toml").read_text()
+    again = load_robot(tmp_path / "out.toml")
+    assert [again.parameters[name] for name in tx40_model.names] == list(chi)
+    base, true = study_truth(again)
+    np.testing.assert_allclose(true, base_parameters(tx40_model).K @ chi, atol=1e-12)
+    assert base.b == len(true)
+    before = own[: own.index("# A-priori values")]
+    assert texts["toml"].startswith(before)
+    assert texts["toml"][len(before) :].startswith(
+        "# Physically consistent values identified in fit.json.\n[parameters]\nXX1 = "
+    )
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "",
+        "parameters = { Fv1 = 1.0 }\n",
+        "parameters.Fv1 = 1.0\nparameters.Fc1 = 2\n",
+        "\n# old\n# remarks\n[parameters] # SI\nFv1 = 1.0\n# inside\nFc1 = 2\n\n# of the joint\n",
+    ],
+)
+def test_parameters_replace_what_was_there_however_it_was_written(table):
+    text = f'name = "x"\nmatrix = [\n    [1, 0],\n    [0, 1],\n]\n{table}[[joint]]\nname = "j" # remark\n'
+    made = with_parameters(text, {"Fv1": 0.25, "M1": 1e-3}, "new")
+    was, now = tomllib.loads(text), tomllib.loads(made)
+    assert now.pop("parameters") == {"Fv1": 0.25, "M1": 1e-3}
+    was.pop("parameters", None)
+    assert now == was
+    assert '[[joint]]\nname = "j" # remark\n' in made
+    assert "old" not in made
+    assert ("# of the joint" in made) == ("# of the joint" in text)
+    assert "# new\n[parameters]\n" in made
+
+
+def test_a_table_that_cannot_be_replaced_by_lines_is_refused():
+    with pytest.raises(IdentificationError) as caught:
+        with_parameters('text = """\n[parameters]\n"""\n', {"Fv1": 1.0}, "new")
+    assert caught.value.key == "[parameters]"
+
+
+def test_a_toml_names_the_urdf_that_is_written_with_it(tmp_path):
+    model = InverseModel(users_robot())
+    chi = values_of(model)
+    texts, _ = exported(model, chi, tmp_path)
+    assert 'urdf = "out.urdf"' in texts["toml"]
+    assert texts["toml"].startswith("# my arm\n")
+    assert load_robot(tmp_path / "out.toml").urdf == texts["urdf"]
+    _, document = exported(model, chi, tmp_path, urdf=False)
+    assert any("it names arm.urdf, which is not beside it" in line for s in document.sections for line in s.lines)
+
+
+def losses(document, title):
+    """Rows of a format's table as (what, joint): (rms, percent)."""
+    (section,) = [s for s in document.sections if s.title.endswith(title)]
+    found, what = {}, ""
+    for row in section.table.rows if section.table else ():
+        what = row[0] or what
+        found[what, row[1]] = (row[2].value, row[4].value)
+    return found
+
+
+def test_what_a_format_cannot_say_is_told_with_its_cost(tx40_model, tmp_path):
+    """Rotors, offsets and the coupled motor: the torque that is missing, computed a second time from the files."""
+    chi = values_of(tx40_model)
+    texts, document = exported(tx40_model, chi, tmp_path)
+    of_urdf, of_mjcf = losses(document, "out.urdf"), losses(document, "out.mjcf")
+    value = dict(zip(tx40_model.names, chi, strict=True))
+    for j, joint in enumerate(tx40_model.robot.joints):
+        for of in (of_urdf, of_mjcf):
+            assert of["constant offset", joint.name][0] == pytest.approx(value[f"Off{j + 1}"])
+    assert {what for what, _ in of_mjcf} == {"constant offset"}
+    # Accelerations are spread evenly within ±a: their rms is a over root 3.
+    joint_3 = tx40_model.robot.joints[2]
+    rms = value["Ia3"] * joint_3.si("acceleration") / np.sqrt(3)
+    assert of_urdf["rotor inertia", "joint_3"][0] == pytest.approx(rms, rel=0.05)
+    (what,) = {what for what, _ in of_urdf if what.startswith("friction")}
+    assert "motor_6" in what
+    assert {joint for w, joint in of_urdf if w == what} == {"joint_5", "joint_6"}
+    # The refitted friction of joint 5 is the best: at other states no worse than 2 % above what least squares leaves.
+    dq = np.random.default_rng(2).uniform(-1, 1, (4000, 6)) * [joint.si("speed") for joint in tx40_model.robot.joints]
+    zero = np.zeros_like(dq)
+    whole = torque(tx40_model, chi, zero, dq, zero, without=["offset"])[:, 4]
+    whole -= torque(tx40_model, chi, zero, dq, zero, without=["terms"])[:, 4]
+    _, loaded = in_pinocchio(texts["urdf"], [j.name for j in tx40_model.robot.joints], zero[:1], dq[:1], zero[:1])
+    A = np.stack([dq[:, 4], np.sign(dq[:, 4])], axis=1)
+    best = np.linalg.norm(whole - A @ np.linalg.lstsq(A, whole)[0])
+    mine = np.linalg.norm(whole - A @ [loaded.damping[4], loaded.upperDryFrictionLimit[4]])
+    assert best <= mine < 1.02 * best
+    assert of_urdf[what, "joint_5"][0] == pytest.approx(best / np.sqrt(len(dq)), rel=0.1)
+
+
+def test_asymmetric_friction_is_replaced_by_the_mean_of_both_ways(tmp_path):
+    own = (REPLAY / "scara" / "robot.toml").read_text()
+    text = own.replace('type = "revolute"', 'type = "revolute"\nfriction = "asymmetric"', 1)
+    model = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
+    chi = values_of(model)
+    for name, value in {"Fvp1": 0.0, "Fvn1": 0.0, "Fcp1": 1.5, "Fcn1": 0.5}.items():
+        chi[model.names.index(name)] = value
+    texts, document = exported(model, chi, tmp_path)
+    rms = losses(document, "out.mjcf")
+    ((what, joint),) = rms
+    assert (what, joint) == (
+        "friction (Fvp1, Fcp1, Fvn1, Fcn1), the nearest damping and friction in its place",
+        "shoulder",
+    )
+    assert rms[what, joint][0] == pytest.approx(0.5, rel=0.01)
+    found = re.search(r'name="shoulder".*?damping="([^"]*)" frictionloss="([^"]*)"', texts["mjcf"])
+    assert [float(x) for x in found.groups()] == pytest.approx([0.0, 1.0], abs=0.06)
+
+
+def test_rotations_are_those_of_their_angles_and_quaternions():
+    for angles in (
+        *RNG.uniform(-3, 3, (20, 3)),
+        [0.3, np.pi / 2, 0.2],
+        [0.0, -np.pi / 2, 0.0],
+        [np.pi, 0, 0],
+        [0, 0, np.pi],
+    ):
+        R = pin.rpy.rpyToMatrix(*angles)
+        np.testing.assert_allclose(rotation(*angles), R, atol=1e-15)
+        np.testing.assert_allclose(rotation(*roll_pitch_yaw(R)), R, atol=1e-14)
+        w, x, y, z = quaternion(R)
+        np.testing.assert_allclose(pin.Quaternion(w, x, y, z).matrix(), R, atol=1e-14)
+
+
+@pytest.fixture(scope="module")
+def fits(tmp_path_factory):
+    """Files of a fit, as it is and made consistent."""
+    folder, fit = tmp_path_factory.mktemp("fits"), ls_of(SCARA)
+    files = {}
+    for name, made in (("free", fit), ("consistent", with_consistent(fit, Prior()))):
+        files[name] = folder / f"{name}.json"
+        write_json(files[name], fit_file(made.problem.signals, made, fit_document(made.problem.signals, made)))
+    return files
+
+
+def test_a_fit_that_is_not_consistent_is_made_so(fits, tmp_path, capsys):
+    values = {}
+    for name, path in fits.items():
+        began = time.perf_counter()
+        outputs = [f"--{kind}={tmp_path / name}.{kind}" for kind in ("urdf", "mjcf", "toml")]
+        assert main(["export", str(path), *outputs]) == 0
+        assert time.perf_counter() - began < 5.0  # one second; the machine may be busy
+        printed = capsys.readouterr().out
+        assert ("is not consistent: the nearest consistent parameters are taken" in printed) == (name == "free")
+        values[name] = load_robot(tmp_path / f"{name}.toml").parameters
+    assert values["free"] == pytest.approx(values["consistent"], rel=1e-6, abs=1e-9)
+    consistent = json.loads(fits["consistent"].read_text())["standard_parameters"]
+    assert values["consistent"] == {p["name"]: p["value"] if abs(p["value"]) > 1e-18 else 0.0 for p in consistent}
+
+
+def test_the_exported_description_simulates(fits, tmp_path):
+    assert main(["export", str(fits["consistent"]), "--toml", str(tmp_path / "robot.toml")]) == 0
+    done = main(["simulate", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "log.mcap"), "--duration-s", "0.5"])
+    assert done == 0
+
+
+def changed(path, folder, change):
+    content = json.loads(path.read_text())
+    change(content)
+    (folder / "changed.json").write_text(json.dumps(content))
+    return folder / "changed.json"
+
+
+def negative(name):
+    def change(content):
+        next(p for p in content["standard_parameters"] if p["name"] == name)["value"] = -0.1
+
+    return change
+
+
+def unknown_gain(content):
+    text = content["description"]["robot.toml"]
+    content["description"]["robot.toml"] = text.replace('effort_unit = "N m"', 'effort_unit = "A"')
+
+
+REFUSED = {
+    "friction": (negative("Fv1"), "joint shoulder: damping = -0.1"),
+    "dry friction": (negative("Fc2"), "joint elbow: frictionloss = -0.1"),
+    "link": (negative("M2"), "link 2, of joint elbow"),
+    "verdict": (lambda c: c.update(verdict="do not use"), "--allow-untrusted"),
+    "amperes": (unknown_gain, "motor[0].drive_gain is missing"),
+    "description": (lambda c: c.update(description={}), "description"),
+    "names": (lambda c: c["standard_parameters"].pop(), "standard_parameters"),
+    "covariance": (lambda c: (c.pop("standard_parameters"), c.pop("covariance")), "covariance is missing"),
+    "some of it": (lambda c: (c.pop("standard_parameters"), c["covariance"]["names"].pop()), "covariance"),
+}
+
+
+@pytest.mark.parametrize("why", REFUSED)
+def test_what_no_simulator_should_have_is_refused_in_one_line(why, fits, tmp_path, capsys):
+    change, words = REFUSED[why]
+    path = changed(fits["consistent"], tmp_path, change)
+    outputs = [f"--{kind}={tmp_path / 'out'}.{kind}" for kind in ("urdf", "mjcf", "toml")]
+    assert main(["export", str(path), *outputs]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert words in err
+    assert [p.name for p in tmp_path.iterdir()] == ["changed.json"]
+
+
+def test_a_fit_not_to_be_used_is_exported_where_that_is_asked_for(fits, tmp_path, capsys):
+    path = changed(fits["consistent"], tmp_path, lambda c: c.update(verdict="do not use"))
+    assert main(["export", str(path), "--toml", str(tmp_path / "x.toml"), "--allow-untrusted"]) == 0
+    assert "verdict do not use" in capsys.readouterr().out
+
+
+def test_files_are_written_all_or_none(fits, tmp_path, capsys):
+    (tmp_path / "folder.xml").mkdir()
+    command = [
+        "export",
+        str(fits["consistent"]),
+        "--toml",
+        str(tmp_path / "x.toml"),
+        "--mjcf",
+        str(tmp_path / "folder.xml"),
+    ]
+    assert main(command) == 1
+    assert main(["export", str(fits["consistent"])]) == 1
+    assert main(["export", str(fits["consistent"]), "--toml", str(fits["consistent"])]) == 1
+    assert capsys.readouterr().err.count("\n") == 3
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.xml"]
