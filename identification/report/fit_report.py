@@ -116,7 +116,7 @@ def _consistent(fit: Fit) -> list[Section]:
         return []
     free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
     rows: list[Row] = [
-        (name, Number(round(float(value), 12), ".5g"), unit, "prior" if from_prior else "recording")
+        (name, Number(round(float(value), 12) + 0.0, ".5g"), unit, "prior" if from_prior else "recording")
         for name, value, unit, from_prior in zip(c.names, c.chi, c.units, c.from_prior, strict=True)
     ]
     lines = (
