@@ -17,8 +17,7 @@ from .mechanism import Mechanism
 from .mjcf import mjcf_text
 from .robot_toml import with_parameters
 from .stored_model import StoredModel
-from .urdf import urdf_text
-from .urdf_patch import patched_urdf
+from .urdf import patched_urdf, urdf_text
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # what readers of a URDF take, which does not say it
 SOFT = "MuJoCo's friction loss is a soft constraint: it is dry friction where a joint moves, and creeps where it nearly stands"

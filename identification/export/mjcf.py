@@ -8,7 +8,7 @@ import xml.etree.ElementTree as ET
 
 from .mechanism import Mechanism
 from .numbers import about_com, quaternion, text_of
-from .urdf_patch import link_names
+from .urdf import link_names
 
 INERTIA = (0, 3, 5, 1, 2, 4)  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
 

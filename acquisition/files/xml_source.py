@@ -1,9 +1,9 @@
-"""A URDF's text as a tree that knows where each element stands, so that single elements are replaced and all else stays."""
+"""XML as a tree that knows where each element stands in the text, so that single elements are replaced and all else stays."""
 
 from dataclasses import dataclass, field
 from xml.parsers import expat
 
-from ..errors import IdentificationError
+from ..errors import AcquisitionError
 
 _QUOTES = b"\"'"
 
@@ -28,12 +28,12 @@ class Element:
         return [c for c in self.children if c.name == name]
 
 
-def parse(source: bytes, place: str) -> Element:
+def parse_xml(source: bytes, place: str) -> Element:
     """The root of a document in UTF-8.
 
     Raises
     ------
-    IdentificationError : where it is not XML; `place` names it.
+    AcquisitionError : where it is not XML; `place` names it.
     """
     parser = expat.ParserCreate("utf-8")
     roots: list[Element] = []
@@ -54,7 +54,7 @@ def parse(source: bytes, place: str) -> Element:
     try:
         parser.Parse(source, True)
     except expat.ExpatError as error:
-        raise IdentificationError(f"not valid XML: {error}", place=place) from error
+        raise AcquisitionError(f"not valid XML: {error}", place=place) from error
     return roots[0]
 
 
