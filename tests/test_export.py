@@ -170,6 +170,8 @@ USERS = """<?xml version="1.0" encoding="utf-8"?>
     <inertial><origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>
       <inertia ixx="0.001" ixy="0" ixz="0" iyy="0.002" iyz="0" izz="0.002"/></inertial>
   </link>
+  <link name="lens"><inertial><origin xyz="0 0.03 0.01"/><mass value="0.05"/>
+    <inertia ixx="0.0001" ixy="0" ixz="0" iyy="0.0002" iyz="0" izz="0.0002"/></inertial></link>
   <link name="two"/>
   <link name="finger">
     <inertial><origin xyz="0 0 0.1"/><mass value="0.2"/>
@@ -178,6 +180,7 @@ USERS = """<?xml version="1.0" encoding="utf-8"?>
   <xacro:note text="a > b"/>
   <joint name="a" type="continuous"><parent link="base"/><child link="one"/><axis xyz="0 0.6 0.8"/></joint>
   <joint name="eye" type="fixed"><parent link="one"/><child link="camera"/><origin xyz="0.2 0 0.1" rpy="0 0.5 0"/></joint>
+  <joint name="mount" type="fixed"><parent link="camera"/><child link="lens"/><origin xyz="0 0.1 0" rpy="0.7 0 0.4"/></joint>
   <joint name="b" type="prismatic">
     <parent link="one"/><child link="two"/><origin xyz="0.4 0 0" rpy="0 0 0.3"/><axis xyz="1 0 0"/>
     <limit lower="-0.3" upper="0.3" effort="10" velocity="1"/>
@@ -239,10 +242,10 @@ def test_the_users_urdf_comes_back_with_other_values_and_nothing_else(light, tmp
     said = " ".join(line for section in document.sections for line in section.lines)
     if light:
         assert '<link name="camera">\n  </link>' in texts["urdf"]
-        assert "link one: the inertials of camera (0.3 kg)" in said
+        assert "link one: the inertials of camera, lens (0.35 kg)" in said
     else:
         assert '<origin xyz="0 0 0.02" rpy="0.1 0 0.2"/><mass value="0.3"/>' in texts["urdf"]
-        assert "link one: camera, fixed to it, keep" in said
+        assert "link one: camera, lens, fixed to it, keep" in said
 
 
 def test_the_users_urdf_names_the_bodies_of_the_mjcf(tmp_path):

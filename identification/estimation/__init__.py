@@ -30,7 +30,7 @@ from .estimators import (
     weighted_least_squares,
 )
 from .f_test import f_tail
-from .pseudo_inertia import link_parameters, pseudo_inertia
+from .link_inertias import link_parameters, pseudo_inertia
 from .system import System
 from .whitening import whitened
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .pseudo_inertia import BASIS, pseudo_inertia
+from .link_inertias import BASIS, pseudo_inertia
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
