@@ -210,20 +210,18 @@ def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Arr
 
     A problem that is not solved from the one before is put off: another, closer one comes between.
     """
-    softer, factor, steps, decrement = SOFTEST, 1.0, 0, np.inf
-    while factor >= LEAST_FACTOR or softer == SOFTEST:
+    chi, decrement, steps = _minimum(problem(SOFTEST), chi)
+    softer, factor = SOFTEST, FACTOR
+    while decrement <= CERTIFIED and softer > 1.0:
         harder = max(1.0, softer / factor)
-        found, decrement, more = _minimum(problem(harder), chi)
+        found, reached, more = _minimum(problem(harder), chi)
         steps += more
-        if not decrement <= CERTIFIED:
-            if factor == 1.0:
-                break
+        if reached <= CERTIFIED:
+            chi, decrement, softer, factor = found, reached, harder, min(FACTOR, factor**1.5)
+        elif factor > LEAST_FACTOR:
             factor **= 0.5
-            continue
-        chi, softer = found, harder
-        if softer == 1.0:
-            break
-        factor = FACTOR if factor == 1.0 else min(FACTOR, factor**1.5)
+        else:
+            decrement = reached
     return chi, decrement, steps
 
 
