@@ -25,6 +25,7 @@ from identification.methods import Prior, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import regression_of_recording
 from identification.report import fit_schema, read_fit
+from identification.report.stored_fit import LeftOut, consistent_keys
 
 
 @pytest.fixture(scope="module")
@@ -287,6 +288,16 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     assert "robot.toml" in content["description"]
     assert [p.value for p in read_fit(out).standard_parameters] == [p["value"] for p in content["standard_parameters"]]
     assert {"standard_parameters", "consistent", "left_out"} <= set(fit_schema()["$defs"]["FitFile"]["properties"])
+
+
+def test_the_file_holds_what_an_essential_fit_leaves_out():
+    fit = ls_of(REPLAY / "scara" / "session.mcap")
+    names, full = fit.estimate.names, fit.least_squares.full
+    fewer = dataclasses.replace(fit, estimate=dataclasses.replace(fit.estimate, names=names[:-1]))
+    assert consistent_keys(fewer)["left_out"] == [
+        LeftOut(name=names[-1], sigma=float(np.sqrt(full.covariance[-1, -1])))
+    ]
+    assert consistent_keys(fit)["left_out"] == []
 
 
 @pytest.mark.parametrize(
