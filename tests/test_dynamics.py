@@ -215,7 +215,8 @@ def test_a_term_of_a_new_kind_acts_in_the_direct_model_by_its_regressor():
     plain = direct_model(dynamics, known_parameters(dynamics))
     second = np.diag([0.0, 1.0])
     none = np.zeros(2)
-    term = Quadratic(name="Fq2", unit="N m s²/rad²", kind="quadratic", matrix=second, direction=none, given_away=none)
+    of = {"name": "Fq2", "joint": 1, "unit": "N m s²/rad²", "kind": "quadratic"}
+    term = Quadratic(**of, matrix=second, direction=none, given_away=none)
     model = dataclasses.replace(plain, others=((0.6, term),))
     q, dq, ddq = np.random.default_rng(0).uniform(-2, 2, (3, 50, 2))
     expected = np.c_[np.zeros(50), 0.6 * dq[:, 1] * np.abs(dq[:, 1])]
