@@ -9,8 +9,8 @@ from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
 from acquisition.importing.tables import import_tables
-from acquisition.robot.limits import check_recorded_positions
-from acquisition.robot.robot import load_robot
+from acquisition.robot.limits import check_recorded_positions, effort_limits
+from acquisition.robot.robot import load_robot, robot_from_files
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods.idim import identify_ls
@@ -119,3 +119,98 @@ def test_real_records_pass_and_wrong_units_are_refused_at_import(tmp_path, emps,
     with pytest.raises(AcquisitionError, match=r"DATA_EMPS.mat: joint axis at .* m, .* s: limits -0.15 m and 0.15 m"):
         import_tables([needs_data("emps", "DATA_EMPS.mat")], fast, table_map, out)
     assert not out.exists()
+
+
+URDF_ARM = """<robot name="arm"><link name="base"/><link name="upper"/><link name="slide"/>
+<joint name="elbow" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" velocity="1" effort="{effort}"/></joint>
+<joint name="rail" type="prismatic"><parent link="upper"/><child link="slide"/><axis xyz="1 0 0"/>
+<limit lower="-1" upper="1" velocity="1" effort="40"/></joint></robot>"""
+URDF_TOML = """
+name = "arm"
+urdf = "arm.urdf"
+[[joint]]
+name = "elbow"
+type = "revolute"
+{elbow}
+[[joint]]
+name = "rail"
+type = "prismatic"
+{rail}
+[[motor]]
+name = "m1"
+ratio = 50
+drive_gain = 2.0
+drive_gain_unit = "N m/A"
+saturation = 0.3
+[[motor]]
+name = "m2"
+effort_unit = "N"
+[controller]
+bandwidth_hz = 5
+"""
+
+
+def urdf_arm(effort="80", elbow="", rail=""):
+    files = {"robot.toml": URDF_TOML.format(elbow=elbow, rail=rail), "robot.urdf": URDF_ARM.format(effort=effort)}
+    return robot_from_files({name: text.encode() for name, text in files.items()}, "here")
+
+
+def test_efforts_come_from_the_description_else_from_the_urdf():
+    assert [j.si("effort") for j in urdf_arm().joints] == [80.0, 40.0]
+    assert [j.si("effort") for j in urdf_arm("0").joints] == [None, 40.0]
+    assert [j.si("effort") for j in urdf_arm(elbow="effort_nm = 7", rail="effort_n = 8").joints] == [7.0, 8.0]
+
+
+@pytest.mark.parametrize("effort", ["-3", "inf", "nan", "much"])
+def test_an_effort_of_the_urdf_that_is_no_limit_is_refused(effort):
+    with pytest.raises(AcquisitionError) as caught:
+        urdf_arm(effort)
+    assert (caught.value.key, caught.value.value) == ("urdf: joint elbow: effort", effort)
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ({"elbow": "effort_n = 3"}, "joint[0].effort_n"),
+        ({"rail": "effort_nm = 3"}, "joint[1].effort_nm"),
+        ({"elbow": "effort_nm = -3"}, "joint[0].effort_nm"),
+        ({"rail": "effort_n = 0"}, "joint[1].effort_n"),
+    ],
+)
+def test_an_effort_of_the_wrong_kind_or_sign_is_refused(keys, key):
+    with pytest.raises(AcquisitionError) as caught:
+        urdf_arm(**keys)
+    assert key in str(caught.value)
+
+
+def test_the_limit_of_a_joint_is_the_smaller_of_its_own_and_of_its_drive():
+    limits = effort_limits(urdf_arm(), "here")
+    assert limits.names == ("joint elbow", "joint rail")
+    assert limits.limits == pytest.approx([0.3 * 2.0 * 50, 40.0])  # the saturation of the drive; the URDF
+    assert effort_limits(urdf_arm(elbow="effort_nm = 7"), "here").limits == pytest.approx([7.0, 40.0])
+
+
+def test_a_drive_gives_no_more_than_its_object_holds_and_a_coupled_motor_has_a_limit_of_its_own():
+    limits = effort_limits(TX40, "here")
+    assert limits.names == (*(f"joint joint_{j}" for j in (1, 2, 3, 4, 6)), "motor motor_5")
+    assert limits.limits[0] == pytest.approx(32.767 * 3.0 * 32)  # 16 bits of per mille of the rated torque
+    tau = np.array([1.0, 2, 3, 4, 5, 6])
+    assert limits.directions @ tau == pytest.approx([1, 2, 3, 4, 6, TX40.motor_effort(tau[None])[0, 4]])
+    assert limits.units[-1] == "N m"
+
+
+def test_efforts_in_newton_metres_do_not_limit_amperes():
+    robot = robot_from_files(
+        {
+            "robot.toml": URDF_TOML.format(elbow="", rail="")
+            .replace('drive_gain = 2.0\ndrive_gain_unit = "N m/A"', 'effort_unit = "A"')
+            .replace('effort_unit = "N"', 'effort_unit = "A"')
+            .encode(),
+            "robot.urdf": URDF_ARM.format(effort="80").encode(),
+        },
+        "here",
+    )
+    limits = effort_limits(robot, "here")
+    assert (limits.names, limits.units) == (("joint elbow",), ("A",))
+    assert limits.limits == pytest.approx([0.3 * 50])

@@ -59,6 +59,8 @@ class Joint(TomlTable, frozen=True):
     acceleration_m_s2: Positive | None = None
     following_error_deg: Positive | None = None
     following_error_m: Positive | None = None
+    effort_nm: Positive | None = None
+    effort_n: Positive | None = None
 
     @property
     def position_unit(self) -> str:
@@ -66,7 +68,12 @@ class Joint(TomlTable, frozen=True):
         return "rad" if self.type == "revolute" else "m"
 
     def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed`, `acceleration`, `following_error` in rad or m (per s, s²); `None`: not stated."""
+        """`zero`, `position`, `speed`, `acceleration`, `following_error` in rad or m (per s, s²), `effort` in N m or N.
+
+        `None` where it is not stated.
+        """
+        if quantity == "effort":
+            return self.effort_nm if self.type == "revolute" else self.effort_n
         tail = {"speed": "_s", "acceleration": "_s2"}.get(quantity, "")
         if self.type == "prismatic":
             return getattr(self, f"{quantity}_m{tail}")
@@ -181,6 +188,10 @@ def check_description(f: RobotFile, place: str) -> None:
             if f"_{other}" in field.name and getattr(joint, field.name) is not None:
                 unit = "deg" if other == "m" else "m"
                 refuse(f"{key}.{field.name}", getattr(joint, field.name), f"a key in {unit} for a {joint.type} joint")
+        other_effort = "effort_n" if joint.type == "revolute" else "effort_nm"
+        if (effort := getattr(joint, other_effort)) is not None:
+            expected = f"{'effort_nm' if other_effort == 'effort_n' else 'effort_n'} for a {joint.type} joint"
+            refuse(f"{key}.{other_effort}", effort, expected)
         limits = joint.si("position")
         if limits is not None and not limits[0] < limits[1]:
             unit = "deg" if other == "m" else "m"

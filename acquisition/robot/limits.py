@@ -1,16 +1,19 @@
-"""Recorded positions checked against the limits of the description: impossible positions mean a wrong reading.
+"""Limits of the description: efforts of joints and drives, and recorded positions checked against their limits.
 
-Degrees read as radians, a wrong ratio, a counter that wraps, a foreign sample: a fit shows none of them.
-A small overshoot of a stated limit gives a warning only.
+Impossible positions mean a wrong reading: degrees read as radians, a wrong ratio, a counter that wraps, a foreign sample. A
+fit shows none of them. A small overshoot of a stated limit gives a warning only.
 """
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
+from ..protocol import BITS
 from .description import Joint
+from .resolving import resolve
 from .robot import Robot
 
 FAR_OUT = 0.5  # of a joint's range: positions further beyond the limits are refused
@@ -19,6 +22,72 @@ UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot'
 OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EffortLimits:
+    """Largest efforts: |directions tau| <= limits, tau (n,) the joint efforts.
+
+    Attributes:
+        names: (m,) of joints, and of motors whose effort several joints share.
+        directions: (m, n) of the joint efforts.
+        limits: (m,) N m or N; A or V where the drive gain is not known.
+        units: (m,) of the limits.
+    """
+
+    names: tuple[str, ...]
+    directions: Array
+    limits: Array
+    units: tuple[str, ...]
+
+
+def effort_limits(robot: Robot, place: str) -> EffortLimits:
+    """The limits of a robot's efforts: at each joint the smaller of what it states and what its drive can give.
+
+    A drive gives no more than `saturation`, nor than its effort object can hold. Where joints are coupled, the effort of a
+    motor is a sum over joints, and its limit one on that sum. Stated efforts, in N m or N, do not count where the drive gain
+    is not known.
+
+    Parameters
+    ----------
+    robot : with `[bus]` or without.
+    place : the name of the description in errors.
+
+    Raises
+    ------
+    AcquisitionError
+        The bus is described wrongly.
+    """
+    ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
+    if robot.bus is not None:
+        for i, drive in enumerate(resolve(robot, place).drives):
+            kind = drive.effort.entry.type
+            most = 2 ** (BITS[kind] - (kind[0] == "I")) - 1
+            ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
+    rows: list[tuple[str, Array, float, str]] = []
+    to_motor = (
+        np.linalg.inv(robot.R.T) / robot.gain[:, None]
+    )  # recorded efforts of the motors = to_motor · joint efforts
+    alone = np.count_nonzero(to_motor, axis=1) == 1
+    own = np.eye(robot.n)
+    for j, joint in enumerate(robot.joints):
+        stated = joint.si("effort") if robot.gain_known else None
+        limit = math.inf if stated is None else stated
+        for m in np.flatnonzero(alone & (to_motor[:, j] != 0)):
+            limit = min(limit, float(ranges[m] / abs(to_motor[m, j])))
+        rows.append((f"joint {joint.name}", own[j], limit, robot.effort_units[j]))
+    rows += [
+        (f"motor {motor.name}", row, float(limit), motor.recorded_unit)
+        for motor, row, limit, single in zip(robot.motors, to_motor, ranges, alone, strict=True)
+        if not single
+    ]
+    rows = [row for row in rows if math.isfinite(row[2])]
+    return EffortLimits(
+        names=tuple(row[0] for row in rows),
+        directions=np.array([row[1] for row in rows]).reshape(-1, robot.n),
+        limits=np.array([row[2] for row in rows]),
+        units=tuple(row[3] for row in rows),
+    )
 
 
 def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str) -> tuple[str, ...]:

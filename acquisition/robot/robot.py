@@ -1,10 +1,13 @@
 """The robot that a description means: joints, motors, the matrix between them, gains, limits. SI, angles in radians."""
 
+import math
+import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from ..arrays import Array
@@ -172,6 +175,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         if "robot.urdf" not in files:
             raise AcquisitionError("the URDF is missing next to the description", place=place, key="urdf", value=f.urdf)
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
+        f = msgspec.structs.replace(f, joint=_with_urdf_efforts(f.joint, urdf, place))
     if f.motor_matrix is not None:
         R = np.array(f.motor_matrix, dtype=float)
     else:
@@ -198,6 +202,30 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         files={name: files[name] for name in names if name in files},
         urdf=urdf,
     )
+
+
+def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: str) -> tuple[Joint, ...]:
+    """Joints that state no effort have that of the URDF; 0 there, or none, states none."""
+    try:
+        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).iter("joint")}
+    except (ET.ParseError, ValueError, LookupError):  # whoever needs the URDF's model reports it
+        return joints
+    out = []
+    for joint in joints:
+        limit = limits.get(joint.name)
+        text = "" if limit is None else limit.get("effort", "")
+        try:
+            effort = float(text or 0)
+        except ValueError:
+            effort = math.nan
+        if not 0 <= effort < math.inf:
+            expected = "a number from 0; 0 states none"
+            raise AcquisitionError(place=place, key=f"urdf: joint {joint.name}: effort", value=text, expected=expected)
+        if effort and joint.si("effort") is None:
+            key = "effort_nm" if joint.type == "revolute" else "effort_n"
+            joint = msgspec.structs.replace(joint, **{key: effort})
+        out.append(joint)
+    return tuple(out)
 
 
 def _parse(text: bytes, place: str) -> RobotFile:
