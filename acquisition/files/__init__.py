@@ -1,7 +1,7 @@
 """Files: written whole or not at all, columns of tables, MAT files, meshes of a URDF, XML patched in place."""
 
 from .atomic import atomic_write, refuse_clash
-from .columns import read_columns
+from .columns import read_columns, write_columns
 from .meshes import MESHES, find_mesh, read_meshes
 from .xml_source import Edits, Element, parse_xml
 
@@ -15,4 +15,5 @@ __all__ = [
     "read_columns",
     "read_meshes",
     "refuse_clash",
+    "write_columns",
 ]

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError, listed
+from .atomic import atomic_write
 from .mat import read_variables
 
 
@@ -53,6 +54,24 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
             expected="a finite number",
         )
     return values
+
+
+def write_columns(path: Path, names: Sequence[str], values: Array) -> None:
+    """Write a CSV file of named columns, whole or not at all; `read_columns` reads the same numbers back, bit by bit.
+
+    Parameters
+    ----------
+    path : of the file.
+    names : (columns,) for its header.
+    values : (N, columns).
+
+    Raises
+    ------
+    AcquisitionError
+        The file cannot be written.
+    """
+    with atomic_write(path) as partial:
+        np.savetxt(partial, values, delimiter=",", header=",".join(names), comments="", fmt="%.17g")
 
 
 def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, list[str]]:

@@ -1,9 +1,20 @@
 """Reference trajectories and the way along them; limits, checked before motion."""
 
 from .following import follow
-from .reference import UNSTATED_RANGE, FourierReference, approach, check_limits, fourier_reference, table_reference
+from .reference import (
+    HARMONICS,
+    LIMIT_SHARE,
+    UNSTATED_RANGE,
+    FourierReference,
+    approach,
+    check_limits,
+    fourier_reference,
+    table_reference,
+)
 
 __all__ = [
+    "HARMONICS",
+    "LIMIT_SHARE",
     "UNSTATED_RANGE",
     "FourierReference",
     "approach",

@@ -41,15 +41,18 @@ class FourierReference:
         return q, dq, ddq
 
 
-def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierReference:
-    """A random Fourier series of five harmonics for each joint, from rest to rest.
+def fourier_reference(
+    robot: Robot, *, period_s: float, seed: int, harmonics: int = HARMONICS, share: float = LIMIT_SHARE
+) -> FourierReference:
+    """A random Fourier series for each joint, from rest to rest.
 
     Parameters
     ----------
-    robot : its limits; the series stays within 0.8 of each joint's range, speed and acceleration. A joint without a stated
-        range has 1 rad or 1 m to each side of zero.
+    robot : its limits; the series stays within `share` of each joint's range, speed and acceleration. A joint without a
+        stated range has 1 rad or 1 m to each side of zero.
     period_s : of the series, which repeats after it.
     seed : the same seed gives the same series.
+    harmonics : how many, two at least.
 
     Returns
     -------
@@ -63,8 +66,8 @@ def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierRef
     if not period_s > 0:
         raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
     rng = np.random.default_rng(seed)
-    k = np.arange(1, HARMONICS + 1)
-    sine, cosine = rng.standard_normal((2, robot.n, HARMONICS)) / k
+    k = np.arange(1, harmonics + 1)
+    sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
     # At t = 0 speed is sum k sine, acceleration sum k² cosine: take those parts out.
     sine -= (sine @ k)[:, None] * k / (k @ k)
     cosine -= (cosine @ k**2)[:, None] * k**2 / (k**2 @ k**2)
@@ -78,7 +81,7 @@ def fourier_reference(robot: Robot, *, period_s: float, seed: int) -> FourierRef
         for limit, peak in ((joint.si("speed"), dq), (joint.si("acceleration"), ddq)):
             if limit is not None:
                 scale[j] = min(scale[j], limit / np.abs(peak[:, j]).max())
-    scale *= LIMIT_SHARE
+    scale *= share
     center = middle - scale * (q.max(axis=0) + q.min(axis=0)) / 2
     return FourierReference(
         period_s=period_s, center=center, sine=sine * scale[:, None], cosine=cosine * scale[:, None]

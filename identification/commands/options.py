@@ -218,3 +218,19 @@ def positive(text: str) -> int:
     if value < 1:
         raise ValueError(text)
     return value
+
+
+def at_least_two(text: str) -> int:
+    """A whole number from 2."""
+    value = int(text)
+    if value < 2:
+        raise ValueError(text)
+    return value
+
+
+def percent(text: str) -> float:
+    """A percentage above 0, to 100."""
+    value = float(text)
+    if not 0 < value <= 100:
+        raise ValueError(text)
+    return value

@@ -1,6 +1,7 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
 from .base import BaseParameters, base_parameters
+from .derivatives import regressor_gradient, smooth_torque
 from .direct import DirectModel, direct_model
 from .inverse import InverseModel
 from .joint_terms import JointTerm
@@ -19,4 +20,6 @@ __all__ = [
     "is_a_body",
     "link_columns",
     "physical_parameters",
+    "regressor_gradient",
+    "smooth_torque",
 ]

@@ -73,6 +73,16 @@ class JointTerm:
         sign = np.sign(u) if self.side == 0 else self.side * (self.side * u > 0)
         return np.asarray(self.direction[j] * sign)
 
+    def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
+        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); a jump of Coulomb friction has none."""
+        by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
+        if self.kind == "rotor":
+            by_acceleration = self.matrix[j]
+        elif self.kind == "viscous":
+            acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
+            by_speed = acts * self.matrix[j]
+        return by_speed, by_acceleration
+
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     """The terms that carry the number of joint j: Ia, Fv, Fc (or Fvp, Fcp, Fvn, Fcn), Off, Fvm, Fcm as described."""

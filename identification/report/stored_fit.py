@@ -64,6 +64,20 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     relative_error_percent: float | None
 
 
+class StoredJoint(msgspec.Struct, frozen=True):
+    """The torque error of a joint, as far as it is read back."""
+
+    relative_error_percent: float | None = None
+    moving_relative_error_percent: float | None = None
+    autocorrelation: float | None = None
+
+    @property
+    def percent(self) -> float | None:
+        """Of the rows that move, or else of all."""
+        moving = self.moving_relative_error_percent
+        return self.relative_error_percent if moving is None else moving
+
+
 class StoredFit(msgspec.Struct, frozen=True):
     """The JSON file of a fit, or of known values, as far as it is read back."""
 
@@ -72,6 +86,7 @@ class StoredFit(msgspec.Struct, frozen=True):
     method: str = "known"
     status: str = "known"
     doubts: list[Doubt] = msgspec.field(default_factory=list)
+    joints: list[StoredJoint] = msgspec.field(default_factory=list)
     description: dict[str, str] = msgspec.field(default_factory=dict)
     covariance: Covariance | UnsetType = UNSET
     left_out: list[LeftOut] | UnsetType = UNSET

@@ -1,0 +1,248 @@
+"""References that tell most of a robot's base parameters, within its limits."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from acquisition.robot import Robot, refuse_out_of_range, resolve
+from acquisition.trajectory import HARMONICS, LIMIT_SHARE, FourierReference, fourier_reference
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import one_thread
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model
+from .information import Information
+from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
+from .limits import Limits, limits_of
+from .search import FINER, SAMPLES_PER_PERIOD, TOLERANCE, Problem, best_series, shrunk
+from .series import Series, motion_of
+
+PLAIN = 20  # random references, whose geometric mean the criterion is relative to
+STARTS = 3  # of the search, from random references of other seeds
+START_SHARE = 0.9  # of the limits, which a search starts within
+BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
+CREEP_SHARE = 0.05  # of a joint's speed limit
+FEWEST_HARMONICS = 2  # with one, nothing is left by zero speed and acceleration at the ends
+REACH = 1.959964  # deviations to each side of a 95 % interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a reference is to be.
+
+    Attributes:
+        period_s, harmonics, periods: of the Fourier series, and how often it is repeated.
+        seed: of the random references; the same one gives the same result.
+        limits_percent: of all limits that the reference may use.
+    """
+
+    period_s: float = 10.0
+    harmonics: int = 10
+    periods: int = 3
+    seed: int = 1
+    limits_percent: float = 100 * LIMIT_SHARE
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Excitation:
+    """A reference, and what is expected of it.
+
+    Attributes:
+        robot, base, settings: as given, and the robot's base parameters.
+        reference: one period.
+        sigma, plain: (b,) expected deviations of the parameters, and the geometric mean of the same with plain references.
+        noise, noise_from: (n,) deviation of the torque in a row of the fit, and its origin in words.
+        limits, used: the limits, and (L,) the largest share of each in use; 1 is the whole limit.
+        beta, beta_from: parameters that the torque is computed by, and their origin; None where it was not checked.
+        warnings: lines.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    settings: Settings
+    reference: FourierReference
+    sigma: Array
+    plain: Array
+    noise: Array
+    noise_from: str
+    limits: Limits
+    used: Array
+    beta: Array | None
+    beta_from: str
+    warnings: tuple[str, ...]
+
+    @property
+    def half(self) -> Array:
+        """(b,) half-widths of the expected 95 % intervals."""
+        return REACH * self.sigma
+
+    @property
+    def plain_half(self) -> Array:
+        """(b,) the same of the plain references."""
+        return REACH * self.plain
+
+    def table(self) -> tuple[Array, Array]:
+        """Times (N,) in s and positions (N, n) of all periods, close enough for splines between them."""
+        s = self.settings
+        steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
+        t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
+        return t_s, self.reference.at(t_s)[0]
+
+
+@one_thread
+def excite(
+    robot: Robot, settings: Settings, knowledge: Knowledge, place: str, say: Callable[[str], None] = lambda text: None
+) -> Excitation:
+    """The reference within a robot's limits that tells most of its base parameters.
+
+    Parameters
+    ----------
+    robot : with limits of position, speed and acceleration.
+    settings : period, harmonics, seed.
+    knowledge : what is known of its parameters, its noise, and from earlier recordings.
+    place : the name of the description in errors.
+    say : called with a line of text as the search goes on.
+
+    Raises
+    ------
+    IdentificationError : where the limits leave no reference, or the drives would not follow it.
+    AcquisitionError : where the drives cannot represent its positions.
+    """
+    _refuse_fast(robot, settings, place)
+    model = InverseModel(robot)
+    base = base_parameters(model)
+    direct = None if knowledge.beta is None else direct_model(model, base.standard_parameters(knowledge.beta))
+    limits = limits_of(robot, direct, settings.limits_percent / 100, place)
+    _refuse_rest(limits, place)
+    series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
+    samples = SAMPLES_PER_PERIOD * settings.harmonics
+    t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
+    few = min(HARMONICS, settings.harmonics)
+    plain_series = Series(period_s=settings.period_s, harmonics=few)
+    plain = [_random(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
+    noise, noise_from = torque_noise(robot, direct, knowledge, plain)
+    information = Information(
+        model=model,
+        base=base,
+        noise=noise,
+        rows=rows_per_s(robot) * settings.period_s * settings.periods,
+        earlier=earlier_information(base, noise, knowledge.recordings),
+        creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
+    )
+    sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
+    problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
+    x, sigma = _best(problem, settings, place, say)
+    reference = series.reference(x)
+    found = Excitation(
+        robot=robot,
+        base=base,
+        settings=settings,
+        reference=reference,
+        sigma=sigma,
+        plain=sigma_plain,
+        noise=noise,
+        noise_from=noise_from,
+        limits=limits,
+        used=limits.share_of_whole(motion_of(x, series.basis(FINER * problem.samples))),
+        beta=knowledge.beta,
+        beta_from=knowledge.beta_from,
+        warnings=_warnings(limits),
+    )
+    if robot.bus is not None:
+        at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
+        refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
+    return found
+
+
+def _best(problem: Problem, settings: Settings, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
+    """Coefficients of the best of several searches that keeps the limits between samples too, and its deviations (b,)."""
+    best: tuple[float, Array, Array] | None = None
+    worst = ""
+    basis = problem.series.basis(problem.samples)
+    for i in range(STARTS):
+        start = _random(problem.limits, problem.series, STARTS * settings.seed + i + PLAIN)
+        x = START_SHARE * problem.series.coefficients(start)
+        x[:, 0] /= START_SHARE
+        text = f"search {i + 1} of {STARTS}"
+        say(text)
+        x = best_series(problem, x, partial(_tell, say, text))
+        x, most = shrunk(x, problem.series, problem.limits, FINER * problem.samples)
+        if most > 1 + TOLERANCE:
+            used = problem.limits.used(motion_of(x, basis))
+            worst = (
+                f"{problem.limits.names[int(np.abs(used).max(axis=0).argmax())]} is left by {100 * (most - 1):.3g} %"
+            )
+            continue
+        sigma = problem.information.sigma(motion_of(x, basis))
+        f = float(np.mean((sigma / problem.plain) ** 2))
+        if best is None or f < best[0]:
+            best = f, x, sigma
+    if best is None:
+        raise IdentificationError(
+            f"no reference keeps the limits: {worst}",
+            place=place,
+            expected="wider limits, another --seed or --harmonics",
+        )
+    return best[1], best[2]
+
+
+def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
+    say(f"{text}: deviations {math.exp(criterion / 2):.2f} times those of the plain reference")
+
+
+def _random(limits: Limits, series: Series, seed: int) -> FourierReference:
+    """A random reference that uses the same share of all limits, torque too."""
+    robot = limits.robot
+    found = fourier_reference(
+        robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
+    )
+    x, _ = shrunk(series.coefficients(found), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
+    return series.reference(x)
+
+
+def _refuse_fast(robot: Robot, settings: Settings, place: str) -> None:
+    """The loop would not follow harmonics near its bandwidth."""
+    bandwidth_hz = robot.controller.bandwidth_hz
+    most_hz = BANDWIDTH_SHARE * bandwidth_hz
+    highest_hz = settings.harmonics / settings.period_s
+    if highest_hz > most_hz * (1 + 1e-9):
+        few = math.floor(most_hz * settings.period_s + 1e-9)
+        ways = f"--harmonics {few} or fewer, or " if few >= FEWEST_HARMONICS else ""
+        raise IdentificationError(
+            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
+            place=place,
+            key="harmonics",
+            value=settings.harmonics,
+            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / most_hz) / 100:g} or longer",
+        )
+
+
+def _refuse_rest(limits: Limits, place: str) -> None:
+    """Standing in the middle of the ranges must be possible: references start from there."""
+    n = limits.robot.n
+    middle = limits.middle[None]
+    used = np.abs(limits.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    if used.max() > 1:
+        worst = int(used.argmax()) - 3 * n
+        effort = limits.effort
+        held = limits.coulomb[worst] + used[worst + 3 * n] * limits.allowed[worst]
+        raise IdentificationError(
+            f"{effort.names[worst]} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
+            place=place,
+            expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",
+        )
+
+
+def _warnings(limits: Limits) -> tuple[str, ...]:
+    """What of the torque was not checked."""
+    if limits.model is None:
+        return ("torque was not checked: neither a fit nor [parameters] give it",)
+    found = []
+    if not limits.robot.gain_known:
+        found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
+    if not len(limits.effort.limits):
+        found.append("torque was not checked: no joint states effort_nm or effort_n, no motor a saturation")
+    return tuple(found)

@@ -1,0 +1,123 @@
+"""The limits that a reference keeps, as shares of what they allow: position, speed, acceleration, effort."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from acquisition.robot import EffortLimits, Robot, effort_limits
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..model import DirectModel, smooth_torque
+from .series import Motion
+
+KINDS = ("position", "speed", "acceleration")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Limits:
+    """Limits of a robot's motion; a share of 1 or -1 is all of what may be used of a limit.
+
+    Coulomb friction counts at its full size against the motion: this holds for both signs of a speed, and has no jumps.
+
+    Attributes:
+        robot: whose limits they are.
+        middle: (n,) of the joints' ranges.
+        most: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
+        model: with the parameters that the torque is computed by; None where there are none.
+        effort: the limits of the efforts.
+        coulomb: (m,) what Coulomb friction takes of each.
+        share: of all limits that may be used.
+    """
+
+    robot: Robot
+    middle: Array
+    most: Array
+    model: DirectModel | None
+    effort: EffortLimits
+    coulomb: Array
+    share: float
+
+    @property
+    def allowed(self) -> Array:
+        """(m,) what the limits of the efforts leave for all but Coulomb friction."""
+        return self.share * self.effort.limits - self.coulomb
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(L,) what is limited: position, speed and acceleration of each joint, then the efforts."""
+        efforts = self.effort.names if self.model is not None else ()
+        names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
+        return (*names, *(f"effort of {name}" for name in efforts))
+
+    def used(self, motion: Motion) -> Array:
+        """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
+        return self.used_and_slopes(motion)[0]
+
+    def share_of_whole(self, motion: Motion) -> Array:
+        """(L,) the largest share of each whole limit that a motion uses, Coulomb friction included."""
+        n, used = self.robot.n, np.abs(self.used(motion)).max(axis=0)
+        efforts = (used[3 * n :] * self.allowed + self.coulomb) / self.effort.limits if self.model is not None else []
+        return np.concatenate([self.share * used[: 3 * n], efforts])
+
+    def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
+        """The shares (N, L), and of those of the m efforts the derivatives (3, N, m, n) by q, dq and ddq."""
+        q, dq, ddq = motion
+        parts = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]]
+        if self.model is None:
+            return np.concatenate(parts, axis=1), np.zeros((3, len(q), 0, self.robot.n))
+        tau, slopes = smooth_torque(self.model, motion)
+        scaled = self.effort.directions / self.allowed[:, None]
+        return np.concatenate([*parts, tau @ scaled.T], axis=1), scaled @ slopes
+
+    def jacobian(self, motion: Motion, basis: Motion) -> Array:
+        """Derivatives (N L, n K) of the shares along a motion by the coefficients (n, K) of its series."""
+        n, (N, K) = self.robot.n, basis[0].shape
+        _, slopes = self.used_and_slopes(motion)
+        m = slopes.shape[2]
+        J = np.zeros((N, 3 * n + m, n, K))
+        for kind, A in enumerate(basis):
+            for j in range(n):
+                J[:, kind * n + j, j] = A / self.most[kind, j]
+            J[:, 3 * n :] += slopes[kind][..., None] * A[:, None, None]
+        return J.reshape(N * (3 * n + m), n * K)
+
+
+def limits_of(robot: Robot, model: DirectModel | None, share: float, place: str) -> Limits:
+    """The limits of a robot, of which a reference may use a share.
+
+    Parameters
+    ----------
+    robot : it states position, speed and acceleration limits for each joint.
+    model : with the parameters that the torque is computed by; None where they are not known.
+    share : above 0, to 1.
+    place : the name of the description in errors.
+
+    Raises
+    ------
+    IdentificationError : where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
+    AcquisitionError : where the bus is described wrongly.
+    """
+    for i, joint in enumerate(robot.joints):
+        for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):
+            if joint.si(kind) is None:
+                unit = "deg" if joint.type == "revolute" else "m"
+                key = f"joint[{i}].{kind}_{unit}{tail}"
+                raise IdentificationError(f"joint {joint.name} states none", place=place, key=key, expected="a limit")
+    ranges = np.array([joint.si("position") for joint in robot.joints])
+    limits = effort_limits(robot, place)
+    coulomb = np.zeros(len(limits.limits))
+    if model is not None:
+        coulomb = np.abs(limits.directions @ model.directions.T) @ np.maximum(np.abs(model.up), np.abs(model.down))
+    for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
+        if friction >= share * limit:
+            raise IdentificationError(
+                f"{name}: Coulomb friction of {friction:.4g} {unit}",
+                place=place,
+                expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
+            )
+    motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
+    most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
+    return Limits(
+        robot=robot, middle=ranges.mean(axis=1), most=most, model=model, effort=limits, coulomb=coulomb, share=share
+    )

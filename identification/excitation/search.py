@@ -1,0 +1,109 @@
+"""The search for the best reference: sequential quadratic programming on the coefficients of the series (SLSQP).
+
+Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988), as scipy has it.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array
+from .information import Information
+from .limits import Limits
+from .series import Motion, Series, motion_of
+
+SAMPLES_PER_PERIOD = 15  # of the highest harmonic
+FINER = 10  # times as many samples check what lies between those of the search
+ITERATIONS = 50  # of a search
+TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
+BISECTIONS = 40
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Problem:
+    """What is searched: a series of which a criterion is least within limits.
+
+    Attributes:
+        plain: (b,) deviations that the criterion is relative to.
+    """
+
+    series: Series
+    information: Information
+    limits: Limits
+    plain: Array
+
+    @property
+    def samples(self) -> int:
+        """Of a period, in the search."""
+        return SAMPLES_PER_PERIOD * self.series.harmonics
+
+
+def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
+    """Coefficients x (n, K) of least criterion; limits are kept at the samples of the search, or as nearly as can be.
+
+    Parameters
+    ----------
+    problem : the criterion and the limits.
+    start : (n, K) coefficients to start from.
+    say : called with the criterion after each iteration.
+    """
+    from scipy.optimize import minimize
+
+    basis, limits = problem.series.basis(problem.samples), problem.limits
+    # A coefficient of 1 takes its joint to the first limit: all have like effects then.
+    peaks = np.array([np.abs(A).max(axis=0) for A in basis])
+    unit = 1 / (peaks[:, None] / limits.most[..., None]).max(axis=0)
+
+    def at(z: Array) -> Motion:
+        return motion_of(z.reshape(unit.shape) * unit, basis)
+
+    value = np.inf
+
+    def objective(z: Array) -> tuple[float, Array]:
+        nonlocal value
+        value, gradients = problem.information.criterion(at(z), problem.plain)
+        by_x = sum((g.T @ A for g, A in zip(gradients, basis, strict=True)), start=np.zeros(unit.shape))
+        return value, (by_x * unit).ravel()
+
+    def slack(z: Array) -> Array:
+        used = limits.used(at(z)).ravel()
+        return np.concatenate([1 - used, 1 + used])
+
+    def slack_slopes(z: Array) -> Array:
+        J = limits.jacobian(at(z), basis) * unit.ravel()
+        return np.concatenate([-J, J])
+
+    done = minimize(
+        objective,
+        (start / unit).ravel(),
+        jac=True,
+        method="SLSQP",
+        constraints={"type": "ineq", "fun": slack, "jac": slack_slopes},
+        options={"maxiter": ITERATIONS, "ftol": TOLERANCE},
+        callback=lambda z: say(value),
+    )
+    return np.asarray(done.x.reshape(unit.shape) * unit)
+
+
+def shrunk(x: Array, series: Series, limits: Limits, samples: int) -> tuple[Array, float]:
+    """A series drawn together about its position at the ends until it keeps all limits at so many samples of a period.
+
+    Returns
+    -------
+    Coefficients x (n, K), and the largest share used of a limit: above 1 where standing still is already too much.
+    """
+    basis, still = series.basis(samples), x.copy()
+    still[:, 1:] = 0.0
+
+    def most(scale: float) -> float:
+        return float(np.abs(limits.used(motion_of(still + scale * (x - still), basis))).max())
+
+    low, high = 0.0, 1.0
+    if most(1.0) <= 1.0:
+        low = 1.0
+    else:
+        for _ in range(BISECTIONS):
+            middle = (low + high) / 2
+            low, high = (middle, high) if most(middle) <= 1.0 else (low, middle)
+    return still + low * (x - still), most(low)
