@@ -26,6 +26,7 @@ START_SHARE = 0.9  # of the limits, which a search starts within
 BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
 CREEP_SHARE = 0.05  # of a joint's speed limit
 FEWEST_HARMONICS = 2  # with one, nothing is left by zero speed and acceleration at the ends
+CURVE_SAMPLES = 100  # per period of the highest harmonic, of what is drawn
 REACH = 1.959964  # deviations to each side of a 95 % interval
 
 
@@ -83,6 +84,12 @@ class Excitation:
     def plain_half(self) -> Array:
         """(b,) the same of the plain references."""
         return REACH * self.plain
+
+    def curves(self) -> tuple[Array, Array, Array, Array | None]:
+        """Times (N,) in s, positions, speeds and, where it is known, torque, each (N, n), of one period."""
+        t_s = np.linspace(0.0, self.settings.period_s, CURVE_SAMPLES * self.settings.harmonics + 1)
+        motion = self.reference.at(t_s)
+        return t_s, *motion[:2], None if self.limits.model is None else self.limits.model.torque(*motion)
 
     def table(self) -> tuple[Array, Array]:
         """Times (N,) in s and positions (N, n) of all periods, close enough for splines between them."""

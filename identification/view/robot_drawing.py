@@ -19,6 +19,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..data import Signals
+from ..excitation import Excitation
 from ..methods import Fit
 from ..model import InverseModel
 from .panels import Moving, Part, Scene, Solid
@@ -40,8 +41,22 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
         t_s = signals.t_s[np.rint(m.t_s[k] * fs).astype(int)]
         t_s[0] = signals.t_s[0]  # until it sets out, it stands where it will
         robots.append(_moving(dynamics, "simulated", t_s, m.q[k], ghost=True))
-    solids, floor = _solids(dynamics, signals.q)
-    up, urdf = _up(dynamics), _drawable(signals.robot)
+    title = "robot measured, in blue simulated" if len(robots) > 1 else "robot measured"
+    return _scene(dynamics, robots, signals.q, title)
+
+
+def excitation_scene(excitation: Excitation) -> Scene:
+    """The robot along one period of a reference."""
+    t_s, q, _, _ = excitation.curves()
+    k = np.arange(0, len(q), pose_stride(len(q), 1 / (t_s[1] - t_s[0])))
+    dynamics = InverseModel(excitation.robot)
+    return _scene(dynamics, [_moving(dynamics, "reference", t_s[k], q[k])], q, "robot along the reference")
+
+
+def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -> Scene:
+    """Robots that move over the positions q (N, n), the first in the middle of the picture."""
+    solids, floor = _solids(dynamics, q)
+    up, urdf = _up(dynamics), _drawable(dynamics.robot)
     corners = _reached(solids, robots[0])
     target = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
     size = float(np.linalg.norm(np.ptp(corners, axis=0)))
@@ -52,11 +67,11 @@ def robot_scene(signals: Signals, fit: Fit | None) -> Scene:
     eye = target + size * (0.65 * side + 0.5 * np.cross(up, side) + 0.33 * up)
     return Scene(
         path=("robot",),
-        title="robot measured, in blue simulated" if len(robots) > 1 else "robot measured",
+        title=title,
         robots=tuple(robots),
         solids=solids,
         urdf=urdf,
-        joints=tuple(joint.name for joint in signals.robot.joints),
+        joints=tuple(joint.name for joint in dynamics.robot.joints),
         up=up,
         floor=floor,
         eye=eye,

@@ -18,6 +18,7 @@ from acquisition.files import atomic_write
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
+from ..excitation import Excitation
 from ..methods import Fit
 from ..regression import Overrides, Settings, make_settings
 from ..report import (
@@ -36,11 +37,21 @@ from ..report import (
 from ..study import Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import motion_plots, observed, position_plots, torque_plots
-from .legend import fit_legend, numbers_of_plots, recording_legend
+from .excitation_panels import excitation_plots, intervals_drawing
 from .panels import Drawing, Note, Panel, Plot
 from .rerun_panels import show, shown_text
-from .robot_drawing import robot_scene
-from .signal_panels import event_log, extra_plots, health_plot, residual_bars, span_lanes, spectrum_drawings
+from .robot_drawing import excitation_scene, robot_scene
+from .signal_panels import (
+    event_log,
+    extra_plots,
+    fit_legend,
+    health_plot,
+    numbers_of_plots,
+    recording_legend,
+    residual_bars,
+    span_lanes,
+    spectrum_drawings,
+)
 
 
 def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None = None) -> None:
@@ -140,6 +151,32 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
     )
 
 
+def write_excitation_rrd(path: Path, excitation: Excitation, document: Document) -> None:
+    """Write a reference as a Rerun file: one page, a period of the reference with its limits, and the expected intervals.
+
+    Entities are `q/<joint>`, `dq/<joint>` and, where it is known, `torque/<joint>`, each with `reference`, `low` and `high`;
+    `robot`, `intervals`, `report`.
+
+    Parameters
+    ----------
+    path : of the file; it is written whole or not at all.
+    excitation : the reference, and what is expected of it.
+    document : its report.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
+    """
+    name, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
+    _write(
+        path,
+        f"{name} excitation",
+        identity,
+        f"{name}, excitation",
+        lambda show: _excitation_page(show, excitation, document),
+    )
+
+
 _Show = Callable[[Panel], Any]
 
 
@@ -211,6 +248,14 @@ def _recording_pages(show: _Show, signals: Signals, settings: Settings | None, r
 def _drawing_page(show: _Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
     """One page: a drawing and its report."""
     return [rrb.Horizontal(show(drawing), show(_note(document)), column_shares=list(shares), name=name)]
+
+
+def _excitation_page(show: _Show, excitation: Excitation, document: Document) -> list[Any]:
+    """One page: the reference joint by joint with its limits, the robot that moves along it, the expected intervals."""
+    motion = [rrb.Vertical(*map(show, plots)) for plots in excitation_plots(excitation)]
+    side = rrb.Vertical(show(intervals_drawing(excitation)), show(_note(document)), row_shares=[3, 2])
+    seen = rrb.Vertical(show(excitation_scene(excitation)), rrb.Horizontal(*motion), row_shares=[2, 3])
+    return [rrb.Horizontal(seen, side, column_shares=[5, 2], name="excitation")]
 
 
 def _note(document: Document) -> Note:
