@@ -125,7 +125,8 @@ URDF_ARM = """<robot name="arm"><link name="base"/><link name="upper"/><link nam
 <joint name="elbow" type="revolute"><parent link="base"/><child link="upper"/><axis xyz="0 0 1"/>
 <limit lower="-1" upper="1" velocity="1" effort="{effort}"/></joint>
 <joint name="rail" type="prismatic"><parent link="upper"/><child link="slide"/><axis xyz="1 0 0"/>
-<limit lower="-1" upper="1" velocity="1" effort="40"/></joint></robot>"""
+<limit lower="-1" upper="1" velocity="1" effort="40"/></joint>
+<transmission name="t"><joint name="elbow"/></transmission></robot>"""
 URDF_TOML = """
 name = "arm"
 urdf = "arm.urdf"

@@ -207,7 +207,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
 def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: str) -> tuple[Joint, ...]:
     """Joints that state no effort have that of the URDF; 0 there, or none, states none."""
     try:
-        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).iter("joint")}
+        limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}  # not of transmissions
     except (ET.ParseError, ValueError, LookupError):  # whoever needs the URDF's model reports it
         return joints
     out = []

@@ -152,7 +152,7 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
 
 
 def write_excitation_rrd(path: Path, excitation: Excitation, document: Document) -> None:
-    """Write a reference as a Rerun file: one page, a period of the reference with its limits, and the expected intervals.
+    """Write a period of a reference with its limits, and the expected intervals, as one page of a Rerun file.
 
     Entities are `q/<joint>`, `dq/<joint>` and, where it is known, `torque/<joint>`, each with `reference`, `low` and `high`;
     `robot`, `intervals`, `report`.
@@ -198,8 +198,8 @@ def _write(path: Path, application: str, identity: str, name: str, pages: Callab
     finally:
         content = stream.read()  # after a failure too: rerun warns of what it drops
         recording.disconnect()
-    with atomic_write(path) as partial:
-        partial.write_bytes(content)
+    with atomic_write(path) as file:
+        file.write_bytes(content)
 
 
 def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:

@@ -1,0 +1,336 @@
+"""References that tell most of the parameters: gradients against differences, limits between samples, the command."""
+
+import json
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot.robot import load_robot, robot_from_files
+from acquisition.trajectory.reference import check_limits, fourier_reference, table_reference
+from identification.commands.program import main
+from identification.errors import IdentificationError
+from identification.excitation import design
+from identification.excitation.information import Information
+from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
+from identification.excitation.limits import limits_of
+from identification.excitation.series import Series, motion_of
+from identification.model import InverseModel, base_parameters, direct_model
+from identification.model.derivatives import regressor_gradient, smooth_torque
+from identification.regression import Overrides, make_problem, regression_of_recording
+from identification.study.noise import Noise
+from identification.study.synthetic import closed_loop, truth, write_signals
+
+SCARA, TX40 = robot_named("scara"), robot_named("tx40")
+SERIES = Series(period_s=4.0, harmonics=4)
+
+
+def with_text(name, old, new, count=-1):
+    text = (REPLAY / name / "robot.toml").read_text()
+    assert old in text
+    return robot_from_files({"robot.toml": text.replace(old, new, count).encode()}, "here")
+
+
+def asymmetric():
+    """The TX40 with friction that differs by direction at its first three joints."""
+    text = (REPLAY / "tx40" / "robot.toml").read_text()
+    text = text.replace("following_error_deg = 15", 'following_error_deg = 15\nfriction = "asymmetric"', 3)
+    text = re.sub(r"^(F[vc])([123]) = (.*)$", r"\1p\2 = \3\n\1n\2 = 1\3", text, flags=re.MULTILINE)
+    return robot_from_files({"robot.toml": text.encode()}, "here")
+
+
+ASYMMETRIC = asymmetric()
+
+
+def modelled(robot):
+    model = InverseModel(robot)
+    base = base_parameters(model)
+    return model, base, direct_model(model, base.standard_parameters(truth(model, base)))
+
+
+def information_of(robot, model, base):
+    rng = np.random.default_rng(3)
+    return Information(
+        model=model,
+        base=base,
+        noise=rng.uniform(0.5, 2.0, robot.n),
+        rows=300.0,
+        earlier=np.zeros((base.b, base.b)),
+        creep=0.05 * np.array([joint.si("speed") for joint in robot.joints]),
+    )
+
+
+def random_x(robot, series=SERIES, seed=0, share=0.6):
+    found = fourier_reference(robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=share)
+    return series.coefficients(found)
+
+
+def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
+    x = np.random.default_rng(0).standard_normal((3, SERIES.K))
+    reference = SERIES.reference(x)
+    q, dq, ddq = reference.at(np.array([0.0, SERIES.period_s]))
+    assert np.abs(dq).max() < 1e-12 * np.abs(x).max() * 100
+    assert np.abs(ddq).max() < 1e-10
+    assert q[0] == pytest.approx(x[:, 0])
+    assert SERIES.coefficients(reference) == pytest.approx(x)
+    at = reference.at(np.arange(50) * SERIES.period_s / 50)
+    for given, expected in zip(motion_of(x, SERIES.basis(50)), at, strict=True):
+        assert given == pytest.approx(expected)
+    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == SERIES.K  # nothing is left out twice
+
+
+@pytest.mark.parametrize("robot", [SCARA, TX40, ASYMMETRIC], ids=["scara", "tx40", "asymmetric"])
+def test_the_gradient_is_that_of_differences(robot):
+    """Central differences in random directions, and along single coefficients, to 1e-6 of the largest component."""
+    model, base, _ = modelled(robot)
+    information, basis, x = information_of(robot, model, base), SERIES.basis(40), random_x(robot)
+    plain = np.exp(np.random.default_rng(1).uniform(-1, 1, base.b))
+
+    def value(y):
+        return information.criterion(motion_of(y, basis), plain)[0]
+
+    gradients = information.criterion(motion_of(x, basis), plain)[1]
+    gradient = sum(g.T @ A for g, A in zip(gradients, basis, strict=True))
+    rng, h = np.random.default_rng(2), 1e-5
+    directions = [*rng.standard_normal((6, *x.shape)) / math.sqrt(x.size)]
+    for j in range(robot.n):
+        directions.append(np.zeros(x.shape))
+        directions[-1][j, rng.integers(SERIES.K)] = 1.0
+    for d in directions:
+        far, near = ((value(x + k * h * d) - value(x - k * h * d)) / (2 * k * h) for k in (2, 1))
+        by_differences = (4 * near - far) / 3  # Richardson
+        assert (gradient * d).sum() == pytest.approx(by_differences, abs=1e-6 * np.abs(gradient).max())
+
+
+def test_a_gradient_of_the_regressor_needs_no_physical_parameters():
+    """G of any sign and size, one with no mass at all: the sum of G W is linear in G, and its gradient by the motion."""
+    model, base, _ = modelled(TX40)
+    rng = np.random.default_rng(5)
+    motion = tuple(rng.standard_normal((3, 8, 6)))
+    G = rng.standard_normal((8, 6, base.b)) * 10.0 ** rng.uniform(-3, 3, base.b)
+    G[:, 2] = 0.0
+    gradients = regressor_gradient(model, base, motion, G)
+
+    def value(*motion):
+        return float((model.regressor(*motion)[..., base.columns] * G).sum())
+
+    for i in range(3):
+        d, h = rng.standard_normal((8, 6)), 1e-4
+        ends = [[x + k * h * d if m == i else x for m, x in enumerate(motion)] for k in (-2, -1, 1, 2)]
+        low, below, above, high = (value(*end) for end in ends)
+        slope = (8 * (above - below) - (high - low)) / (12 * h)
+        assert (gradients[i] * d).sum() == pytest.approx(slope, abs=1e-7 * np.abs(gradients[i]).max())
+
+
+@pytest.mark.parametrize("robot", [TX40, ASYMMETRIC], ids=["tx40", "asymmetric"])
+def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
+    *_, direct = modelled(robot)
+    limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
+    J = limits.jacobian(motion_of(x, basis), basis)
+    assert J.shape == (40 * (18 + 6), x.size)
+    rng, h = np.random.default_rng(4), 1e-5
+    for _ in range(4):
+        d = rng.standard_normal(x.shape)
+        ends = [limits.used(motion_of(x + k * h * d, basis)).ravel() for k in (-2, -1, 1, 2)]
+        slope = (8 * (ends[2] - ends[1]) - (ends[3] - ends[0])) / (12 * h)
+        for rows in (slice(0, 18), slice(18, None)):  # motion; efforts, whose shares are smaller by far
+            found, expected = ((v.reshape(40, -1)[:, rows]) for v in (J @ d.ravel(), slope))
+            assert np.abs(found - expected).max() < 1e-6 * np.abs(J.reshape(40, 24, -1)[:, rows]).max()
+
+
+def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
+    *_, direct = modelled(ASYMMETRIC)
+    motion = tuple(np.random.default_rng(0).standard_normal((3, 30, 6)))
+    u = motion[1] @ direct.directions.T
+    coulomb = (direct.up * (u > 0) - direct.down * (u < 0)) @ direct.directions
+    assert smooth_torque(direct, motion)[0] + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
+
+
+def test_efforts_count_friction_at_its_full_size():
+    robot = with_text("tx40", "following_error_deg = 15", "following_error_deg = 15\neffort_nm = 60", 1)
+    *_, direct = modelled(robot)
+    limits = limits_of(robot, direct, 0.5, "here")
+    assert limits.coulomb[0] == pytest.approx(6.9822)
+    assert limits.allowed[0] == pytest.approx(30 - 6.9822)
+    # Motor 5 gives (tau5 - tau6) / 45: the friction of joint 5, of joint 6 and, at both, of motor 6.
+    assert limits.effort.names[-1] == "motor motor_5"
+    motion = motion_of(random_x(robot), SERIES.basis(200))
+    tau = direct.torque(*motion)
+    shares = np.abs(tau @ limits.effort.directions.T / limits.effort.limits).max(axis=0)
+    assert (limits.share_of_whole(motion)[18:] >= shares * (1 - 1e-9)).all()
+    assert limits.share_of_whole(motion)[18] <= (np.abs(tau[:, 0]).max() + 2 * 6.9822) / 60
+
+
+def test_information_is_that_of_least_squares():
+    """sigma against the covariance of an explicit weighted regression."""
+    model, base, _ = modelled(SCARA)
+    information = information_of(SCARA, model, base)
+    motion = motion_of(random_x(SCARA), SERIES.basis(60))
+    W = model.regressor(*motion)[..., base.columns]
+    rows = (W / information.noise[:, None]).reshape(-1, base.b) * math.sqrt(300 / 60)
+    covariance = np.linalg.inv(rows.T @ rows)
+    assert information.sigma(motion) == pytest.approx(np.sqrt(np.diag(covariance)), rel=1e-9)
+    more = replace(information, earlier=3 * rows.T @ rows)
+    assert more.sigma(motion) == pytest.approx(0.5 * np.sqrt(np.diag(covariance)), rel=1e-9)
+
+
+@pytest.fixture(scope="module")
+def tx40_excitation():
+    robot = with_text("tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1)
+    settings = design.Settings(period_s=5.0, harmonics=5, periods=1)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "STARTS", 1)
+        said = []
+        found = design.excite(robot, settings, knowledge_of(robot)[0], "here", said.append)
+    return robot, found, said
+
+
+def test_the_reference_tells_more_than_the_plain_one_in_all_parameters(tx40_excitation):
+    _, found, said = tx40_excitation
+    smaller = found.plain / found.sigma
+    assert np.median(smaller) > 1.7
+    assert smaller.min() > 0.9
+    assert len(said) > 10
+    assert said[-1].startswith("search 1 of 1: deviations 0.")
+
+
+def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_excitation):
+    robot, found, _ = tx40_excitation
+    q, dq, ddq = motion = found.reference.at(np.linspace(0, 5, 5001))
+    for j, joint in enumerate(robot.joints):
+        low, high = joint.si("position")
+        assert np.abs(q[:, j] - (low + high) / 2).max() <= 0.8001 * (high - low) / 2
+        assert np.abs(dq[:, j]).max() <= 0.8001 * joint.si("speed")
+        assert np.abs(ddq[:, j]).max() <= 0.8001 * joint.si("acceleration")
+    *_, direct = modelled(robot)
+    torque = np.abs(direct.torque(*motion))[:, 0].max()
+    assert 0.5 * 60 < torque <= 0.8001 * 60
+    assert found.used.max() == pytest.approx(0.8, abs=1e-3)  # something is used to its limit
+    names = dict(zip(found.limits.names, found.used, strict=True))
+    assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
+
+
+def test_the_same_seed_gives_the_same_reference():
+    settings = design.Settings(period_s=2.0, harmonics=3, seed=4)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "STARTS", 1)
+        one, two, other = (
+            design.excite(SCARA, replace(settings, seed=seed), knowledge_of(SCARA)[0], "here") for seed in (4, 4, 5)
+        )
+    assert np.array_equal(one.table()[1], two.table()[1])
+    assert not np.array_equal(one.table()[1], other.table()[1])
+
+
+@pytest.mark.parametrize(
+    ("text", "settings", "says"),
+    [
+        (
+            ("bandwidth_hz = 5.0", "bandwidth_hz = 1.0"),
+            {"harmonics": 8, "period_s": 10.0},
+            "--harmonics 3 or fewer, or --period 24",
+        ),
+        (("bandwidth_hz = 5.0", "bandwidth_hz = 0.1"), {}, "expected --period 300 or longer"),
+        (("speed_deg_s = 180\n", ""), {}, "joint[0].speed_deg_s: joint shoulder states none"),
+        (("acceleration_deg_s2 = 1500\n", ""), {}, "joint[0].acceleration_deg_s2: joint shoulder states none"),
+        (("[-120, 120]", "[-120, 120]\neffort_nm = 0.9"), {}, "joint shoulder: Coulomb friction of 0.82 N m"),
+        (("counts_per_turn = 262144", "counts_per_turn = 1e11"), {"harmonics": 2, "period_s": 2.0}, " s: motor_1"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(text, settings, says, monkeypatch):
+    robot = with_text("scara", *text, 1)
+    monkeypatch.setattr(design, "STARTS", 1)
+    knowledge, _ = knowledge_of(robot)
+    with pytest.raises((IdentificationError, AcquisitionError)) as caught:
+        design.excite(robot, design.Settings(**settings), knowledge, "here")
+    assert says in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_gravity_that_a_joint_cannot_hold_is_refused():
+    robot = with_text("tx40", "acceleration_deg_s2 = 2500", "acceleration_deg_s2 = 2500\neffort_nm = 24")
+    text = "gravity_m_s2 = [9.81, 0, 0]\n" + robot.files["robot.toml"].decode()
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    with pytest.raises(
+        IdentificationError, match=r"joint joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"
+    ):
+        design.excite(robot, design.Settings(), knowledge_of(robot)[0], "here")
+
+
+def test_without_parameters_the_torque_is_said_not_to_be_checked():
+    text = (REPLAY / "scara" / "robot.toml").read_text().split("# Orders of magnitude")[0]
+    robot = robot_from_files({"robot.toml": text.encode()}, "here")
+    knowledge, _ = knowledge_of(robot)
+    assert knowledge.beta is None
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(design, "STARTS", 1)
+        found = design.excite(robot, design.Settings(period_s=2.0, harmonics=2), knowledge, "here")
+    assert found.warnings == ("torque was not checked: neither a fit nor [parameters] give it",)
+    assert found.noise.tolist() == [1.0, 1.0]
+
+
+def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
+    model, base, direct = modelled(SCARA)
+    motions = [motion_of(random_x(SCARA), SERIES.basis(100))]
+    rms = np.sqrt((direct.torque(*motions[0]) ** 2).mean(axis=0))
+    knowledge, _ = knowledge_of(SCARA)
+    assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
+    assert torque_noise(SCARA, direct, knowledge_of(SCARA, noise=(0.3,))[0], motions)[0].tolist() == [0.3, 0.3]
+    with pytest.raises(IdentificationError, match=r"--noise.*expected one number, or one for each of 2 joints"):
+        knowledge_of(SCARA, noise=(1.0, 2.0, 3.0))
+    beta = truth(model, base)
+    parameters = [
+        {"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in zip(base.names, beta, base.units, strict=True)
+    ]
+    joints = [{"moving_relative_error_percent": 5.0, "autocorrelation": 0.6}] * 2
+    (tmp_path / "fit.json").write_text(json.dumps({"parameters": parameters, "joints": joints, "method": "iv"}))
+    known, warnings = knowledge_of(SCARA, fit=tmp_path / "fit.json")
+    assert (warnings, known.beta_from) == ([], "fit.json")
+    assert known.beta == pytest.approx(beta)
+    assert torque_noise(SCARA, direct, known, motions)[0] == pytest.approx(0.05 * 2 * rms)  # sqrt(1.6 / 0.4) = 2
+
+
+@pytest.fixture(scope="module")
+def earlier(tmp_path_factory):
+    """A simulated recording of the SCARA."""
+    path = tmp_path_factory.mktemp("earlier") / "log.mcap"
+    q_ref = fourier_reference(SCARA, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
+    write_signals(path, closed_loop(SCARA, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
+    return path
+
+
+def test_earlier_recordings_add_what_their_least_squares_know(earlier):
+    knowledge, _ = knowledge_of(SCARA, after=[earlier, earlier])
+    _, base, _ = modelled(SCARA)
+    noise = np.array([0.2, 0.01])
+    M = earlier_information(base, noise, knowledge.recordings[:1])
+    assert earlier_information(base, noise, knowledge.recordings) == pytest.approx(2 * M)
+    system = regression_of_recording(make_problem(knowledge.recordings[0], Overrides())).system
+    rows = system.W[system.used > 0] / noise[system.joint_of_row[system.used > 0], None]
+    assert pytest.approx(rows.T @ rows) == M
+    with pytest.raises(IdentificationError, match=r"robot = .SCARA.: expected a recording of the described robot"):
+        earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
+
+
+def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(design, "STARTS", 1)
+    out, rrd = tmp_path / "ref.csv", tmp_path / "ref.rrd"
+    toml = REPLAY / "scara" / "robot.toml"
+    options = ["--period", "3", "--harmonics", "3", "--periods", "2", "--after", str(earlier), "--rrd", str(rrd)]
+    assert main(["excite", str(toml), "-o", str(out), *options]) == 0
+    printed = capsys.readouterr().out
+    assert "SCARA: reference of 2 x 3 s, 3 harmonics up to 1 Hz, seed 1" in printed
+    assert "times smaller than those of the plain reference in the median" in printed
+    robot = load_robot(toml)
+    path = table_reference(out, robot, robot.bus.sync_period_s)  # as `record --track` reads it
+    check_limits(path, robot, robot.bus.sync_period_s, str(out))
+    assert len(path) == 6001
+    assert path[0] == pytest.approx(path[-1], abs=1e-9)
+    assert path[0] == pytest.approx(path[3000], abs=1e-6)
+    assert rrd.stat().st_size > 10_000
+    assert main(["excite", str(toml), "-o", str(toml)]) == 1
+    assert main(["excite", str(toml), "-o", str(out), "--harmonics", "30"]) == 1
+    assert "above a third of the bandwidth of 5 Hz" in capsys.readouterr().err
