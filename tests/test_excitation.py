@@ -237,7 +237,7 @@ def test_the_same_seed_gives_the_same_reference():
         (("speed_deg_s = 180\n", ""), {}, "joint[0].speed_deg_s: joint shoulder states none"),
         (("acceleration_deg_s2 = 1500\n", ""), {}, "joint[0].acceleration_deg_s2: joint shoulder states none"),
         (("[-120, 120]", "[-120, 120]\neffort_nm = 0.9"), {}, "joint shoulder: Coulomb friction of 0.82 N m"),
-        (("counts_per_turn = 262144", "counts_per_turn = 1e11"), {"harmonics": 2, "period_s": 2.0}, " s: motor_1"),
+        (("counts_per_turn = 262144", "counts_per_turn = 1e11"), {"harmonics": 2, "period_s": 2.0}, "(motor_1) = "),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line(text, settings, says, monkeypatch):
