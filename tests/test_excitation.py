@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
+from test_limits import URDF_ARM, URDF_TOML
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot.robot import load_robot, robot_from_files
@@ -19,7 +20,7 @@ from identification.excitation.information import Information
 from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
 from identification.excitation.limits import limits_of
 from identification.excitation.series import Series, motion_of
-from identification.model import InverseModel, base_parameters, direct_model
+from identification.model import InverseModel, base_parameters, direct_model, obstacles_of
 from identification.model.derivatives import regressor_gradient, smooth_torque
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study.noise import Noise
@@ -334,3 +335,87 @@ def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, c
     assert main(["excite", str(toml), "-o", str(toml)]) == 1
     assert main(["excite", str(toml), "-o", str(out), "--harmonics", "30"]) == 1
     assert "above a third of the bandwidth of 5 Hz" in capsys.readouterr().err
+
+
+def capsules(text, base_m=0.1):
+    """A planar arm of two links of 1 m that can hit its own base."""
+    toml = f"""
+name = "arm"
+gravity_m_s2 = [0, 0, 0]
+base_capsule = {{ radius_m = {base_m}, from_m = [0, 0, 0], to_m = [0, 0, 0.5] }}
+"""
+    for name, d_m in (("a", 0), ("b", 1)):
+        toml += f"""
+[[joint]]
+name = "{name}"
+type = "revolute"
+dh = {{ alpha_deg = 0, d_m = {d_m}, theta_deg = 0, r_m = 0 }}
+position_deg = [-175, 175]
+speed_deg_s = 180
+acceleration_deg_s2 = 900
+capsule = {{ radius_m = 0.1, from_m = [0.2, 0, 0], to_m = [1, 0, 0] }}
+[[motor]]
+name = "m{name}"
+effort_unit = "N m"
+"""
+    return robot_from_files({"robot.toml": f"{text}{toml}[controller]\nbandwidth_hz = 10\n".encode()}, "here")
+
+
+def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differences():
+    robot = capsules("ground_m = -0.3")
+    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2))
+    assert obstacles.names == ("base and link of b", "ground and link of a", "ground and link of b")
+    assert obstacles.touching == ()
+    apart, _, names = obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]), 9.0)
+    assert names == ("ground and link of a", "base and link of b")
+    assert apart[0] == pytest.approx(0.3 - 0.1)
+    # Folded back, link b ends at the axis of joint a: its axis runs within 1 mm of that of the base.
+    assert apart[1] == pytest.approx(-0.2, abs=2e-3)
+    q = np.random.default_rng(0).uniform([-1.0, 1.4], [1.0, 3.4], (20, 2))
+    pair = replace(obstacles, pairs=obstacles.pairs[:1])
+    d, slopes, _ = pair.nearest(q, 9.0)
+    # The law of cosines for points of link b at 0.2 to 1 m from joint b, to the axis of joint a.
+    s = np.linspace(0.2, 1.0, 4001)
+    by_geometry = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min(axis=1) - 0.2
+    assert d == pytest.approx(by_geometry, abs=1e-6)
+    for j in range(2):
+        h = 1e-6 * np.eye(2)[j]
+        assert slopes[:, j] == pytest.approx(
+            (pair.nearest(q + h, 9.0)[0] - pair.nearest(q - h, 9.0)[0]) / 2e-6, abs=1e-5
+        )
+
+
+def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
+    monkeypatch.setattr(design, "STARTS", 1)
+    robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4)
+    found = design.excite(robot, settings, knowledge_of(robot)[0], "here")
+    q = found.reference.at(np.linspace(0, 4, 3001))[0]
+    s = np.linspace(0.2, 1.0, 81)
+    apart = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min() - 0.95 - 0.1
+    assert 0.0199 < apart < 0.03  # it goes near, and no nearer
+    assert found.nearest == ("base and link of b", pytest.approx(apart, abs=1e-3))
+
+
+def test_shapes_that_touch_in_the_middle_are_named_and_meshes_that_are_not_there_refused():
+    robot = capsules("ground_m = -0.05")
+    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2)).touching == (
+        "ground and link of a",
+        "ground and link of b",
+    )
+    shape = '<collision><origin xyz="0 0 0.5"/><geometry>{}</geometry></collision>'
+    sphere, mesh = shape.format('<sphere radius="0.1"/>'), shape.format('<mesh filename="package://none/a.stl"/>')
+    for solid, names in ((sphere, ("base and slide",)), (mesh, None)):
+        urdf = URDF_ARM.format(effort="80").replace('<link name="base"/>', f'<link name="base">{sphere}</link>')
+        urdf = urdf.replace('<link name="slide"/>', f'<link name="slide">{solid}</link>')
+        urdf = urdf.replace('<child link="slide"/>', '<child link="slide"/><origin xyz="3 0 0"/>')
+        files = {"robot.toml": URDF_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
+        model = InverseModel(robot_from_files(files, "here"))
+        if names is None:
+            with pytest.raises(
+                IdentificationError, match=r"link 'slide': collision mesh = .package://none/a.stl.: expected a"
+            ):
+                obstacles_of(model, lambda name: None, np.zeros(2))
+            continue
+        obstacles = obstacles_of(model, lambda name: None, np.zeros(2))
+        assert obstacles.names == names
+        assert obstacles.nearest(np.array([[0.0, 0.5]]), 9.0)[0] == pytest.approx([3.5 - 0.2])

@@ -38,6 +38,14 @@ class DH(TomlTable, frozen=True):
     r_m: float
 
 
+class Capsule(TomlTable, frozen=True):
+    """A cylinder with round ends about a link, in the frame of the link: radius, and the ends of its axis."""
+
+    radius_m: Positive
+    from_m: tuple[float, float, float]
+    to_m: tuple[float, float, float]
+
+
 class Joint(TomlTable, frozen=True):
     """One `[[joint]]`: its kind, place, friction terms and limits. `None` means no limit is stated."""
 
@@ -61,6 +69,7 @@ class Joint(TomlTable, frozen=True):
     following_error_m: Positive | None = None
     effort_nm: Positive | None = None
     effort_n: Positive | None = None
+    capsule: Capsule | None = None
 
     @property
     def position_unit(self) -> str:
@@ -160,6 +169,8 @@ class RobotFile(TomlTable, frozen=True):
     identification: Identification = Identification()
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     bus: BusFile | None = None
+    base_capsule: Capsule | None = None
+    ground_m: float | None = None
 
 
 def check_description(f: RobotFile, place: str) -> None:

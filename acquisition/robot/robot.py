@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..errors import AcquisitionError
 from ..files import read_meshes
 from .bus import BusFile, dictionary_label
-from .description import Controller, Identification, Joint, Motor, RobotFile, check_description
+from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile, check_description
 from .toml import parse_toml
 
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
@@ -29,6 +29,7 @@ class Robot:
         zero: (n,) added to inv(R) q_motor, rad or m.
         gravity: (3,) m/s², in the base frame.
         parameters: a-priori standard parameters by name, SI; may be empty.
+        base_capsule, ground_m: a shape about the base; the height of the ground, against gravity.
         bus: the drives and how they are reached, as the file has it; `drives` resolves it. None where it has no `[bus]`.
         files: the description itself, by name (`robot.toml`, the URDF and its meshes, object dictionaries), as recordings
             carry it.
@@ -46,6 +47,8 @@ class Robot:
     bus: BusFile | None
     files: Mapping[str, bytes]
     urdf: str | None
+    base_capsule: Capsule | None = None
+    ground_m: float | None = None
 
     def __repr__(self) -> str:
         return f"Robot({self.name}: {self.n} joints{'' if self.bus is None else f', {len(self.bus.drive)} drives'})"
@@ -201,6 +204,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
         bus=f.bus,
         files={name: files[name] for name in names if name in files},
         urdf=urdf,
+        base_capsule=f.base_capsule,
+        ground_m=f.ground_m,
     )
 
 

@@ -71,7 +71,9 @@ def run(options: argparse.Namespace) -> None:
 
         robot = load_robot(options.robot)
         settings = from_options(Settings, options)
-        knowledge, warnings = knowledge_of(robot, fit=options.fit, noise=options.noise, after=options.after)
+        knowledge, warnings = knowledge_of(
+            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
+        )
         found = excite(robot, settings, knowledge, str(options.robot), progress.say)
     document = excitation_document(found, warnings)
     try:

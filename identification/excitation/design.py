@@ -2,23 +2,24 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
+from acquisition.files import find_mesh
 from acquisition.robot import Robot, refuse_out_of_range, resolve
 from acquisition.trajectory import HARMONICS, LIMIT_SHARE, FourierReference, fourier_reference
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model, obstacles_of
 from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
-from .limits import Limits, limits_of
+from .limits import FAR_M, Limits, limits_of
 from .search import FINER, SAMPLES_PER_PERIOD, TOLERANCE, Problem, best_series, shrunk
-from .series import Series, motion_of
+from .series import Motion, Series, motion_of
 
 PLAIN = 20  # random references, whose geometric mean the criterion is relative to
 STARTS = 3  # of the search, from random references of other seeds
@@ -57,6 +58,8 @@ class Excitation:
         sigma, plain: (b,) expected deviations of the parameters, and the geometric mean of the same with plain references.
         noise, noise_from: (n,) deviation of the torque in a row of the fit, and its origin in words.
         limits, used: the limits, and (L,) the largest share of each in use; 1 is the whole limit.
+        nearest: the pair of links, or link and ground, that come nearest to each other, and their distance in m, at most
+            `FAR_M`; None where no shapes are described.
         beta, beta_from: parameters that the torque is computed by, and their origin; None where it was not checked.
         warnings: lines.
     """
@@ -71,6 +74,7 @@ class Excitation:
     noise_from: str
     limits: Limits
     used: Array
+    nearest: tuple[str, float] | None
     beta: Array | None
     beta_from: str
     warnings: tuple[str, ...]
@@ -122,7 +126,9 @@ def excite(
     model = InverseModel(robot)
     base = base_parameters(model)
     direct = None if knowledge.beta is None else direct_model(model, base.standard_parameters(knowledge.beta))
-    limits = limits_of(robot, direct, settings.limits_percent / 100, place)
+    middle = np.array([np.mean(joint.si("position") or 0.0) for joint in robot.joints])
+    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), middle)
+    limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
     _refuse_rest(limits, place)
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
@@ -143,6 +149,7 @@ def excite(
     problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
     x, sigma = _best(problem, settings, place, say)
     reference = series.reference(x)
+    fine = motion_of(x, series.basis(FINER * problem.samples))
     found = Excitation(
         robot=robot,
         base=base,
@@ -153,7 +160,8 @@ def excite(
         noise=noise,
         noise_from=noise_from,
         limits=limits,
-        used=limits.share_of_whole(motion_of(x, series.basis(FINER * problem.samples))),
+        used=limits.share_of_whole(fine),
+        nearest=_nearest(limits, fine),
         beta=knowledge.beta,
         beta_from=knowledge.beta_from,
         warnings=_warnings(limits),
@@ -201,8 +209,8 @@ def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
 
 
 def _random(limits: Limits, series: Series, seed: int) -> FourierReference:
-    """A random reference that uses the same share of all limits, torque too."""
-    robot = limits.robot
+    """A random reference that uses the same share of all limits, torque too; distances of links are not looked at."""
+    robot, limits = limits.robot, replace(limits, obstacles=None)
     found = fourier_reference(
         robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
     )
@@ -231,7 +239,8 @@ def _refuse_rest(limits: Limits, place: str) -> None:
     """Standing in the middle of the ranges must be possible: references start from there."""
     n = limits.robot.n
     middle = limits.middle[None]
-    used = np.abs(limits.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    efforts = replace(limits, obstacles=None)
+    used = np.abs(efforts.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
         worst = int(used.argmax()) - 3 * n
         effort = limits.effort
@@ -243,11 +252,21 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         )
 
 
+def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
+    if limits.obstacles is None or not limits.checks_distance:
+        return None
+    apart, _, names = limits.obstacles.nearest(motion[0], FAR_M)
+    return names[int(apart.argmin())], float(apart.min())
+
+
 def _warnings(limits: Limits) -> tuple[str, ...]:
-    """What of the torque was not checked."""
-    if limits.model is None:
-        return ("torque was not checked: neither a fit nor [parameters] give it",)
+    """What of torque and distances was not checked."""
     found = []
+    if limits.obstacles is not None and limits.obstacles.touching:
+        touching = "; ".join(limits.obstacles.touching)
+        found.append(f"distances not checked of what touches in the middle of the ranges: {touching}")
+    if limits.model is None:
+        return (*found, "torque was not checked: neither a fit nor [parameters] give it")
     if not limits.robot.gain_known:
         found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
     if not len(limits.effort.limits):

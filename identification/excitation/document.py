@@ -6,7 +6,7 @@ import numpy as np
 
 from ..report import Document, Number, Section, Table, columns
 from .design import Excitation
-from .limits import KINDS
+from .limits import FAR_M, KINDS
 
 
 def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) -> Document:
@@ -56,6 +56,10 @@ def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) ->
         for j, name in enumerate(names)
     ]
     table += [(name.removeprefix("effort of "), "", "", "", _percent(x)) for name, x in efforts.items()]
+    apart: tuple[str, ...] = ()
+    if e.nearest is not None:
+        near = "more than " if e.nearest[1] >= FAR_M else ""
+        apart = (f"nearest: {e.nearest[0]}, {near}{e.nearest[1]:.3f} m apart",)
     limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
     title = (
         f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics up to "
@@ -65,7 +69,12 @@ def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) ->
         title=title,
         sections=(
             Section(title="expected intervals", table=expected, lines=lines),
-            Section(title="limits in use, % of the whole limit", table=limits, warnings=(*e.warnings, *warnings)),
+            Section(
+                title="limits in use, % of the whole limit",
+                table=limits,
+                lines=apart,
+                warnings=(*e.warnings, *warnings),
+            ),
         ),
     )
 

@@ -32,6 +32,7 @@ class Knowledge:
         correlation: (n,) of that error from row to row.
         noise: (n,) stated deviation of the torque; before the fit's.
         recordings: whose information adds to that of the reference.
+        folder: of the description, where collision meshes of its URDF are looked for first.
     """
 
     beta: Array | None = None
@@ -40,16 +41,23 @@ class Knowledge:
     correlation: Array | None = None
     noise: Array | None = None
     recordings: Sequence[Signals] = ()
+    folder: Path | None = None
 
 
 def knowledge_of(
-    robot: Robot, *, fit: Path | None = None, noise: Sequence[float] | None = None, after: Sequence[Path] = ()
+    robot: Robot,
+    folder: Path | None = None,
+    *,
+    fit: Path | None = None,
+    noise: Sequence[float] | None = None,
+    after: Sequence[Path] = (),
 ) -> tuple[Knowledge, list[str]]:
     """What files and options know of a robot: a fit's parameters, else those of the description.
 
     Parameters
     ----------
     robot : the described robot.
+    folder : of its description, where meshes are looked for first.
     fit : a fit's JSON file.
     noise : deviation of the torque, one for all joints or one for each.
     after : earlier recordings.
@@ -71,7 +79,7 @@ def knowledge_of(
     base = base_parameters(model)
     if fit is None:
         beta = truth(model, base) if robot.parameters else None
-        return Knowledge(beta=beta, beta_from="[parameters]", noise=stated, recordings=recordings), []
+        return Knowledge(beta=beta, beta_from="[parameters]", noise=stated, recordings=recordings, folder=folder), []
     stored = read_fit(fit)
     errors = stored.joints
     known = len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors)
@@ -82,6 +90,7 @@ def knowledge_of(
         correlation=np.array([e.autocorrelation for e in errors]) if known else None,
         noise=stated,
         recordings=recordings,
+        folder=folder,
     )
     return found, doubts(stored, str(fit))
 

@@ -8,9 +8,11 @@ from acquisition.robot import EffortLimits, Robot, effort_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, smooth_torque
+from ..model import DirectModel, Obstacles, smooth_torque
 from .series import Motion
 
+MARGIN_M = 0.02  # that links keep from each other and from the ground
+FAR_M = 0.2  # from which on a distance does not matter
 KINDS = ("position", "speed", "acceleration")
 
 
@@ -28,6 +30,7 @@ class Limits:
         effort: the limits of the efforts.
         coulomb: (m,) what Coulomb friction takes of each.
         share: of all limits that may be used.
+        obstacles: pairs of shapes that keep a margin; their share is 1 at the margin, and less with more distance.
     """
 
     robot: Robot
@@ -37,6 +40,7 @@ class Limits:
     effort: EffortLimits
     coulomb: Array
     share: float
+    obstacles: Obstacles | None = None
 
     @property
     def allowed(self) -> Array:
@@ -45,30 +49,43 @@ class Limits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) what is limited: position, speed and acceleration of each joint, then the efforts."""
+        """(L,) what is limited: position, speed and acceleration of each joint, the efforts, the distance of links."""
         efforts = self.effort.names if self.model is not None else ()
         names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
-        return (*names, *(f"effort of {name}" for name in efforts))
+        apart = ("distance of links",) if self.checks_distance else ()
+        return (*names, *(f"effort of {name}" for name in efforts), *apart)
+
+    @property
+    def checks_distance(self) -> bool:
+        """Whether there are shapes whose distance is looked at."""
+        return self.obstacles is not None and len(self.obstacles.pairs) > 0
 
     def used(self, motion: Motion) -> Array:
         """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         return self.used_and_slopes(motion)[0]
 
     def share_of_whole(self, motion: Motion) -> Array:
-        """(L,) the largest share of each whole limit that a motion uses, Coulomb friction included."""
+        """The largest share of each whole limit that a motion uses, Coulomb friction included; distances left out."""
         n, used = self.robot.n, np.abs(self.used(motion)).max(axis=0)
-        efforts = (used[3 * n :] * self.allowed + self.coulomb) / self.effort.limits if self.model is not None else []
+        m = len(self.effort.limits) if self.model is not None else 0
+        efforts = (used[3 * n : 3 * n + m] * self.allowed[:m] + self.coulomb[:m]) / self.effort.limits[:m]
         return np.concatenate([self.share * used[: 3 * n], efforts])
 
     def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """The shares (N, L), and of those of the m efforts the derivatives (3, N, m, n) by q, dq and ddq."""
+        """The shares (N, L), and derivatives (3, N, m, n) by q, dq and ddq of the m that are of efforts and the distance."""
         q, dq, ddq = motion
-        parts = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]]
-        if self.model is None:
-            return np.concatenate(parts, axis=1), np.zeros((3, len(q), 0, self.robot.n))
-        tau, slopes = smooth_torque(self.model, motion)
-        scaled = self.effort.directions / self.allowed[:, None]
-        return np.concatenate([*parts, tau @ scaled.T], axis=1), scaled @ slopes
+        parts, slopes = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]], []
+        if self.model is not None:
+            tau, by_joint = smooth_torque(self.model, motion)
+            scaled = self.effort.directions / self.allowed[:, None]
+            parts.append(tau @ scaled.T)
+            slopes.append(scaled @ by_joint)
+        if self.obstacles is not None and self.checks_distance:
+            apart, by_q, _ = self.obstacles.nearest(q, FAR_M + MARGIN_M)
+            parts.append(1 - (apart[:, None] - MARGIN_M) / FAR_M)
+            slopes.append(np.array([-by_q / FAR_M, np.zeros(by_q.shape), np.zeros(by_q.shape)])[:, :, None])
+        whole = np.concatenate(slopes, axis=2) if slopes else np.zeros((3, len(q), 0, self.robot.n))
+        return np.concatenate(parts, axis=1), whole
 
     def jacobian(self, motion: Motion, basis: Motion) -> Array:
         """Derivatives (N L, n K) of the shares along a motion by the coefficients (n, K) of its series."""
@@ -83,7 +100,9 @@ class Limits:
         return J.reshape(N * (3 * n + m), n * K)
 
 
-def limits_of(robot: Robot, model: DirectModel | None, share: float, place: str) -> Limits:
+def limits_of(
+    robot: Robot, model: DirectModel | None, share: float, place: str, obstacles: Obstacles | None = None
+) -> Limits:
     """The limits of a robot, of which a reference may use a share.
 
     Parameters
@@ -92,6 +111,7 @@ def limits_of(robot: Robot, model: DirectModel | None, share: float, place: str)
     model : with the parameters that the torque is computed by; None where they are not known.
     share : above 0, to 1.
     place : the name of the description in errors.
+    obstacles : shapes that keep a margin.
 
     Raises
     ------
@@ -119,5 +139,12 @@ def limits_of(robot: Robot, model: DirectModel | None, share: float, place: str)
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(
-        robot=robot, middle=ranges.mean(axis=1), most=most, model=model, effort=limits, coulomb=coulomb, share=share
+        robot=robot,
+        middle=ranges.mean(axis=1),
+        most=most,
+        model=model,
+        effort=limits,
+        coulomb=coulomb,
+        share=share,
+        obstacles=obstacles,
     )

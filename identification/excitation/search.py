@@ -17,7 +17,7 @@ SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 FINER = 10  # times as many samples check what lies between those of the search
 ITERATIONS = 50  # of a search
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
-BISECTIONS = 40
+BISECTIONS = 14
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

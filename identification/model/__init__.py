@@ -5,6 +5,7 @@ from .derivatives import regressor_gradient, smooth_torque
 from .direct import DirectModel, direct_model
 from .inverse import InverseModel
 from .joint_terms import JointTerm
+from .obstacles import Obstacles, obstacles_of
 from .physical import RESISTING, ExpectedLinks, expected_links, is_a_body, link_columns, physical_parameters
 
 __all__ = [
@@ -14,11 +15,13 @@ __all__ = [
     "ExpectedLinks",
     "InverseModel",
     "JointTerm",
+    "Obstacles",
     "base_parameters",
     "direct_model",
     "expected_links",
     "is_a_body",
     "link_columns",
+    "obstacles_of",
     "physical_parameters",
     "regressor_gradient",
     "smooth_torque",

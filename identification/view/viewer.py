@@ -167,14 +167,9 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
     ------
     AcquisitionError : where the file cannot be written.
     """
-    name, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
-    _write(
-        path,
-        f"{name} excitation",
-        identity,
-        f"{name}, excitation",
-        lambda show: _excitation_page(show, excitation, document),
-    )
+    robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
+    name = f"{robot}, excitation"
+    _write(path, f"{robot} excitation", identity, name, lambda show: _excitation_page(show, excitation, document))
 
 
 _Show = Callable[[Panel], Any]

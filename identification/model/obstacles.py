@@ -1,0 +1,212 @@
+"""Distances between the links of a robot, and to the ground: capsules of the description, or the URDF's collision shapes.
+
+Meshes are taken as their convex hulls. Links that follow each other are not looked at.
+"""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from acquisition.robot import Capsule
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from .inverse import InverseModel
+
+Find = Callable[[str], Path | None]
+"""From the name of a mesh in the URDF to its file; None where there is none."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Shape:
+    """A convex shape fixed to a link, 0 the base, at a placement in the link's frame."""
+
+    link: int
+    name: str
+    placement: Any
+    geometry: Any
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Obstacles:
+    """Pairs of shapes that must not touch.
+
+    Attributes:
+        model: pinocchio's model.
+        pairs: of shapes; of link 0 is what stands still.
+        touching: names of pairs that touch in the middle of the ranges, and so are not looked at.
+    """
+
+    model: Any
+    pairs: tuple[tuple[Shape, Shape], ...]
+    touching: tuple[str, ...]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """(P,) names of the pairs."""
+        return tuple(f"{a.name} and {b.name}" for a, b in self.pairs)
+
+    def nearest(self, q: Array, far: float) -> tuple[Array, Array, tuple[str, ...]]:
+        """Of the pair nearest to each other at each of the positions q (N, n): distance, its derivatives by q, name.
+
+        Returns
+        -------
+        Distances (N,) in m, negative inside, `far` at most; derivatives (N, n), zero from `far` on; names (N,).
+        """
+        model, data = self.model, self.model.createData()
+        d, slopes, names = np.full(len(q), far), np.zeros(q.shape), []
+        shapes = {id(shape): shape for pair in self.pairs for shape in pair}
+        for k, qk in enumerate(np.ascontiguousarray(q)):
+            pin.computeJointJacobians(model, data, qk)
+            places = {key: data.oMi[shape.link] * shape.placement for key, shape in shapes.items()}
+            each = [_distance(a, places[id(a)], b, places[id(b)]) for a, b in self.pairs]
+            p = min(range(len(each)), key=lambda i: each[i].min_distance)
+            (a, b), found = self.pairs[p], each[p]
+            names.append(self.names[p])
+            if found.min_distance < far:
+                d[k] = found.min_distance
+                apart = _velocity(model, data, b, found.getNearestPoint2())
+                apart -= _velocity(model, data, a, found.getNearestPoint1())
+                slopes[k] = found.normal @ apart
+        return d, slopes, tuple(names)
+
+
+def obstacles_of(dynamics: InverseModel, find: Find, middle: Array) -> Obstacles | None:
+    """The pairs of a robot's shapes; None where neither capsules, nor shapes of a URDF, nor a ground are described.
+
+    Parameters
+    ----------
+    dynamics : the model of the robot.
+    find : the file of a mesh by its name in the URDF.
+    middle : (n,) of the ranges. Pairs that touch there say more of the shapes than of the motion.
+
+    Raises
+    ------
+    IdentificationError : where a mesh is not found or cannot be read.
+    """
+    robot, model = dynamics.robot, dynamics.model
+    shapes = list(_capsules(dynamics))
+    if not shapes and robot.urdf is not None:
+        shapes = list(_urdf_shapes(dynamics, find))
+    parents = (0, *dynamics.parents)
+    pairs = [
+        (a, b)
+        for i, a in enumerate(shapes)
+        for b in shapes[i + 1 :]
+        if a.link != b.link and a.link != parents[b.link] and b.link != parents[a.link]
+    ]
+    if robot.ground_m is not None:
+        g = robot.gravity
+        up = -g / np.linalg.norm(g) if g.any() else np.array([0.0, 0.0, 1.0])
+        half = coal.Halfspace(up, float(robot.ground_m))
+        ground = Shape(link=0, name="ground", placement=pin.SE3.Identity(), geometry=half)
+        pairs += [(ground, shape) for shape in shapes if shape.link > 0]
+    if not pairs:
+        return None
+    single = [Obstacles(model=model, pairs=(pair,), touching=()) for pair in pairs]
+    apart = [one.nearest(middle[None], np.inf)[0][0] > 0 for one in single]
+    kept = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
+    touching = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
+    return Obstacles(model=model, pairs=kept, touching=touching)
+
+
+def _distance(a: Shape, at_a: Any, b: Shape, at_b: Any) -> Any:
+    found = coal.DistanceResult()
+    coal.distance(
+        a.geometry,
+        coal.Transform3s(at_a.rotation, at_a.translation),
+        b.geometry,
+        coal.Transform3s(at_b.rotation, at_b.translation),
+        coal.DistanceRequest(),
+        found,
+    )
+    return found
+
+
+def _velocity(model: Any, data: Any, shape: Shape, point: Array) -> Array:
+    """Velocity (3, n) of a point of a shape in the base frame, per joint speed."""
+    J = pin.getJointJacobian(model, data, shape.link, pin.ReferenceFrame.WORLD)
+    return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
+
+
+def _capsules(dynamics: InverseModel) -> Iterator[Shape]:
+    robot = dynamics.robot
+    described = [(0, "base", robot.base_capsule)]
+    described += [(j + 1, f"link of {joint.name}", joint.capsule) for j, joint in enumerate(robot.joints)]
+    for link, name, capsule in described:
+        if capsule is not None:
+            yield _capsule(link, name, capsule)
+
+
+def _capsule(link: int, name: str, capsule: Capsule) -> Shape:
+    start, end = np.array(capsule.from_m), np.array(capsule.to_m)
+    along = end - start
+    length = float(np.linalg.norm(along))
+    turn = (
+        pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length)
+        if length
+        else pin.Quaternion.Identity()
+    )
+    placement = pin.SE3(turn.toRotationMatrix(), (start + end) / 2)
+    return Shape(link=link, name=name, placement=placement, geometry=coal.Capsule(capsule.radius_m, length))
+
+
+def _urdf_shapes(dynamics: InverseModel, find: Find) -> Iterator[Shape]:
+    """Collision shapes of the URDF's links, each at the joint that moves it."""
+    root = ET.fromstring(dynamics.robot.urdf or "")
+    if not any(True for _ in root.iter("collision")):
+        return
+    place = f"robot {dynamics.robot.name}: URDF"
+    for link in root.findall("link"):
+        name = link.get("name", "")
+        if not link.findall("collision"):
+            continue
+        frame = dynamics.model.frames[dynamics.model.getFrameId(name)]
+        for collision in link.findall("collision"):
+            origin, geometry = collision.find("origin"), collision.find("geometry")
+            shape = None if geometry is None else next(iter(geometry), None)
+            if shape is None:
+                continue
+            put = pin.SE3.Identity() if origin is None else _placement(origin)
+            solid = _solid(shape, find, f"{place}: link {name!r}")
+            yield Shape(link=int(frame.parentJoint), name=name, placement=frame.placement * put, geometry=solid)
+
+
+def _placement(origin: ET.Element) -> Any:
+    rpy, xyz = ([float(x) for x in origin.get(key, "0 0 0").split()] for key in ("rpy", "xyz"))
+    return pin.SE3(pin.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
+
+
+def _solid(shape: ET.Element, find: Find, place: str) -> Any:
+    def number(key: str) -> float:
+        return float(shape.get(key, "0"))
+
+    if shape.tag == "box":
+        return coal.Box(*(float(x) for x in shape.get("size", "0 0 0").split()))
+    if shape.tag == "sphere":
+        return coal.Sphere(number("radius"))
+    if shape.tag == "cylinder":
+        return coal.Cylinder(number("radius"), number("length"))
+    name = shape.get("filename", "")
+    file = find(name) if shape.tag == "mesh" else None
+    if file is None:
+        raise IdentificationError(
+            place=place,
+            key=f"collision {shape.tag}",
+            value=name or None,
+            expected="a mesh file, or capsules in robot.toml",
+        )
+    scale = np.array([float(x) for x in shape.get("scale", "1 1 1").split()])
+    try:
+        mesh = coal.MeshLoader().load(str(file), scale)
+        mesh.buildConvexHull(True, "Qt")
+    except (RuntimeError, ValueError) as error:
+        expected = "a mesh that coal reads, or capsules in robot.toml"
+        raise IdentificationError(place=place, key="collision mesh", value=name, expected=expected) from error
+    return mesh.convex
