@@ -15,7 +15,7 @@ from acquisition.robot.robot import load_robot, robot_from_files
 from acquisition.trajectory.reference import check_limits, fourier_reference, table_reference
 from identification.commands.program import main
 from identification.errors import IdentificationError
-from identification.excitation import design
+from identification.excitation import design, excitation_document
 from identification.excitation.information import Information
 from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
 from identification.excitation.limits import limits_of
@@ -25,6 +25,10 @@ from identification.model.derivatives import regressor_gradient, smooth_torque
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, truth, write_signals
+from identification.view.excitation_panels import excitation_plots, intervals_drawing
+from identification.view.panels import GREY, ORANGE
+from identification.view.robot_drawing import excitation_scene
+from identification.view.viewer import write_excitation_rrd
 
 SCARA, TX40 = robot_named("scara"), robot_named("tx40")
 SERIES = Series(period_s=4.0, harmonics=4)
@@ -131,7 +135,7 @@ def test_a_gradient_of_the_regressor_needs_no_physical_parameters():
 def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
-    J = limits.jacobian(motion_of(x, basis), basis)
+    J = limits.jacobian(limits.used_and_slopes(motion_of(x, basis))[1], basis)
     assert J.shape == (40 * (18 + 6), x.size)
     rng, h = np.random.default_rng(4), 1e-5
     for _ in range(4):
@@ -363,20 +367,25 @@ effort_unit = "N m"
 
 def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differences():
     robot = capsules("ground_m = -0.3")
-    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2))
+    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2), 0.02)
     assert obstacles.names == ("base and link of b", "ground and link of a", "ground and link of b")
-    assert obstacles.touching == ()
+    assert obstacles.near == ()
     apart, _, names = obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]), 9.0)
     assert names == ("ground and link of a", "base and link of b")
     assert apart[0] == pytest.approx(0.3 - 0.1)
     # Folded back, link b ends at the axis of joint a: its axis runs within 1 mm of that of the base.
     assert apart[1] == pytest.approx(-0.2, abs=2e-3)
     q = np.random.default_rng(0).uniform([-1.0, 1.4], [1.0, 3.4], (20, 2))
-    pair = replace(obstacles, pairs=obstacles.pairs[:1])
+    beside = capsules("").files["robot.toml"].decode().replace("from_m = [0, 0, 0]", "from_m = [0.3, 0.2, 0]", 1)
+    beside = beside.replace("to_m = [0, 0, 0.5]", "to_m = [0.3, 0.2, 0.5]")
+    pair = obstacles_of(
+        InverseModel(robot_from_files({"robot.toml": beside.encode()}, "here")), lambda name: None, np.zeros(2)
+    )
     d, slopes, _ = pair.nearest(q, 9.0)
-    # The law of cosines for points of link b at 0.2 to 1 m from joint b, to the axis of joint a.
+    # Points of the axis of link b, 0.2 to 1 m from joint b, to the axis of the base's capsule.
     s = np.linspace(0.2, 1.0, 4001)
-    by_geometry = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min(axis=1) - 0.2
+    x, y = (f(q[:, :1]) + s * f(q.sum(axis=1, keepdims=True)) for f in (np.cos, np.sin))
+    by_geometry = np.hypot(x - 0.3, y - 0.2).min(axis=1) - 0.2
     assert d == pytest.approx(by_geometry, abs=1e-6)
     for j in range(2):
         h = 1e-6 * np.eye(2)[j]
@@ -398,7 +407,7 @@ def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch
 
 def test_shapes_that_touch_in_the_middle_are_named_and_meshes_that_are_not_there_refused():
     robot = capsules("ground_m = -0.05")
-    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2)).touching == (
+    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2), 0.02).near == (
         "ground and link of a",
         "ground and link of b",
     )
@@ -414,8 +423,52 @@ def test_shapes_that_touch_in_the_middle_are_named_and_meshes_that_are_not_there
             with pytest.raises(
                 IdentificationError, match=r"link 'slide': collision mesh = .package://none/a.stl.: expected a"
             ):
-                obstacles_of(model, lambda name: None, np.zeros(2))
+                obstacles_of(model, lambda name: None, np.zeros(2), 0.02)
             continue
-        obstacles = obstacles_of(model, lambda name: None, np.zeros(2))
+        obstacles = obstacles_of(model, lambda name: None, np.zeros(2), 0.02)
         assert obstacles.names == names
         assert obstacles.nearest(np.array([[0.0, 0.5]]), 9.0)[0] == pytest.approx([3.5 - 0.2])
+
+
+def test_the_page_shows_the_reference_between_its_limits(tx40_excitation, tmp_path):
+    robot, found, _ = tx40_excitation
+    plots = excitation_plots(found)
+    assert [plot.path for plot in plots[0]] == [("q", "joint_1"), ("dq", "joint_1"), ("torque", "joint_1")]
+    *_, direct = modelled(robot)
+    for j, joint in enumerate(robot.joints):
+        for plot, quantity in zip(plots[j], ("position", "speed", None), strict=True):
+            lines = {curve.key: curve.line for curve in plot.curves}
+            t_s, values = lines["reference"]
+            motion = found.reference.at(t_s)
+            expected = direct.torque(*motion) if quantity is None else motion[("position", "speed").index(quantity)]
+            assert values == pytest.approx(expected[:, j])
+            if quantity == "speed":
+                assert lines["high"][1].tolist() == [joint.si("speed")] * 2
+            if quantity == "position":
+                assert (lines["low"][1][0], lines["high"][1][0]) == joint.si("position")
+    assert [curve.line[1][0] for curve in plots[0][2].curves[1:]] == pytest.approx([-60.0, 60.0])
+    drawing = intervals_drawing(found)
+    bars = [points for points, color, _ in drawing.strokes if color == ORANGE]
+    grey = [points for points, color, radius in drawing.strokes if color == GREY and radius > 1]
+    assert len(bars) == len(grey) == found.base.b
+    longer = [g[1][0] - b[1][0] for b, g in zip(bars, grey, strict=True)]
+    assert np.corrcoef(longer, np.log(found.plain / found.sigma))[0, 1] > 0.999  # on a logarithmic scale
+    scene = excitation_scene(found)
+    (moving,) = scene.robots
+    assert moving.q == pytest.approx(found.reference.at(moving.t_s)[0])
+    write_excitation_rrd(tmp_path / "a.rrd", found, excitation_document(found))
+    assert (tmp_path / "a.rrd").stat().st_size > 100_000
+
+
+def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
+    _, found, _ = tx40_excitation
+    expected, limits = excitation_document(found, ["a warning"]).sections
+    first = expected.table.rows[0]
+    assert first[0] == "ZZ1R"
+    halves = [cell.exact for cell in first[2:5]]
+    assert halves == pytest.approx(
+        [1.96 * found.sigma[0], 1.96 * found.plain[0], found.plain[0] / found.sigma[0]], rel=1e-4
+    )
+    assert limits.warnings[-1] == "a warning"
+    assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
+    assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.1)

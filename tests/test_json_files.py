@@ -59,8 +59,10 @@ def test_a_fit_is_read_back_as_it_was_written(fits):
     np.testing.assert_allclose(np.sqrt(np.diag(written.covariance.values)), fit.intervals.sigma, rtol=1e-12)
     stored = read_fit(fits["iv"])
     assert [p.half for p in stored.parameters] == pytest.approx(list(fit.intervals.half), rel=1e-9)
+    for joint, error in zip(stored.joints, written.joints, strict=True):
+        assert {key: getattr(error, key) for key in joint.__struct_fields__} == msgspec.structs.asdict(joint)
     for name in stored.__struct_fields__:
-        if name != "parameters":
+        if name not in ("parameters", "joints"):
             assert getattr(stored, name) == getattr(written, name), name
     assert [(p.name, p.value, p.unit) for p in stored.parameters] == [
         (p.name, p.value, p.unit) for p in written.parameters

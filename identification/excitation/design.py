@@ -17,7 +17,7 @@ from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, obstacles_of
 from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
-from .limits import FAR_M, Limits, limits_of
+from .limits import FAR_M, MARGIN_M, Limits, limits_of
 from .search import FINER, SAMPLES_PER_PERIOD, TOLERANCE, Problem, best_series, shrunk
 from .series import Motion, Series, motion_of
 
@@ -127,7 +127,7 @@ def excite(
     base = base_parameters(model)
     direct = None if knowledge.beta is None else direct_model(model, base.standard_parameters(knowledge.beta))
     middle = np.array([np.mean(joint.si("position") or 0.0) for joint in robot.joints])
-    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), middle)
+    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), middle, MARGIN_M)
     limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
     _refuse_rest(limits, place)
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
@@ -262,9 +262,9 @@ def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
 def _warnings(limits: Limits) -> tuple[str, ...]:
     """What of torque and distances was not checked."""
     found = []
-    if limits.obstacles is not None and limits.obstacles.touching:
-        touching = "; ".join(limits.obstacles.touching)
-        found.append(f"distances not checked of what touches in the middle of the ranges: {touching}")
+    if limits.obstacles is not None and limits.obstacles.near:
+        near = "; ".join(limits.obstacles.near)
+        found.append(f"distances not checked of what is nearer than {MARGIN_M:g} m in the middle of the ranges: {near}")
     if limits.model is None:
         return (*found, "torque was not checked: neither a fit nor [parameters] give it")
     if not limits.robot.gain_known:

@@ -87,10 +87,9 @@ class Limits:
         whole = np.concatenate(slopes, axis=2) if slopes else np.zeros((3, len(q), 0, self.robot.n))
         return np.concatenate(parts, axis=1), whole
 
-    def jacobian(self, motion: Motion, basis: Motion) -> Array:
-        """Derivatives (N L, n K) of the shares along a motion by the coefficients (n, K) of its series."""
+    def jacobian(self, slopes: Array, basis: Motion) -> Array:
+        """Derivatives (N L, n K) of the shares by the coefficients (n, K) of a series, from `slopes` along its motion."""
         n, (N, K) = self.robot.n, basis[0].shape
-        _, slopes = self.used_and_slopes(motion)
         m = slopes.shape[2]
         J = np.zeros((N, 3 * n + m, n, K))
         for kind, A in enumerate(basis):

@@ -17,7 +17,7 @@ SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 FINER = 10  # times as many samples check what lies between those of the search
 ITERATIONS = 50  # of a search
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
-BISECTIONS = 14
+BISECTIONS = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,12 +66,20 @@ def best_series(problem: Problem, start: Array, say: Callable[[float], None]) ->
         by_x = sum((g.T @ A for g, A in zip(gradients, basis, strict=True)), start=np.zeros(unit.shape))
         return value, (by_x * unit).ravel()
 
+    shares: tuple[Array, Array, Array] | None = None  # of the coefficients looked at last: z, used, slopes
+
+    def at_last(z: Array) -> tuple[Array, Array]:
+        nonlocal shares
+        if shares is None or not np.array_equal(shares[0], z):
+            shares = (z.copy(), *limits.used_and_slopes(at(z)))
+        return shares[1:]
+
     def slack(z: Array) -> Array:
-        used = limits.used(at(z)).ravel()
+        used = at_last(z)[0].ravel()
         return np.concatenate([1 - used, 1 + used])
 
     def slack_slopes(z: Array) -> Array:
-        J = limits.jacobian(at(z), basis) * unit.ravel()
+        J = limits.jacobian(at_last(z)[1], basis) * unit.ravel()
         return np.concatenate([-J, J])
 
     done = minimize(

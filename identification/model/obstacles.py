@@ -32,6 +32,9 @@ class Shape:
     placement: Any
     geometry: Any
 
+    def __post_init__(self) -> None:
+        self.geometry.computeLocalAABB()
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Obstacles:
@@ -40,12 +43,12 @@ class Obstacles:
     Attributes:
         model: pinocchio's model.
         pairs: of shapes; of link 0 is what stands still.
-        touching: names of pairs that touch in the middle of the ranges, and so are not looked at.
+        near: names of pairs that are too near in the middle of the ranges, and so are not looked at.
     """
 
     model: Any
     pairs: tuple[tuple[Shape, Shape], ...]
-    touching: tuple[str, ...]
+    near: tuple[str, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -61,30 +64,39 @@ class Obstacles:
         """
         model, data = self.model, self.model.createData()
         d, slopes, names = np.full(len(q), far), np.zeros(q.shape), []
-        shapes = {id(shape): shape for pair in self.pairs for shape in pair}
+        shapes, every = {id(shape): shape for pair in self.pairs for shape in pair}, self.names
         for k, qk in enumerate(np.ascontiguousarray(q)):
             pin.computeJointJacobians(model, data, qk)
             places = {key: data.oMi[shape.link] * shape.placement for key, shape in shapes.items()}
-            each = [_distance(a, places[id(a)], b, places[id(b)]) for a, b in self.pairs]
-            p = min(range(len(each)), key=lambda i: each[i].min_distance)
-            (a, b), found = self.pairs[p], each[p]
-            names.append(self.names[p])
-            if found.min_distance < far:
+            least = [_at_least(a, places[id(a)], b, places[id(b)]) for a, b in self.pairs]
+            best, found = 0, None
+            for p in np.argsort(least):
+                if least[p] >= (far if found is None else found.min_distance):
+                    break
+                a, b = self.pairs[p]
+                here = _distance(a, places[id(a)], b, places[id(b)])
+                if found is None or here.min_distance < found.min_distance:
+                    best, found = int(p), here
+            names.append(every[best])
+            if found is not None and found.min_distance < far:
                 d[k] = found.min_distance
+                a, b = self.pairs[best]
                 apart = _velocity(model, data, b, found.getNearestPoint2())
                 apart -= _velocity(model, data, a, found.getNearestPoint1())
                 slopes[k] = found.normal @ apart
         return d, slopes, tuple(names)
 
 
-def obstacles_of(dynamics: InverseModel, find: Find, middle: Array) -> Obstacles | None:
+def obstacles_of(dynamics: InverseModel, find: Find, middle: Array, margin_m: float) -> Obstacles | None:
     """The pairs of a robot's shapes; None where neither capsules, nor shapes of a URDF, nor a ground are described.
 
     Parameters
     ----------
     dynamics : the model of the robot.
     find : the file of a mesh by its name in the URDF.
-    middle : (n,) of the ranges. Pairs that touch there say more of the shapes than of the motion.
+    middle : (n,) of the ranges.
+    margin_m : pairs that are nearer than it in the middle of the ranges are left out: they say more of the shapes than of the
+        motion.
 
     Raises
     ------
@@ -109,11 +121,20 @@ def obstacles_of(dynamics: InverseModel, find: Find, middle: Array) -> Obstacles
         pairs += [(ground, shape) for shape in shapes if shape.link > 0]
     if not pairs:
         return None
-    single = [Obstacles(model=model, pairs=(pair,), touching=()) for pair in pairs]
-    apart = [one.nearest(middle[None], np.inf)[0][0] > 0 for one in single]
+    single = [Obstacles(model=model, pairs=(pair,), near=()) for pair in pairs]
+    apart = [one.nearest(middle[None], np.inf)[0][0] > margin_m for one in single]
     kept = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
-    touching = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
-    return Obstacles(model=model, pairs=kept, touching=touching)
+    near = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
+    return Obstacles(model=model, pairs=kept, near=near)
+
+
+def _at_least(a: Shape, at_a: Any, b: Shape, at_b: Any) -> float:
+    """A distance that two shapes have at least, by the spheres about them."""
+    if isinstance(a.geometry, coal.Halfspace):
+        height = a.geometry.n @ at_b.act(b.geometry.aabb_center) - a.geometry.d
+        return float(height - b.geometry.aabb_radius)
+    apart = np.linalg.norm(at_a.act(a.geometry.aabb_center) - at_b.act(b.geometry.aabb_center))
+    return float(apart - a.geometry.aabb_radius - b.geometry.aabb_radius)
 
 
 def _distance(a: Shape, at_a: Any, b: Shape, at_b: Any) -> Any:
