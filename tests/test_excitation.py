@@ -378,9 +378,8 @@ def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differen
     q = np.random.default_rng(0).uniform([-1.0, 1.4], [1.0, 3.4], (20, 2))
     beside = capsules("").files["robot.toml"].decode().replace("from_m = [0, 0, 0]", "from_m = [0.3, 0.2, 0]", 1)
     beside = beside.replace("to_m = [0, 0, 0.5]", "to_m = [0.3, 0.2, 0.5]")
-    pair = obstacles_of(
-        InverseModel(robot_from_files({"robot.toml": beside.encode()}, "here")), lambda name: None, np.zeros(2)
-    )
+    beside = InverseModel(robot_from_files({"robot.toml": beside.encode()}, "here"))
+    pair = obstacles_of(beside, lambda name: None, np.zeros(2), 0.02)
     d, slopes, _ = pair.nearest(q, 9.0)
     # Points of the axis of link b, 0.2 to 1 m from joint b, to the axis of the base's capsule.
     s = np.linspace(0.2, 1.0, 4001)
