@@ -23,6 +23,7 @@ from .series import Motion, Series, motion_of
 
 PLAIN = 20  # random references, whose geometric mean the criterion is relative to
 STARTS = 3  # of the search, from random references of other seeds
+POSES = 200  # among which a search of a robot with obstacles finds room to start
 START_SHARE = 0.9  # of the limits, which a search starts within
 BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
 CREEP_SHARE = 0.05  # of a joint's speed limit
@@ -181,9 +182,16 @@ def _best(problem: Problem, settings: Settings, place: str, say: Callable[[str],
         start = _random(problem.limits, problem.series, STARTS * settings.seed + i + PLAIN)
         x = START_SHARE * problem.series.coefficients(start)
         x[:, 0] /= START_SHARE
+        if problem.limits.checks_distance:
+            x[:, 0] = _roomiest(problem.limits, settings.seed + i)
+            x, _ = shrunk(x, problem.series, problem.limits, problem.samples)
         text = f"search {i + 1} of {STARTS}"
         say(text)
-        x = best_series(problem, x, partial(_tell, say, text))
+        try:
+            x = best_series(problem, x, partial(_tell, say, text))
+        except IdentificationError as error:  # it strayed to where nothing is excited
+            worst = str(error)
+            continue
         x, most = shrunk(x, problem.series, problem.limits, FINER * problem.samples)
         if most > 1 + TOLERANCE:
             used = problem.limits.used(motion_of(x, basis))
@@ -202,6 +210,14 @@ def _best(problem: Problem, settings: Settings, place: str, say: Callable[[str],
             expected="wider limits, another --seed or --harmonics",
         )
     return best[1], best[2]
+
+
+def _roomiest(limits: Limits, seed: int) -> Array:
+    """Of random poses (n,) about the middle of the ranges that may be used, the one whose links are farthest apart."""
+    poses = limits.middle + np.random.default_rng(seed).uniform(-0.5, 0.5, (POSES, limits.robot.n)) * limits.most[0]
+    still = np.zeros(poses.shape)
+    used = np.abs(limits.used((poses, still, still)))
+    return np.asarray(poses[int(used.max(axis=1).argmin())])
 
 
 def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
@@ -262,6 +278,11 @@ def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
 def _warnings(limits: Limits) -> tuple[str, ...]:
     """What of torque and distances was not checked."""
     found = []
+    if limits.obstacles is not None and limits.obstacles.missing:
+        missing = (
+            f"{len(limits.obstacles.missing)} meshes of the URDF are not found, such as {limits.obstacles.missing[0]}"
+        )
+        found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
     if limits.obstacles is not None and limits.obstacles.near:
         near = "; ".join(limits.obstacles.near)
         found.append(f"distances not checked of what is nearer than {MARGIN_M:g} m in the middle of the ranges: {near}")

@@ -44,7 +44,7 @@ def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) ->
     n = e.robot.n
     names, efforts = (
         [joint.name for joint in e.robot.joints],
-        dict(zip(e.limits.names[3 * n :], e.used[3 * n :], strict=True)),
+        dict(zip(e.limits.names[3 * n : len(e.used)], e.used[3 * n :], strict=True)),
     )
     percent = 100 * e.used[: 3 * n].reshape(3, n)
     table = [

@@ -44,11 +44,13 @@ class Obstacles:
         model: pinocchio's model.
         pairs: of shapes; of link 0 is what stands still.
         near: names of pairs that are too near in the middle of the ranges, and so are not looked at.
+        missing: meshes of the URDF that are not found; their links are not looked at, or in part.
     """
 
     model: Any
     pairs: tuple[tuple[Shape, Shape], ...]
     near: tuple[str, ...]
+    missing: tuple[str, ...] = ()
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -100,12 +102,12 @@ def obstacles_of(dynamics: InverseModel, find: Find, middle: Array, margin_m: fl
 
     Raises
     ------
-    IdentificationError : where a mesh is not found or cannot be read.
+    IdentificationError : where a mesh cannot be read, or a shape is none of the URDF's.
     """
     robot, model = dynamics.robot, dynamics.model
-    shapes = list(_capsules(dynamics))
+    shapes, missing = list(_capsules(dynamics)), list[str]()
     if not shapes and robot.urdf is not None:
-        shapes = list(_urdf_shapes(dynamics, find))
+        shapes = list(_urdf_shapes(dynamics, find, missing))
     parents = (0, *dynamics.parents)
     pairs = [
         (a, b)
@@ -119,13 +121,13 @@ def obstacles_of(dynamics: InverseModel, find: Find, middle: Array, margin_m: fl
         half = coal.Halfspace(up, float(robot.ground_m))
         ground = Shape(link=0, name="ground", placement=pin.SE3.Identity(), geometry=half)
         pairs += [(ground, shape) for shape in shapes if shape.link > 0]
-    if not pairs:
+    if not pairs and not missing:
         return None
     single = [Obstacles(model=model, pairs=(pair,), near=()) for pair in pairs]
     apart = [one.nearest(middle[None], np.inf)[0][0] > margin_m for one in single]
     kept = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
     near = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
-    return Obstacles(model=model, pairs=kept, near=near)
+    return Obstacles(model=model, pairs=kept, near=near, missing=tuple(missing))
 
 
 def _at_least(a: Shape, at_a: Any, b: Shape, at_b: Any) -> float:
@@ -178,8 +180,8 @@ def _capsule(link: int, name: str, capsule: Capsule) -> Shape:
     return Shape(link=link, name=name, placement=placement, geometry=coal.Capsule(capsule.radius_m, length))
 
 
-def _urdf_shapes(dynamics: InverseModel, find: Find) -> Iterator[Shape]:
-    """Collision shapes of the URDF's links, each at the joint that moves it."""
+def _urdf_shapes(dynamics: InverseModel, find: Find, missing: list[str]) -> Iterator[Shape]:
+    """Collision shapes of the URDF's links, each at the joint that moves it; meshes that are not found go to `missing`."""
     root = ET.fromstring(dynamics.robot.urdf or "")
     if not any(True for _ in root.iter("collision")):
         return
@@ -195,7 +197,12 @@ def _urdf_shapes(dynamics: InverseModel, find: Find) -> Iterator[Shape]:
             if shape is None:
                 continue
             put = pin.SE3.Identity() if origin is None else _placement(origin)
-            solid = _solid(shape, find, f"{place}: link {name!r}")
+            mesh = shape.get("filename", "") if shape.tag == "mesh" else ""
+            file = find(mesh) if mesh else None
+            if mesh and file is None:
+                missing.append(mesh)
+                continue
+            solid = _solid(shape, file, f"{place}: link {name!r}")
             yield Shape(link=int(frame.parentJoint), name=name, placement=frame.placement * put, geometry=solid)
 
 
@@ -204,7 +211,7 @@ def _placement(origin: ET.Element) -> Any:
     return pin.SE3(pin.rpy.rpyToMatrix(np.array(rpy)), np.array(xyz))
 
 
-def _solid(shape: ET.Element, find: Find, place: str) -> Any:
+def _solid(shape: ET.Element, file: Path | None, place: str) -> Any:
     def number(key: str) -> float:
         return float(shape.get(key, "0"))
 
@@ -215,13 +222,12 @@ def _solid(shape: ET.Element, find: Find, place: str) -> Any:
     if shape.tag == "cylinder":
         return coal.Cylinder(number("radius"), number("length"))
     name = shape.get("filename", "")
-    file = find(name) if shape.tag == "mesh" else None
     if file is None:
         raise IdentificationError(
             place=place,
             key=f"collision {shape.tag}",
             value=name or None,
-            expected="a mesh file, or capsules in robot.toml",
+            expected="box, sphere, cylinder or a mesh with a file",
         )
     scale = np.array([float(x) for x in shape.get("scale", "1 1 1").split()])
     try:
