@@ -114,9 +114,12 @@ class Motor(TomlTable, frozen=True):
 
 
 class Controller(TomlTable, frozen=True):
-    """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares."""
+    """`[controller]`: how the drives follow their reference. Only `bandwidth_hz` is needed for least squares.
 
-    bandwidth_hz: Positive
+    `Robot.bandwidth_hz` reads it, and refuses a description that does not state it.
+    """
+
+    bandwidth_hz: Positive | None = None
     structure: Structure | None = None
     sample_rate_hz: Positive | None = None
     position_gain: tuple[float, ...] | None = None

@@ -63,6 +63,18 @@ class Robot:
         return len(self.joints)
 
     @property
+    def bandwidth_hz(self) -> float:
+        """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
+        if self.controller.bandwidth_hz is None:
+            raise AcquisitionError(
+                place=f"robot {self.name}",
+                key="controller.bandwidth_hz",
+                value=None,
+                expected="the bandwidth of the position loop, Hz",
+            )
+        return self.controller.bandwidth_hz
+
+    @property
     def gain_known(self) -> bool:
         """Whether efforts are torques and forces; if not they stay in A or V."""
         return all(m.gain is not None for m in self.motors)

@@ -72,5 +72,5 @@ def typical_loops(robot: Robot, rated: Array) -> LoopGains:
 
     `rated`: efforts (n,) of the motors, as of `rated_motor_effort`.
     """
-    w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
+    w = 2 * np.pi * robot.bandwidth_hz * np.ones(robot.n)
     return LoopGains(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)

@@ -4,7 +4,6 @@ from .following import follow
 from .reference import (
     HARMONICS,
     LIMIT_SHARE,
-    UNSTATED_RANGE,
     FourierReference,
     approach,
     check_limits,
@@ -15,7 +14,6 @@ from .reference import (
 __all__ = [
     "HARMONICS",
     "LIMIT_SHARE",
-    "UNSTATED_RANGE",
     "FourierReference",
     "approach",
     "check_limits",

@@ -15,7 +15,6 @@ from ..robot import Robot
 
 HARMONICS = 5
 LIMIT_SHARE = 0.8  # of a joint's stated range and speed
-UNSTATED_RANGE = 1.0  # rad or m to each side where a joint states no range
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,8 +47,8 @@ def fourier_reference(
 
     Parameters
     ----------
-    robot : its limits; the series stays within `share` of each joint's range, speed and acceleration. A joint without a
-        stated range has 1 rad or 1 m to each side of zero.
+    robot : its limits; the series stays within `share` of each joint's range, speed and acceleration. Every joint
+        states a range.
     period_s : of the series, which repeats after it.
     seed : the same seed gives the same series.
     harmonics : how many, two at least.
@@ -61,10 +60,18 @@ def fourier_reference(
     Raises
     ------
     AcquisitionError
-        The period is not positive.
+        The period is not positive, or a joint states no range.
     """
     if not period_s > 0:
         raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
+    for i, joint in enumerate(robot.joints):
+        if joint.si("position") is None:
+            raise AcquisitionError(
+                place=f"robot {robot.name}: joint {joint.name}",
+                key=f"joint[{i}].position_{'deg' if joint.type == 'revolute' else 'm'}",
+                value=None,
+                expected="[lowest, highest]: the reference moves within it",
+            )
     rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
     sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
@@ -75,7 +82,7 @@ def fourier_reference(
     q, dq, ddq = raw.at(np.linspace(0.0, period_s, 2000))
     middle, scale = np.empty(robot.n), np.empty(robot.n)
     for j, joint in enumerate(robot.joints):
-        low, high = joint.si("position") or (-UNSTATED_RANGE, UNSTATED_RANGE)
+        low, high = joint.si("position")
         middle[j] = (low + high) / 2
         scale[j] = (high - low) / np.ptp(q[:, j])
         for limit, peak in ((joint.si("speed"), dq), (joint.si("acceleration"), ddq)):
