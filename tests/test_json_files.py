@@ -107,8 +107,9 @@ def test_known_values_are_a_file_of_their_own(tmp_path):
     from identification.report import base_file
     from identification.study import study_truth
 
-    base, true = study_truth(signals_of(SCARA).robot)
-    write_json(tmp_path / "truth.json", base_file(base, "SCARA", true))
+    robot = signals_of(SCARA).robot
+    base, true = study_truth(robot)
+    write_json(tmp_path / "truth.json", base_file(base, robot, true))
     earlier = json.loads((REPLAY / "scara" / "truth.json").read_text())
     now = json.loads((tmp_path / "truth.json").read_text())
     assert keys(earlier) <= keys(now)

@@ -176,16 +176,24 @@ def test_a_random_series_fills_eight_tenths_of_one_limit_and_none_more(seed):
         assert q[-1] == pytest.approx(q[0])
 
 
-def test_a_random_series_of_a_joint_without_limits_and_of_another_seed():
+def test_a_random_series_of_a_joint_without_limits_of_speed_and_of_another_seed():
     text = bus_text(1)
-    for line in ("position_deg = [-150, 150]", "speed_deg_s = 200", "acceleration_deg_s2 = 4000"):
+    for line in ("speed_deg_s = 200", "acceleration_deg_s2 = 4000"):
         text = text.replace(line, "")
     reference = fourier_reference(robot_of(text), period_s=10.0, seed=3)
     q, _, _ = reference.at(np.linspace(0, 10, 20001))
-    assert [q.min(), q.max()] == pytest.approx([-0.8, 0.8], abs=1e-4)
+    assert [q.min(), q.max()] == pytest.approx([-120 * DEG, 120 * DEG], abs=1e-4)
     again, other = (fourier_reference(robot_of(text), period_s=10.0, seed=seed) for seed in (3, 4))
     assert again.sine.tolist() == reference.sine.tolist()
     assert other.sine.tolist() != reference.sine.tolist()
+
+
+def test_a_random_series_of_a_joint_without_a_range_is_refused():
+    """It has no range of 1 rad to each side by itself."""
+    with pytest.raises(AcquisitionError) as error:
+        fourier_reference(robot_of(bus_text(1).replace("position_deg = [-150, 150]", "")), period_s=10.0, seed=3)
+    assert (error.value.key, error.value.value) == ("joint[0].position_deg", None)
+    assert error.value.place.endswith("joint joint_1")
 
 
 @pytest.mark.parametrize("period_s", [0.0, -1.0, float("nan")])

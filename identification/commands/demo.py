@@ -42,7 +42,7 @@ def run(options: argparse.Namespace) -> None:
             rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), progress.say)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
-        write_json(out / "truth.json", base_file(base, robot.name, true))
+        write_json(out / "truth.json", base_file(base, robot, true))
         fits = {}
         progress.say("least squares")
         fits["ls"] = identify_ls(signals, Overrides())

@@ -7,6 +7,7 @@ from acquisition.commands import Commands, Progress, from_options
 
 from .options import above_zero, at_least_two, factors, percent, positive, refuse_outputs, whole
 from .results import print_results
+from .robots import MOTION, add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -14,8 +15,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser(
         "excite", help="a reference that tells most of a robot's parameters, within its limits"
     )
-    inputs = parser.add_argument_group("inputs")
-    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with limits of all joints")
+    inputs = add_robot(parser, "with limits of all joints")
     inputs.add_argument(
         "--fit", type=Path, metavar="FIT.json", help="parameters and noise of this fit (default: [parameters])"
     )
@@ -65,11 +65,10 @@ def run(options: argparse.Namespace) -> None:
         import numpy as np
 
         from acquisition.files import write_columns
-        from acquisition.robot import load_robot
 
         from ..excitation import Settings, excitation_document, excite, knowledge_of
 
-        robot = load_robot(options.robot)
+        robot = robot_of(options, MOTION)
         settings = from_options(Settings, options)
         knowledge, warnings = knowledge_of(
             robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after

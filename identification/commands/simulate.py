@@ -7,13 +7,13 @@ from acquisition.commands import Commands, Progress, from_options
 
 from .options import add_simulation_options, refuse_outputs
 from .results import print_results
+from .robots import MOTION, add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
     """Declare the command; options of the noise have the names of the fields of `Noise`."""
     parser = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
-    inputs = parser.add_argument_group("inputs")
-    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    add_robot(parser, "with values to simulate with")
     add_simulation_options(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap", help="the recording to write")
@@ -24,11 +24,9 @@ def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and say what it holds."""
     refuse_outputs([options.robot], options.out)
     with Progress("simulating"):
-        from acquisition.robot import load_robot
-
         from ..study import Noise, closed_loop, random_reference, write_signals
 
-        robot, rate_hz, seed = load_robot(options.robot), options.sample_rate_hz, options.seed
+        robot, rate_hz, seed = robot_of(options, MOTION), options.sample_rate_hz, options.seed
         q_ref = random_reference(
             robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=options.period_s
         )

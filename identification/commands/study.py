@@ -8,6 +8,7 @@ from acquisition.commands import Commands, from_options
 from ..errors import IdentificationError
 from .options import add_simulation_options, controllers, cutoffs, factors, positive, refuse_outputs, share
 from .results import print_results
+from .robots import MOTION, add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -15,8 +16,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser(
         "study", help="Monte-Carlo on a simulated robot: how far to trust least squares and iv"
     )
-    inputs = parser.add_argument_group("inputs")
-    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml", help="description with [parameters]")
+    add_robot(parser, "with values to simulate with")
     varied = parser.add_argument_group("what is varied")
     varied.add_argument("--runs", type=positive, metavar="N", help="number of runs (default 100)")
     varied.add_argument(
@@ -52,13 +52,11 @@ def run(options: argparse.Namespace) -> None:
     from rich.console import Console
     from rich.progress import track
 
-    from acquisition.robot import load_robot
-
     from ..report import study_document, study_file, write_json
     from ..study import Noise, Study, run_study, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd)
-    robot = load_robot(options.robot)
+    robot = robot_of(options, MOTION)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err = Console(stderr=True)

@@ -236,7 +236,7 @@ def _random(limits: Limits, series: Series, seed: int) -> FourierReference:
 
 def _refuse_fast(robot: Robot, settings: Settings, place: str) -> None:
     """The loop would not follow harmonics near its bandwidth."""
-    bandwidth_hz = robot.controller.bandwidth_hz
+    bandwidth_hz = robot.bandwidth_hz
     most_hz = BANDWIDTH_SHARE * bandwidth_hz
     highest_hz = settings.harmonics / settings.period_s
     if highest_hz > most_hz * (1 + 1e-9):

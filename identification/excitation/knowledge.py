@@ -123,7 +123,7 @@ def rows_per_s(robot: Robot) -> float:
     rate_hz = robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
     if robot.bus is not None:
         rate_hz = 1 / robot.bus.sync_period_s
-    return rate_hz / decimation_rule(rate_hz, robot.controller.bandwidth_hz)
+    return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
 def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:

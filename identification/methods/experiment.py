@@ -78,7 +78,7 @@ def make_experiment(
     loop = recorded_loop(robot) if has_controller(robot.controller) else None
     if loop is not None and signals.q_ref is None:
         loop = replace(loop, gravity=True)
-    bandwidth_hz = robot.controller.bandwidth_hz
+    bandwidth_hz = robot.bandwidth_hz
     step_hz = rate_per_bandwidth * bandwidth_hz
     m = _stride(fs, settings.decimation, step_hz)
     grid = np.arange((settings.stop - 1 - settings.start) % m + settings.start, settings.stop, m)
@@ -114,7 +114,7 @@ def make_experiment(
 def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp], step_hz: float) -> tuple[Array, int]:
     """Instants of the controller (K,) in s that span the samples `grid`, and simulated steps to each, at `step_hz` at least."""
     signals, settings = problem.signals, problem.settings
-    robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.controller.bandwidth_hz
+    robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.bandwidth_hz
     period_s = loop.period_s if loop else (grid[1] - grid[0]) / fs
     substeps = max(1, math.ceil(period_s * step_hz - 1e-9))
     if loop is None:  # a continuous law: it acts at every step

@@ -178,7 +178,7 @@ def inertia_prior(problem: Problem, overrides: Overrides, ls: LeastSquares) -> A
     if problem.settings.filtered:
         return ls.full.beta
     signals = problem.signals
-    cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
+    cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, signals.sample_rate_hz)
     overrides = replace(overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
     try:
         settings = make_settings(signals, overrides, problem.motion)

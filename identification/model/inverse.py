@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from acquisition.errors import listed
 from acquisition.robot import DH, Robot
 
 from ..arrays import Array
@@ -82,6 +83,14 @@ class InverseModel:
         W = np.zeros((len(q), self.robot.n, self.p))
         W[:, entries[:, 0], entries[:, 1]] = self.series(q, dq, ddq, columns).T
         return W
+
+    def link_parameters(self) -> Array:
+        """Parameters (n, 10) of the links in the order of `LINK` as the URDF has them, fixed and locked links lumped in.
+
+        They are zero for a table of DH rows.
+        """
+        inertias = list(self.model.inertias)[1:]
+        return np.array([inertia.toDynamicParameters() for inertia in inertias])[:, FROM_PINOCCHIO]
 
     @property
     def parents(self) -> tuple[int, ...]:
@@ -171,33 +180,22 @@ def _model_from_dh(robot: Robot) -> pin.Model:
 def _model_from_urdf(robot: Robot) -> pin.Model:
     """The movable joints that the description names, in its order; any others of the URDF are locked at zero."""
     place = f"robot {robot.name}: URDF"
+    wanted = [joint.name for joint in robot.joints]
     try:
         root = ET.fromstring(robot.urdf or "")
-        for joint in root.iter("joint"):
-            moves_along = joint.get("type") not in ("fixed", "floating")  # exporters write 0 0 0 for these
-            axis = joint.find("axis") if moves_along else None
-            if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
-                raise IdentificationError(
-                    place=f"{place}: joint {joint.get('name')!r}", key="axis", value="0 0 0", expected="a direction"
-                )
-            if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
-                joint.set("type", "revolute")
-                limits = {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"}
-                for limit in joint.findall("limit"):
-                    joint.remove(limit)
-                ET.SubElement(joint, "limit", limits)
-        whole = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
+        found = [str(joint.get("name")) for joint in root.findall("joint") if joint.get("type") != "fixed"]
+        for name in wanted:
+            if name not in found:
+                expected = f"one of {listed(found)}"
+                raise IdentificationError(place=place, key="movable joint", value=name, expected=expected)
+        for joint in root.findall("joint"):
+            if joint.get("name") in wanted:
+                _free(joint, place)
+            else:
+                joint.set("type", "fixed")
+        model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
     except (ET.ParseError, ValueError, RuntimeError, IndexError) as error:
         raise IdentificationError(f"does not load: {str(error).splitlines()[0]}", place=place) from error
-    found = list(whole.names)[1:]
-    wanted = [joint.name for joint in robot.joints]
-    for name in wanted:
-        if name not in found:
-            raise IdentificationError(
-                place=place, key="movable joint", value=name, expected=f"one of {', '.join(found)}"
-            )
-    locked = [whole.getJointId(name) for name in found if name not in wanted]
-    model = pin.buildReducedModel(whole, locked, pin.neutral(whole))
     order = list(model.names)[1:]
     if order != wanted:
         shown = ", ".join(wanted)
@@ -211,3 +209,18 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 place=f"{place}: joint {said.name!r}", key="type", value=built.shortname(), expected=said.type
             )
     return model
+
+
+def _free(joint: ET.Element, place: str) -> None:
+    """Make a joint one that pinocchio builds: with an axis, without limits, which a model does not need."""
+    axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
+    if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
+        raise IdentificationError(
+            place=f"{place}: joint {joint.get('name')!r}", key="axis", value="0 0 0", expected="a direction"
+        )
+    if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
+        joint.set("type", "revolute")
+    if joint.get("type") in ("revolute", "prismatic"):  # without limits it is not built
+        for limit in joint.findall("limit"):
+            joint.remove(limit)
+        ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"})

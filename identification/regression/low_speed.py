@@ -66,7 +66,7 @@ def slip_cutoff_hz(problem: Problem) -> float:
     signals, settings = problem.signals, problem.settings
     if settings.filtered and settings.cutoff_hz is not None:
         return settings.cutoff_hz
-    return rule_cutoff_hz(signals.robot.controller.bandwidth_hz, signals.sample_rate_hz)
+    return rule_cutoff_hz(signals.robot.bandwidth_hz, signals.sample_rate_hz)
 
 
 def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:

@@ -92,7 +92,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         warnings = list(check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording))
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
-    bandwidth_hz = signals.robot.controller.bandwidth_hz
+    bandwidth_hz = signals.robot.bandwidth_hz
     cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
         cutoff_hz = cutoff_hz if choice is None else choice
@@ -211,7 +211,7 @@ def _span(
     if signals.track is not None:
         return *signals.track, "the recording's tracking phase", ()
     if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
-        cutoff_hz = rule_cutoff_hz(signals.robot.controller.bandwidth_hz, fs)
+        cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, fs)
     speed = np.empty(signals.q.shape, dtype=np.float32)
     for a in range(0, N, _BLOCK):
         b = min(N, a + _BLOCK)

@@ -7,6 +7,8 @@ import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
+from acquisition.robot import Robot
+
 from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
@@ -27,6 +29,7 @@ class BaseFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of a robot's base parameters, or of the values that a recording was simulated with."""
 
     robot: str
+    joints: list[str]  # joint number 1, 2, ..., which ends the names of parameters
     parameters: list[BaseParameter]
 
 
@@ -40,14 +43,19 @@ class StudyFile(ResultFile, frozen=True, kw_only=True):
     runs: list[dict[str, Any]]
 
 
-def base_file(base: BaseParameters, robot: str, true: Array | None = None) -> BaseFile:
+def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> BaseFile:
     """Base parameters as they go into their JSON file. Parameters as of `base_document`."""
     values: list[float | UnsetType] = [UNSET] * base.b if true is None else [float(x) for x in true]
     parameters = [
         BaseParameter(name=name, expression=expression, unit=unit, value=value)
         for name, expression, unit, value in zip(base.names, base.expressions, base.units, values, strict=True)
     ]
-    return BaseFile(robot=robot, parameters=parameters, report=document_json(base_document(base, robot, true)))
+    return BaseFile(
+        robot=robot.name,
+        joints=[joint.name for joint in robot.joints],
+        parameters=parameters,
+        report=document_json(base_document(base, robot, true)),
+    )
 
 
 def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array, report: Document) -> StudyFile:
@@ -55,13 +63,13 @@ def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Ar
     return StudyFile(**study_json(study, runs, base.names, true), report=document_json(report))
 
 
-def base_document(base: BaseParameters, robot: str, true: Array | None = None) -> Document:
-    """The base parameters of a robot with the sums of standard parameters that they stand for.
+def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
+    """The base parameters of a robot with the sums of standard parameters that they stand for, and its joints by number.
 
     Parameters
     ----------
     base : its base parameters.
-    robot : its name.
+    robot : its description.
     true : (b,) known values, SI; None where there are none.
     """
     names = zip(base.names, base.expressions, base.units, strict=True)
@@ -70,7 +78,12 @@ def base_document(base: BaseParameters, robot: str, true: Array | None = None) -
         columns=columns("name", "expression", "unit", numbers=() if true is None else ("value",)),
         rows=tuple((*row, *value) for row, value in zip(names, values, strict=True)),
     )
-    return Document(title=f"{robot}: {base.b} base parameters", sections=(Section(table=table),))
+    joints = Table(
+        columns=columns("number", "joint", "type"),
+        rows=tuple((str(j + 1), joint.name, joint.type) for j, joint in enumerate(robot.joints)),
+    )
+    sections = (Section(table=table), Section(title="joints, by the number that ends a name", table=joints))
+    return Document(title=f"{robot.name}: {base.b} base parameters", sections=sections)
 
 
 def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:

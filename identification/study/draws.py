@@ -102,7 +102,7 @@ def simulated_robot(robot: Robot, controller: Controllers, J: Array, rate_hz: fl
     """The robot that is simulated; a `designed` law is a PD with velocity feed-forward for the inertias J (n,) of joints."""
     if controller != "designed":
         return robot
-    w, per_effort = 2 * np.pi * robot.controller.bandwidth_hz, np.diag(robot.R) ** 2 * np.abs(robot.gain)
+    w, per_effort = 2 * np.pi * robot.bandwidth_hz, np.diag(robot.R) ** 2 * np.abs(robot.gain)
     law = msgspec.structs.replace(
         robot.controller,
         structure="pd_velocity_feedforward",
@@ -122,7 +122,7 @@ def told_robot(robot: Robot, drawn: Draw) -> Robot:
         keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
         c = msgspec.structs.replace(c, **dict.fromkeys(keys))
     if c.structure is None:
-        return replace(robot, controller=msgspec.structs.replace(c, bandwidth_hz=factor * c.bandwidth_hz))
+        return replace(robot, controller=msgspec.structs.replace(c, bandwidth_hz=factor * robot.bandwidth_hz))
     scaled = {
         name: tuple(factor * g for g in gains)
         for name in ("position_gain", "velocity_gain")

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Robot
 from acquisition.simulated import SUBSTEPS, LoopGains, middle_of_range
-from acquisition.trajectory import UNSTATED_RANGE
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -19,6 +18,7 @@ from ..trust import inertias, not_positive
 from .synthetic import truth
 
 POSES = 200  # within the limits of the joints, at which the inertias are looked at
+POSES_RANGE = np.pi  # rad or m to each side, of these poses alone, where a joint states no range
 PLANT_STEP_S = 0.0005  # at most
 
 
@@ -76,7 +76,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
         model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
     except IdentificationError as error:
         raise AcquisitionError(str(error)) from error
-    ranges = np.array([joint.si("position") or (-UNSTATED_RANGE, UNSTATED_RANGE) for joint in robot.joints])
+    ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     reason = not_positive(model, poses)
     if reason is not None:
@@ -99,7 +99,7 @@ def drive_loops(robot: Robot, J: Array) -> LoopGains:
     Simulated drives have cascaded loops, each on a joint of its own: a description with others is given the second.
     """
     if not has_controller(robot.controller) or not has_cascades(robot):
-        w = 2 * np.pi * robot.controller.bandwidth_hz * np.ones(robot.n)
+        w = 2 * np.pi * robot.bandwidth_hz * np.ones(robot.n)
         return LoopGains(position=w, velocity=4 * w * J, integral=w)
     loop, reduction = recorded_loop(robot), np.diag(robot.R)
     return LoopGains(

@@ -96,7 +96,7 @@ def run_study(robot: Robot, study: Study) -> Iterator[Run]:
     ------
     IdentificationError : where no run can succeed: no values in the description, a cut-off above half the rate.
     """
-    fs, bandwidth_hz = study.sample_rate_hz, robot.controller.bandwidth_hz
+    fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
     study_truth(robot)
     if max(study.cutoffs) * bandwidth_hz >= fs / 2:
         raise IdentificationError(
@@ -120,7 +120,7 @@ def _job(job: tuple[dict[str, bytes], Study, int]) -> Run:
 
 def one_run(robot: Robot, study: Study, number: int) -> Run:
     """Run `number` of a study: the same number gives the same run."""
-    fs, bandwidth_hz = study.sample_rate_hz, robot.controller.bandwidth_hz
+    fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
     drawn = draw(study, number, bandwidth_hz)
     q_ref = random_reference(
         robot, duration_s=study.duration_s, sample_rate_hz=fs, seed=drawn.seed, period_s=study.period_s

@@ -140,7 +140,7 @@ def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float,
         loop = recorded_loop(robot)
     else:
         J = inertias(model, poses_of(q_ref))
-        loop = surrogate_loop(robot.controller.bandwidth_hz, J, sample_rate_hz)
+        loop = surrogate_loop(robot.bandwidth_hz, J, sample_rate_hz)
         if noise.position or noise.encoder_step:
             loop = replace(loop, velocity_estimate="backward_difference")
     return loop.with_integral(2 * np.pi * noise.integral_hz) if noise.integral_hz else loop

@@ -111,7 +111,7 @@ def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Drawi
     """Spectra of position and effort of all joints over the span of the settings, with their cut-offs."""
     robot, fs = signals.robot, signals.sample_rate_hz
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
-    bandwidth = (robot.controller.bandwidth_hz, "bandwidth")
+    bandwidth = (robot.bandwidth_hz, "bandwidth")
     lowpass = [(settings.cutoff_hz, "low-pass")] if settings and settings.cutoff_hz is not None else []
     decimation = [(0.4 * fs / settings.decimation, "decimation")] if settings and settings.decimation > 1 else []
     drawings = []

@@ -1,0 +1,52 @@
+"""`robot-identify init`: a robot.toml from a URDF, with what a URDF does not say marked."""
+
+import argparse
+import os
+from pathlib import Path
+
+from acquisition.commands import Commands
+from acquisition.errors import one_line
+
+from ..errors import IdentificationError
+from .options import refuse_outputs
+from .robots import add_urdf_options, chain_of
+
+
+def add(commands: Commands) -> None:
+    """Declare the command."""
+    parser = commands.add_parser("init", help="a robot.toml from a URDF, with what is to be filled in marked")
+    parser.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="the URDF")
+    add_urdf_options(parser)
+    parser.add_argument(
+        "-o", "--out", type=Path, metavar="ROBOT.toml", help="the description to write (default: standard output)"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> None:
+    """Write the description, and say which joints it has and what is locked."""
+    from acquisition.files import atomic_write
+
+    from ..urdf import FILL_IN, describe
+
+    out: Path | None = options.out
+    refuse_outputs([options.robot], out)
+    if out is not None and out.exists():
+        raise IdentificationError(
+            "is there already", place=str(out), expected="a new name; descriptions are not replaced"
+        )
+    chain = chain_of(options)
+    folder = Path.cwd() if out is None else out.absolute().parent
+    text = describe(chain, os.path.relpath(options.robot.absolute(), folder))
+    if out is None:
+        print(text, end="")
+        return
+    with atomic_write(out) as partial:
+        partial.write_text(text, encoding="utf-8")
+    lines = [f"{out}: {len(chain.joints)} joints of {options.robot}"]
+    lines += [f"joint {j + 1}: {joint.name}, {joint.type}" for j, joint in enumerate(chain.joints)]
+    lines += [f"locked at zero: {locked}" for locked in chain.locked]
+    lines += [f"note: {note}" for note in chain.notes]
+    wanting = sum(FILL_IN in line for line in text.splitlines()[1:])
+    for line in [*lines, f"to be filled in: {wanting} lines with {FILL_IN}"]:
+        print(one_line(line))

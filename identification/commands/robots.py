@@ -1,0 +1,94 @@
+"""The robot of a command: a robot.toml, or a URDF with options for what it does not say.
+
+A command calls `add_robot` and `robot_of(options, needs)`, which see to both.
+"""
+
+import argparse
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquisition.commands import from_options
+
+from ..errors import IdentificationError
+from .options import above_zero
+
+if TYPE_CHECKING:
+    from acquisition.robot import Robot
+
+    from ..urdf import Chain
+
+MOTION = ("position", "speed", "acceleration", "bandwidth_hz")  # what a reference for a simulated robot needs
+_STATED = (
+    ("--range", "Q", "positions, rad or m to each side of zero; where the URDF has limits too, the narrower hold"),
+    ("--speed", "V", "largest speed, rad/s or m/s; where the URDF has one too, the smaller holds"),
+    ("--acceleration", "A", "largest acceleration, rad/s² or m/s²"),
+    ("--following-error", "Q", "largest following error, rad or m"),
+    ("--bandwidth-hz", "F", "bandwidth of the position loop; of several the lowest holds"),
+)
+
+
+def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._ArgumentGroup":
+    """The group of inputs with the robot, and the options of a URDF; `text` says what of a description is needed."""
+    inputs = parser.add_argument_group("inputs")
+    inputs.add_argument("robot", type=Path, metavar="ROBOT", help=f"robot.toml or a URDF; {text}")
+    add_urdf_options(parser)
+    return inputs
+
+
+def add_urdf_options(parser: argparse.ArgumentParser) -> None:
+    """Options for what a URDF does not say; their names are those of the fields of `Stated`."""
+    group = parser.add_argument_group("with a URDF: one value for all joints, or one per joint, as A,B,C")
+    group.add_argument(
+        "--joints",
+        type=names,
+        metavar="A,B",
+        help="the joints to identify, from the base outwards (default: those of the longest serial chain)",
+    )
+    for option, metavar, what in _STATED:
+        group.add_argument(option, type=values, metavar=metavar, help=what)
+
+
+def robot_of(options: argparse.Namespace, needs: Sequence[str] = ()) -> "Robot":
+    """The described robot.
+
+    Parameters
+    ----------
+    options : of `add_robot`.
+    needs : what a URDF or its options must state: `MOTION`, or other names of `identification.urdf.OPTIONS`.
+
+    Raises
+    ------
+    AcquisitionError, IdentificationError : one line; for what a URDF does not say, it names joint and option.
+    """
+    from acquisition.robot import load_robot
+
+    from ..urdf import described_robot, is_urdf
+
+    if is_urdf(options.robot):
+        return described_robot(chain_of(options), needs)
+    for option in ("--joints", *(option for option, _, _ in _STATED)):
+        if getattr(options, option.removeprefix("--").replace("-", "_")) is not None:
+            expected = "a URDF with it: robot.toml has a key of its own for it"
+            raise IdentificationError(f"{option} does nothing here", place=str(options.robot), expected=expected)
+    return load_robot(options.robot)
+
+
+def chain_of(options: argparse.Namespace) -> "Chain":
+    """The chain of the URDF, with what the options state."""
+    from ..urdf import Stated, read_chain
+
+    return from_options(Stated, options).of(read_chain(options.robot, options.joints or ()))
+
+
+def names(text: str) -> tuple[str, ...]:
+    """Names separated by commas."""
+    found = tuple(part.strip() for part in text.split(","))
+    if not all(found):
+        raise ValueError(text)
+    return found
+
+
+def values(text: str) -> tuple[float, ...]:
+    """Numbers above 0 separated by commas."""
+    return tuple(above_zero(part) for part in text.split(","))

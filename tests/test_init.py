@@ -1,0 +1,409 @@
+"""A URDF as a description: init, and base, study, simulate on the URDF itself; dynamics against pinocchio's own reading."""
+
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot import load_robot
+from acquisition.trajectory import check_limits
+from identification.commands.program import main
+from identification.errors import IdentificationError
+from identification.model import InverseModel
+from identification.urdf import Stated, described_robot, read_chain
+
+STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
+NAMES = ["--joints", ",".join(ARM)]
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch) -> Path:
+    (tmp_path / "arm.urdf").write_text(urdf())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(capsys, *arguments):
+    status = main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def refused(capsys, *arguments):
+    status, _, err = run(capsys, *arguments)
+    assert status == 1
+    assert err.count("\n") == 1
+    return err.strip().removeprefix("robot-identify: ")
+
+
+def torque_of_the_urdf(text, names, states):
+    """pinocchio's torque at the joints `names` of the URDF as it stands, all other joints at rest at zero."""
+    model = pin.buildModelFromXML(text)
+    data, tau = model.createData(), []
+    places = [model.joints[model.getJointId(name)] for name in names]
+    for state in zip(*states, strict=True):
+        whole = [pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)]
+        for k, place in enumerate(places):
+            for x, given in zip(whole, state, strict=True):
+                x[place.idx_v] = given[k]
+        tau.append(pin.rnea(model, data, *whole)[[place.idx_v for place in places]])
+    return np.array(tau)
+
+
+@pytest.mark.parametrize("names", [ARM, (*ARM, "finger"), ("turn", "slide")])
+def test_the_parameters_give_the_torque_of_the_urdf(here, capsys, names):
+    """Fixed and locked links are part of the link that carries them; the axis of the first joint is along none of the frame."""
+    assert run(capsys, "init", "arm.urdf", "--joints", ",".join(names), "-o", "robot.toml")[0] == 0
+    robot = load_robot("robot.toml")
+    dynamics = InverseModel(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in dynamics.names])
+    states = np.random.default_rng(3).normal(size=(3, 20, len(names)))
+    tau = torque_of_the_urdf(urdf(), names, states)
+    tau[:, 0] += 0.6 * states[1, :, 0] + 0.25 * np.sign(states[1, :, 0])  # damping and friction of the first joint
+    assert np.abs(tau).max() > 5
+    np.testing.assert_allclose(dynamics.regressor(*states) @ chi, tau, atol=1e-11)
+
+
+def test_init_writes_what_the_urdf_says_and_marks_the_rest(here, capsys):
+    status, out, err = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    text = (here / "robot.toml").read_text()
+    assert (status, err) == (0, "")
+    assert out.splitlines()[:6] == [
+        "robot.toml: 4 joints of arm.urdf",
+        "joint 1: turn, revolute",
+        "joint 2: lift, revolute",
+        "joint 3: slide, prismatic",
+        "joint 4: finger, prismatic",
+        "locked at zero: thumb: prismatic, mimics finger",
+    ]
+    assert "#     thumb: prismatic, mimics finger\n" in text
+    for links in (
+        "column",
+        "arm, sensor",
+        "beam, tool, right",
+        "left",
+    ):  # that move with one joint, before its parameters
+        assert f"\n# {links}\n" in text
+    robot = load_robot("robot.toml")
+    assert robot.name == "made up"
+    turn, slide = robot.joints[0], robot.joints[2]
+    assert turn.si("position") == pytest.approx((-2, 1.5), rel=1e-9)
+    assert (turn.si("speed"), turn.effort_nm) == pytest.approx((3, 40), rel=1e-9)
+    assert (slide.si("position"), slide.si("speed"), slide.effort_n) == ((0.1, 0.4), 0.5, 90)
+    assert (robot.parameters["Fv1"], robot.parameters["Fc1"]) == (0.6, 0.25)
+    assert robot.parameters["M3"] == pytest.approx(0.7 + 0.3 + 0.1)  # beam, tool, thumb; the finger is joint 4
+    assert (turn.acceleration_deg_s2, turn.following_error_deg, robot.controller.bandwidth_hz) == (None, None, None)
+    marked = [line for line in text.splitlines()[1:] if "FILL IN" in line]
+    assert all(line.startswith("#") for line in marked)
+    for key in ("acceleration_deg_s2", "acceleration_m_s2", "following_error_deg", "bandwidth_hz", "drives"):
+        assert any(key in line for line in marked), key
+    assert out.splitlines()[-1] == f"to be filled in: {len(marked)} lines with FILL IN"
+
+
+def test_without_an_output_the_file_is_printed(here, capsys):
+    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+    assert (status, tomllib.loads(out)["urdf"]) == (0, "arm.urdf")
+    assert "#     finger: prismatic\n" in out
+    assert sorted(path.name for path in here.iterdir()) == ["arm.urdf"]
+
+
+def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, capsys):
+    (here / "robot.toml").write_text("mine")
+    assert "robot.toml: is there already: expected a new name" in refused(
+        capsys, "init", "arm.urdf", "-o", "robot.toml"
+    )
+    assert (here / "robot.toml").read_text() == "mine"
+    assert "is an input too" in refused(capsys, "init", "arm.urdf", "-o", "arm.urdf")
+    (here / "cell").mkdir()
+    assert run(capsys, "init", "arm.urdf", "-o", "cell/robot.toml")[0] == 0
+    assert load_robot("cell/robot.toml").n == 4
+
+
+def test_the_example_of_the_drives_is_one(here, capsys):
+    """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
+    from acquisition.robot import resolve
+    from acquisition.simulated.mechanism import mechanism_of
+
+    assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
+    (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
+    robot = load_robot("cell.toml")
+    assert robot.parameters["Fv1"] == 0.6  # stated by the URDF; others are made up, for all joints
+    assert {f"{name}{j}" for name in ("Ia", "Fv", "Fc") for j in (1, 2, 3)} <= robot.parameters.keys()
+    assert "Ia1" not in load_robot("robot.toml").parameters
+    bus = resolve(robot, "cell.toml")
+    assert [drive.node for drive in bus.drives] == [1, 2, 3]
+    assert mechanism_of(robot, bus).warning is None
+    middle = np.array([np.mean(j.si("position")) for j in robot.joints])
+    check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
+
+
+def test_base_of_a_urdf_is_that_of_its_description_and_names_the_joints(here, capsys):
+    run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
+    status, of_toml, _ = run(capsys, "base", "robot.toml", "--json", "toml.json")
+    assert status == 0
+    status, of_urdf, _ = run(capsys, "base", "arm.urdf", *NAMES, "--json", "urdf.json")
+    assert (status, of_urdf) == (0, of_toml)
+    first, second = (json.loads((here / f"{kind}.json").read_text()) for kind in ("urdf", "toml"))
+    assert first == second
+    assert first["joints"] == list(ARM)
+    assert first["report"]["sections"][1]["rows"][2] == ["3", "slide", "prismatic"]
+
+
+@pytest.mark.parametrize(
+    ("given", "joint", "key", "option"),
+    [
+        (["--following-error", "1,1,1", "--bandwidth-hz", "5"], "'turn'", "acceleration", "--acceleration (rad/s²)"),
+        (["--acceleration", "8,8,2"], "'turn' and all others", "bandwidth", "--bandwidth-hz"),
+    ],
+)
+@pytest.mark.parametrize("command", ["study", "simulate"])
+def test_what_is_missing_is_named_with_its_joint_and_option(here, capsys, command, given, joint, key, option):
+    out = ["-o", "out.mcap"] if command == "simulate" else []
+    error = refused(capsys, command, "arm.urdf", *NAMES, *given, *out)
+    assert error.startswith(f"arm.urdf: joint {joint}: {key} is missing: expected {option}")
+
+
+def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
+    """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
+    for turn in ("continuous", "revolute"):
+        (here / "arm.urdf").write_text(urdf(turn=joint("turn", turn, "base", "column")))
+        assert run(capsys, "base", "arm.urdf", *NAMES)[0] == 0
+        assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", f"{turn}.toml")[0] == 0
+        text = (here / f"{turn}.toml").read_text()
+        assert "# position_deg = [LOWEST, HIGHEST] # FILL IN" in text
+        assert "# speed_deg_s = ... # FILL IN" in text
+        error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED)
+        assert error.startswith(
+            "arm.urdf: joint 'turn': position is missing: expected --range (rad, to each side of zero)"
+        )
+        error = refused(capsys, "study", "arm.urdf", *NAMES, *STATED, "--range", "3,3,0.3")
+        assert error.startswith("arm.urdf: joint 'turn': speed is missing: expected --speed (rad/s)")
+        error = refused(capsys, "study", f"{turn}.toml")
+        assert "joint turn: joint[0].position_deg is missing: expected [lowest, highest]" in error
+    (here / "arm.urdf").write_text(urdf(turn=joint("turn", "continuous", "base", "column", LIMIT)))
+    assert "'turn': position is missing" in refused(capsys, "study", "arm.urdf", *NAMES, *STATED)  # it turns on and on
+    equal = LIMIT.replace("-2", "0").replace("1.5", "0")
+    (here / "arm.urdf").write_text(urdf(turn=joint("turn", "revolute", "base", "column", equal)))
+    assert "position is missing" in refused(capsys, "study", "arm.urdf", *NAMES, *STATED)
+
+
+def test_options_and_limits_of_the_urdf_hold_together(here):
+    """The narrower range, the smaller speed; one value holds for all joints of one kind, one bandwidth for the robot."""
+    stated = Stated(
+        range=(1.0, 3.0, 0.3), speed=(2.0, 5.0, 0.2), acceleration=(8.0, 9.0, 2.0), bandwidth_hz=(6.0, 5.0, 7.0)
+    )
+    robot = described_robot(stated.of(read_chain(Path("arm.urdf"), ARM)), ("acceleration",))
+    assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
+    assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
+    assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
+    assert robot.bandwidth_hz == 5.0
+    pair = read_chain(Path("arm.urdf"), ("turn", "lift"))
+    assert [j.acceleration for j in Stated(acceleration=(4.0,)).of(pair).joints] == [4.0, 4.0]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        (["--acceleration", "1,2"], "arm.urdf: --acceleration = 2 values: expected one, or 3: of turn, lift, slide"),
+        (["--speed", "1"], "arm.urdf: --speed = 1.0: expected 3 values: some joints count in rad, others in m"),
+        (
+            ["--range", "1,1,0.1"],
+            "arm.urdf: joint 'slide': --range = 0.1: expected a range that reaches into the URDF's",
+        ),
+        (["--joints", "turn,elbow"], "arm.urdf: --joints = 'elbow': expected each once, of turn, lift, slide, finger"),
+        (["--joints", "turn,thumb"], "arm.urdf: --joints = 'thumb': expected each once"),
+        (["--joints", "turn,turn"], "arm.urdf: --joints = 'turn': expected each once"),
+        (["--joints", "lift,turn"], "order of joints = lift, turn: expected turn, lift"),
+    ],
+)
+def test_options_that_do_not_fit_the_robot(here, capsys, given, message):
+    assert message in refused(capsys, "init", "arm.urdf", *NAMES, *given)
+
+
+def test_options_of_a_urdf_are_refused_with_a_description(here, capsys):
+    run(capsys, "init", "arm.urdf", *NAMES, "-o", "robot.toml")
+    error = refused(capsys, "base", "robot.toml", "--bandwidth-hz", "5")
+    assert error.startswith("robot.toml: --bandwidth-hz does nothing here: expected a URDF with it")
+    error = refused(capsys, "study", "robot.toml")
+    assert error.startswith("robot made up: controller.bandwidth_hz is missing: expected the bandwidth")
+
+
+@pytest.mark.parametrize("values", ["0", "-1", "a", "1,,2", "inf"])
+def test_values_that_are_none_are_wrong_usage(here, capsys, values):
+    with pytest.raises(SystemExit) as end:
+        main(["study", "arm.urdf", f"--acceleration={values}"])
+    assert end.value.code == 2
+
+
+def test_a_study_and_a_simulation_of_a_urdf(here, capsys):
+    short = [*NAMES, *STATED, "--duration-s", "4", "--rate-hz", "200"]
+    assert run(capsys, "simulate", "arm.urdf", *short, "-o", "log.mcap")[0] == 0
+    assert run(capsys, "fit", "log.mcap", "--json", "fit.json")[0] in (0, 3)
+    fit = {p["name"]: p["value"] for p in json.loads((here / "fit.json").read_text())["parameters"]}
+    assert fit["Fv1"] == pytest.approx(0.6, rel=0.02)
+    assert run(capsys, "study", "arm.urdf", *short, "--runs", "1", "--json", "study.json")[0] == 0
+    study = json.loads((here / "study.json").read_text())
+    assert dict(zip(study["parameters"], study["true"], strict=True))["Fv1"] == 0.6
+    assert study["runs"][0]["error_ls"] < 0.5
+
+
+def massless(name):
+    return f'<link name="{name}"/>\n'
+
+
+BAD = {
+    "not XML": ("<robot", "arm.urdf: is not XML: "),
+    "a description": ('name = "x"', "arm.urdf: is not XML: "),
+    "another language": ("<sdf/>", "arm.urdf: its root = <sdf>: expected <robot>"),
+    "nothing": ('<robot name="x"/>', "arm.urdf: has no link: expected links"),
+    "xacro": (
+        urdf(base='<xacro:macro xmlns:xacro="http://www.ros.org/wiki/xacro"/>'),
+        "arm.urdf: has xacro elements: expected a URDF: xacro FILE > robot.urdf",
+    ),
+    "two roots": (urdf(extra=link("island")), "arm.urdf: 2 root links: base, island: expected one link that no joint"),
+    "no root": (
+        urdf(extra=joint("back", "fixed", "tool", "base")),
+        "arm.urdf: no root link: its joints make a ring: expected one link",
+    ),
+    "a ring beside": (
+        urdf(
+            extra=link("x") + link("y") + joint("xy", "fixed", "x", "y") + joint("yx", "fixed", "y", "x"),
+        ),
+        "arm.urdf: links x, y are in a ring of joints: expected a tree",
+    ),
+    "two parents": (
+        urdf(extra=joint("again", "fixed", "base", "tool")),
+        "arm.urdf: joint 'again': child = 'tool': expected one joint above each link; 'mount' is above",
+    ),
+    "a foreign link": (
+        urdf(turn=joint("turn", "revolute", "floor", "column", LIMIT)),
+        "arm.urdf: joint 'turn': parent = 'floor': expected one of the links base, column",
+    ),
+    "no parent": (
+        urdf(turn='<joint name="turn" type="fixed"><child link="column"/></joint>'),
+        "arm.urdf: joint 'turn': parent is missing: expected one of the links",
+    ),
+    "twice": (urdf(extra=link("base")), "arm.urdf: link 9: name = 'base': expected a name not used before"),
+    "no name": (urdf(extra="<link/>"), "arm.urdf: link 9: name is missing: expected a name"),
+    "a ball": (
+        urdf(turn=joint("turn", "ball", "base", "column", LIMIT)),
+        "arm.urdf: joint 'turn': type = 'ball': expected one of revolute, continuous, prismatic, fixed, floating, planar",
+    ),
+    "floating": (
+        urdf(mid=joint("swing", "floating", "column", "arm"), lift="", more=""),
+        "arm.urdf: joint 'swing', between the base and joint 'finger': type = 'floating': expected fixed, revolute",
+    ),
+    "planar": (
+        urdf(lift=joint("lift", "planar", "column", "arm")),
+        "arm.urdf: joint 'lift', between the base and joint 'finger': type = 'planar': expected fixed, revolute",
+    ),
+    "none moves": (
+        "".join(('<robot name="r">', PARTS["base"], PARTS["beam"], joint("j", "fixed", "base", "beam"), "</robot>")),
+        "arm.urdf: no joint moves: expected joints of the types revolute, continuous, prismatic",
+    ),
+    "two chains": (
+        urdf(thumb=joint("thumb", "prismatic", "tool", "right")),
+        "arm.urdf: 2 chains of 4 joints each: they end at finger, thumb: expected --joints",
+    ),
+    "upside down": (
+        urdf(turn=joint("turn", "revolute", "base", "column", '<limit lower="1" upper="-1"/>')),
+        "arm.urdf: joint 'turn': limit lower = 1.0: expected less than upper = -1",
+    ),
+    "no number": (
+        urdf(turn=joint("turn", "revolute", "base", "column", '<limit lower="low" upper="-1"/>')),
+        "arm.urdf: joint 'turn': limit lower = 'low': expected a finite number",
+    ),
+    "a negative speed": (
+        urdf(turn=joint("turn", "revolute", "base", "column", '<limit velocity="-1"/>')),
+        "arm.urdf: joint 'turn': limit velocity = -1.0: expected a number from 0",
+    ),
+    "negative damping": (
+        urdf(turn=joint("turn", "revolute", "base", "column", '<dynamics damping="-0.1"/>')),
+        "arm.urdf: joint 'turn': dynamics damping = -0.1: expected a number from 0",
+    ),
+    "no axis": (
+        urdf(turn=joint("turn", "revolute", "base", "column", LIMIT, axis="0 0 0")),
+        "joint 'turn': axis = '0 0 0': expected a direction",
+    ),
+    "a name": (
+        urdf(turn=joint("a/b", "revolute", "base", "column", LIMIT)),
+        "arm.urdf: name of a joint = 'a/b': expected 1 to 64 letters",
+    ),
+    "no mass": (
+        urdf(arm=massless("arm")),
+        "arm.urdf: joint 'lift': mass of link 'arm' and those fixed to it = 0.0: expected more than 0: an <inertial>",
+    ),
+    "a negative mass": (urdf(arm=link("arm", mass=-1)), "arm.urdf: link 'arm': mass = -1.0: expected a number from 0"),
+    "a negative mass of a locked link": (
+        urdf(right=link("right", mass=-1)),
+        "arm.urdf: link 'right': mass = -1.0: expected a number from 0",
+    ),
+    "a negative inertia": (
+        urdf(arm=link("arm", inertia=BOX.replace("0.03", "-0.03"))),
+        "arm.urdf: link 'arm': principal moments = -0.03",
+    ),
+    "a product above the moments": (
+        urdf(arm=link("arm", inertia=BOX.replace("0.001", "0.1"))),
+        "arm.urdf: link 'arm': principal moments = -0.07",
+    ),
+    "an inertia that is missing": (
+        urdf(arm=link("arm", inertia="")),
+        "arm.urdf: link 'arm': inertia ixx is missing: expected a finite number",
+    ),
+}
+
+
+@pytest.mark.parametrize("what", BAD)
+def test_a_bad_urdf_ends_in_one_line(here, capsys, what):
+    text, message = BAD[what]
+    (here / "arm.urdf").write_text(text)
+    assert message in refused(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    assert not (here / "robot.toml").exists()
+    assert message in refused(capsys, "base", "arm.urdf")
+
+
+def test_a_file_that_is_not_there_and_one_of_bytes(here, capsys):
+    assert refused(capsys, "base", "none.urdf") == "none.urdf: cannot be read: No such file or directory"
+    (here / "arm.urdf").write_bytes(bytes(range(256)))
+    assert "arm.urdf: is not XML" in refused(capsys, "base", "arm.urdf")
+
+
+def test_a_link_without_mass_is_part_of_one_that_has_some(here, capsys):
+    """A joint may move a link without mass if another is fixed to it: they are one body."""
+    (here / "arm.urdf").write_text(urdf(arm=massless("arm"), sensor=link("sensor", mass=0.4)))
+    assert run(capsys, "init", "arm.urdf", "-o", "robot.toml")[0] == 0
+    assert load_robot("robot.toml").parameters["M2"] == pytest.approx(0.4)
+
+
+def test_moments_that_no_body_has_are_told_and_taken(here, capsys):
+    flat = '<inertia ixx="0.02" ixy="0" ixz="0" iyy="0.03" iyz="0" izz="0.06"/>'
+    (here / "arm.urdf").write_text(urdf(arm=link("arm", inertia=flat)))
+    status, out, _ = run(capsys, "init", "arm.urdf", "-o", "robot.toml")
+    note = "note: link arm: principal moments 0.02, 0.03, 0.06 kg m²: no body has one above the sum of the others"
+    assert (status, note in out, f"# {note}" in (here / "robot.toml").read_text()) == (0, True, True)
+
+
+def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys):
+    off = joint("flap", "floating", "base", "x") + joint("crank", "planar", "x", "y") + link("x") + link("y")
+    (here / "arm.urdf").write_text(urdf(off=off, finger=joint("finger", "revolute", "tool", "left", axis="0 0 0")))
+    status, out, _ = run(capsys, "init", "arm.urdf", *NAMES)
+    assert status == 0
+    for name in ("flap: floating", "crank: planar", "finger: revolute"):
+        assert f"#     {name}\n" in out
+
+
+def test_errors_carry_their_data(here):
+    chain = read_chain(Path("arm.urdf"), ARM)
+    with pytest.raises(IdentificationError) as error:
+        described_robot(chain, ("following_error",))
+    found = error.value
+    assert (found.place, found.key, found.value) == ("arm.urdf: joint 'turn'", "following error", None)
+    robot = described_robot(chain)
+    with pytest.raises(AcquisitionError) as unstated:
+        _ = robot.bandwidth_hz
+    assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")
