@@ -270,7 +270,13 @@ def test_least_squares_beside_instruments():
     assert with_instruments.level == "caution"
     assert with_instruments.value > 3
     assert contrast_test(replace(examined("wls", "scara")[1], Z=examined("iv", "scara")[1].Z)).level == "ok"
-    assert biased.trust.line("contrast of IV and LS").level == "not made"
+    unmade = biased.trust.line("contrast of IV and LS")
+    assert (unmade.level, unmade.caps) == ("not made", not biased.settings.filtered)
+    raw = identify_ls(recorded("scara"), Overrides(cutoff_hz=0.0))
+    assert raw.trust.line("contrast of IV and LS").caps
+    assert raw.trust.verdict != "trust"
+    made = identify_ls(recorded("scara"), Overrides(cutoff_hz=0.0), trust=True)
+    assert made.trust.line("contrast of IV and LS").level == "ok"
 
 
 def test_weak_instruments_and_those_that_are_w():
