@@ -16,7 +16,8 @@ from made_up_recordings import write
 
 from acquisition.errors import AcquisitionError
 from acquisition.files.columns import read_columns
-from acquisition.importing.tables import TableMap, import_tables
+from acquisition.importing.table_map import TableMap
+from acquisition.importing.tables import import_tables
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import Robot, robot_from_files
 from acquisition.robot.toml import parse_toml

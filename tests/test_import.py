@@ -8,7 +8,8 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing.tables import Imported, import_tables
+from acquisition.importing.samples import Imported
+from acquisition.importing.tables import import_tables
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import Robot, robot_from_files
 

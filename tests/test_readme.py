@@ -12,7 +12,7 @@ from msgspec.json import schema_components
 from test_dynamics import URDF
 
 from acquisition.commands.program import PROGRAM as ACQUIRE
-from acquisition.importing.tables import TableMap
+from acquisition.importing.table_map import TableMap
 from acquisition.robot.bus import BusFile
 from acquisition.robot.description import RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY

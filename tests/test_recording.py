@@ -97,7 +97,7 @@ def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
     recording = read_recording(tmp_path / "a.mcap")
     said = {key: recording.metadata[key] for key in recording.metadata if key not in ("created", "software", "crc32")}
     assert said == {
-        "schema_version": "1",
+        "schema_version": "2",
         "source": "a test",
         "sample_rate_hz": "250.0",
         "robot": "SCARA",

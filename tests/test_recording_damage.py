@@ -191,8 +191,8 @@ NOT_FINITE = struct.pack("<q4d", 0, 0.0, float("nan"), 0.0, 0.0)
     ("metadata", "messages", "message"),
     [
         ({}, [], "holds no metadata record 'recording': expected a recording"),
-        ({**GOOD, "schema_version": "2"}, [], "schema_version = 2: expected 1 at most; a newer robot-idim wrote"),
-        ({**GOOD, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 1 at most"),
+        ({**GOOD, "schema_version": "3"}, [], "schema_version = 3: expected 2 at most; a newer robot-idim wrote"),
+        ({**GOOD, "schema_version": "99"}, [("/x", "", b"")], "schema_version = 99: expected 2 at most"),
         ({**GOOD, "schema_version": "one"}, [], "schema_version = 'one': expected a whole number"),
         ({**GOOD, "schema_version": "²"}, [], "schema_version = '²': expected a whole number"),
         ({**GOOD, "crc32": "00000000"}, [], "crc32 = '00000000': expected"),

@@ -2,10 +2,14 @@
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError, one_line
 from .command_line import Commands, Progress
 from .decode import print_converted
+
+if TYPE_CHECKING:
+    from ..importing import Imported
 
 
 def add(commands: Commands) -> None:
@@ -38,10 +42,18 @@ def run(options: argparse.Namespace) -> None:
 
         refuse_clash([options.robot, options.map, *options.tables], options.output)
         result = import_tables(options.tables, load_robot(options.robot), options.map, options.output)
+    _print_imported(result)
+
+
+def _print_imported(result: "Imported") -> None:
     units = ", ".join(dict.fromkeys(result.effort_units))
-    reference = ", with reference" if result.has_reference else ""
+    also = "".join(
+        f", with {name.replace('_', ' ')}" for name in (["reference"] if result.has_reference else []) + [*result.optional]
+    )
     rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
-    print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{reference}"))
+    print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{also}"))
+    if result.times:
+        print(one_line(f"times: {result.times}"))
     for text in result.warnings:
         print(one_line(f"warning: {text}"))
 

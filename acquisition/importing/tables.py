@@ -1,90 +1,25 @@
 """Imports tables recorded elsewhere (CSV, MAT) into a recording; `map.toml` assigns the columns.
 
-The rule from a table to joint samples is `Robot.joint_position` and `Robot.joint_effort`; the recording notes which
-columns it was applied to.
+The recording notes which columns the efforts are of, by which rule, and what the times of the rows were like.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Literal
 
-import msgspec
 import numpy as np
 
-from ..arrays import Array, Ints
+from ..arrays import Array
 from ..errors import AcquisitionError
-from ..files import atomic_write, read_columns
-from ..recording import LARGEST_STAMP_NS, Block, Header, RecordingWriter, sample_dtype
-from ..robot import Positive, Robot, check_recorded_positions, parse_toml
+from ..files import read_columns
+from ..recording import OPTIONAL
+from ..robot import Robot, parse_toml
+from .quantities import Source
+from .samples import Imported, Samples, write_samples
+from .table_map import TIME_UNITS, TableMap, Time
+from .time_base import OnGrid, rate_doubts, report_of, resample, stamps_ns, stamps_warning, uniform_rate_hz
 
-Side = Literal["motor", "joint"]
-TablePlace = Annotated[int, msgspec.Meta(ge=1)]
-
-POSITION_UNITS = {
-    "rad": ("rad", 1.0),
-    "deg": ("rad", np.pi / 180),
-    "m": ("m", 1.0),
-    "mm": ("m", 1e-3),
-    "um": ("m", 1e-6),
-}
-EFFORT_UNITS = {
-    "A": ("A", 1.0),
-    "mA": ("A", 1e-3),
-    "V": ("V", 1.0),
-    "mV": ("V", 1e-3),
-    "N m": ("N m", 1.0),
-    "mN m": ("N m", 1e-3),
-    "N": ("N", 1.0),
-}
-TIME_UNITS = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)}
-
-
-class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[position]`, `[reference]` or `[effort]`: the columns, one per motor or joint, and what they are.
-
-    Attributes:
-        table: place of the file on the command line, from 1.
-        columns: names, or numbers from 1.
-        unit: one for all columns, or one for each.
-        side: `motor` or `joint`; may be left out where it makes no difference or the unit decides.
-    """
-
-    columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]
-    unit: str | tuple[str, ...]
-    table: TablePlace = 1
-    side: Side | None = None
-
-
-class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`[time]`: the column of sample times."""
-
-    column: str | int
-    unit: str = "s"
-    table: TablePlace = 1
-
-
-class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: where position, effort and an optional reference are found, and the rate or the times of the samples."""
-
-    position: Quantity
-    effort: Quantity
-    reference: Quantity | None = None
-    time: Time | None = None
-    sample_rate_hz: Positive | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class Imported:
-    """What an import wrote."""
-
-    out: Path
-    robot: str
-    samples: int
-    sample_rate_hz: float
-    effort_units: tuple[str, ...]
-    has_reference: bool
-    warnings: tuple[str, ...] = ()
+TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
 
 
 def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
@@ -93,7 +28,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
     Parameters
     ----------
     tables : CSV or MAT files.
-    map_path : `map.toml`, which assigns columns, units and sides (motor or joint).
+    map_path : `map.toml`, which assigns columns, units and sides (motor or joint), and says how times are read.
 
     Raises
     ------
@@ -105,182 +40,129 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
         table_map = parse_toml(map_path.read_bytes(), TableMap, place)
     except OSError as error:
         raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
-    q = _position("position", table_map.position, tables, robot, place)
-    effort, provenance = _effort(table_map.effort, tables, robot, place)
-    parts = {"position": q, "effort": effort}
-    if table_map.reference is not None:
-        parts["reference"] = _position("reference", table_map.reference, tables, robot, place)
+    source = Source(tables=tables, robot=robot, place=place)
+    parts, provenance = _parts(source, table_map)
+    rows = len(parts["position"])
     for key, part in parts.items():
-        if len(part) != len(q):
-            raise AcquisitionError(f"{len(part)} rows", place=place, key=key, expected=f"{len(q)} as in position")
-    stamps, rate_hz = _stamps(table_map, tables, len(q), place)
-    samples = np.empty(len(q), sample_dtype(robot.n, reference="reference" in parts))
-    samples["stamp_ns"] = stamps
-    warnings = check_recorded_positions(
-        robot, (stamps - stamps[0]) * np.float64(1e-9), q, ", ".join(table.name for table in tables)
-    )
-    for key, part in parts.items():
-        samples[key] = part
-    _write(samples, robot, tables, rate_hz, provenance, out)
-    return Imported(
-        out=out,
-        robot=robot.name,
-        samples=len(samples),
-        sample_rate_hz=rate_hz,
-        effort_units=robot.effort_units,
-        has_reference="reference" in parts,
-        warnings=warnings,
-    )
-
-
-def _write(samples: Block, robot: Robot, tables: Sequence[Path], rate_hz: float, provenance: str, out: Path) -> None:
-    source = "tables " + ", ".join(table.name for table in tables)
-    with (
-        atomic_write(out) as partial,
-        RecordingWriter(
-            partial, Header(robot=robot, source=source, sample_rate_hz=rate_hz, effort_provenance=provenance)
-        ) as writer,
-    ):
-        writer.samples(samples)
-
-
-def _values(key: str, quantity: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Array:
-    values = read_columns(_table(f"{key}.table", quantity.table, tables, place), quantity.columns, robot.n)
-    if values.shape[1] != robot.n:
-        found = f"{values.shape[1]} columns"
-        raise AcquisitionError(found, place=place, key=f"{key}.columns", expected=f"{robot.n}, one per joint")
-    return values
-
-
-def _table(key: str, number: int, tables: Sequence[Path], place: str) -> Path:
-    if number > len(tables):
-        expected = f"{len(tables)} at most, the number of tables given"
-        raise AcquisitionError(place=place, key=key, value=number, expected=expected)
-    return tables[number - 1]
-
-
-def _si(
-    key: str, quantity: Quantity, n: int, known: dict[str, tuple[str, float]], place: str
-) -> list[tuple[str, float]]:
-    """SI unit and factor of each column."""
-    units = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
-    if len(units) != n:
-        raise AcquisitionError(
-            f"{len(units)} units", place=place, key=f"{key}.unit", expected=f"one, or {n}, one per joint"
-        )
-    for unit in units:
-        if unit not in known:
-            raise AcquisitionError(place=place, key=f"{key}.unit", value=unit, expected=f"one of {', '.join(known)}")
-    return [known[unit] for unit in units]
-
-
-def _position(key: str, quantity: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> Array:
-    """Joint positions (N, n) in rad or m."""
-    units = _si(key, quantity, robot.n, POSITION_UNITS, place)
-    side = quantity.side
-    if side is None:
-        if not (np.array_equal(robot.R, np.eye(robot.n)) and not robot.zero.any()):
-            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
-        side = "joint"
-    if side == "joint" and robot.zero.any():
-        joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
-        name = "zero_deg" if joint.type == "revolute" else "zero_m"
-        problem = f"{name} of joint {joint.name} in robot.toml would do nothing, joint positions are taken as they are"
-        raise AcquisitionError(problem, place=place, key=f"{key}.side", value=side, expected=f"'motor', or no {name}")
-    for i, (joint, (unit, _)) in enumerate(zip(robot.joints, units, strict=True)):
-        # A motor turns whatever its joint does; a motor that slides drives a joint that slides.
-        if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
-            expected = "an angle" if joint.type == "revolute" else "a length"
-            problem = f"in {unit} for joint {i + 1} ({joint.name})"
-            raise AcquisitionError(problem, place=place, key=f"{key}.unit", expected=expected)
-    values = _values(key, quantity, tables, robot, place) * np.array([factor for _, factor in units])
-    return robot.joint_position(values) if side == "motor" else values
-
-
-def _effort(quantity: Quantity, tables: Sequence[Path], robot: Robot, place: str) -> tuple[Array, str]:
-    """Joint efforts (N, n) in the robot's units, and where they come from."""
-    units = _si("effort", quantity, robot.n, EFFORT_UNITS, place)
-    found = tuple(unit for unit, _ in units)
-    expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
-    fits = [side for side in ("motor", "joint") if found == expected[side]]
-    side = quantity.side
-    if side is None:
-        same = np.array_equal(robot.R * robot.gain[:, None], np.eye(robot.n))
-        if len(fits) == 2 and not same:
-            raise AcquisitionError(place=place, key="effort.side", value=None, expected="'motor' or 'joint'")
-        side = "joint" if fits == ["joint"] else "motor"
-    if side not in fits:
-        problem = f"gives {_one(found)} at the {side}"
-        raise AcquisitionError(
-            problem, place=place, key="effort.unit", expected=f"{_one(expected[side])} as robot.toml says"
-        )
-    values = _values("effort", quantity, tables, robot, place) * np.array([factor for _, factor in units])
-    table = tables[quantity.table - 1].name
-    unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
-    origin = f"{table}: {', '.join(str(c) for c in quantity.columns)}: {unit} at the {side}"
-    if side == "joint":
-        return values, f"{origin}; joint effort = value in {_one(robot.effort_units)}"
-    has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
-    gain = f" · drive gain {robot.gain.tolist()}" if has_gain else ""
-    rule = f"joint effort = motor_matrixᵀ{gain} · value, in {_one(robot.effort_units)}"
-    return robot.joint_effort(values), f"{origin}; {rule}"
-
-
-def _one(units: Sequence[str]) -> str:
-    return units[0] if len(set(units)) == 1 else ", ".join(units)
-
-
-def _stamps(table_map: TableMap, tables: Sequence[Path], rows: int, place: str) -> tuple[Ints, float]:
-    """Stamps (N,) in ns on a uniform grid, and its rate in Hz."""
-    rate_hz, start_s = table_map.sample_rate_hz, 0.0
+        if len(part) != rows:
+            raise AcquisitionError(f"{len(part)} rows", place=place, key=key, expected=f"{rows} as in position")
     if rows < 2:
         raise AcquisitionError(f"{rows} row", place=place, key="position", expected="2 at least")
-    if table_map.time is not None:
-        time = table_map.time
-        if time.unit not in TIME_UNITS:
-            expected = f"one of {', '.join(TIME_UNITS)}"
-            raise AcquisitionError(place=place, key="time.unit", value=time.unit, expected=expected)
-        table = _table("time.table", time.table, tables, place)
-        column = read_columns(table, [time.column], 1)
-        if column.shape != (rows, 1):
+    if table_map.time is None:
+        if table_map.sample_rate_hz is None:
+            raise AcquisitionError(place=place, key="sample_rate_hz", value=None, expected="it, or a [time] table")
+        timed = _Timed(parts=parts, start_s=0.0, rate_hz=table_map.sample_rate_hz)
+    else:
+        timed = _timed(source, table_map, table_map.time, parts)
+    names = ", ".join(table.name for table in tables)
+    samples = Samples(
+        robot=robot,
+        parts=timed.parts,
+        stamps=stamps_ns(timed.start_s, len(timed.parts["position"]), timed.rate_hz, place),
+        rate_hz=timed.rate_hz,
+        place=names,
+        source=f"tables {names}",
+        provenance=provenance,
+        report=timed.report,
+        doubts=timed.doubts,
+    )
+    return write_samples(samples, out)
+
+
+def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
+    """All that the map assigns, at the joint (feed-forward: at the motor), and where the efforts come from."""
+    parts = {"position": source.position("position", table_map.position)}
+    parts["effort"], provenance = source.effort("effort", table_map.effort)
+    if table_map.reference is not None:
+        parts["reference"] = source.position("reference", table_map.reference)
+    for name, read in zip(OPTIONAL, (source.velocity, source.known_torque, source.feedforward), strict=True):
+        quantity = getattr(table_map, name)
+        if quantity is not None:
+            parts[name] = read(name, quantity)
+    return parts, provenance
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Timed(OnGrid):
+    """Values on a uniform grid, the report where times were read, and doubts about these."""
+
+    doubts: tuple[str, ...] = ()
+
+
+def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, Array]) -> _Timed:
+    place, rows = source.place, len(parts["position"])
+    if (time.ticks is None) != (time.tick_s is None):
+        key = "time.tick_s" if time.tick_s is None else "time.ticks"
+        raise AcquisitionError(place=place, key=key, value=None, expected="ticks and tick_s together, or neither")
+    if time.column is None and time.ticks is None:
+        raise AcquisitionError(place=place, key="time.column", value=None, expected="it, or ticks and tick_s")
+    table = source.table("time.table", time.table)
+    stamp_s, clock = _stamps(table, time, rows, place), "stamps"
+    time_s = stamp_s
+    off_s = None
+    label = str(time.column)
+    if time.ticks is not None:
+        assert time.tick_s is not None
+        ticks = _column(table, time.ticks, rows, place)
+        if (ticks != np.rint(ticks)).any():
+            row = int(np.argmax(ticks != np.rint(ticks)))
             raise AcquisitionError(
-                f"shape {column.shape}", place=place, key="time", expected=f"one column of {rows} rows"
+                place=f"{table}: row {row + 1}", key=str(time.ticks), value=float(ticks[row]), expected="whole counts"
             )
-        time_s = column[:, 0] * TIME_UNITS[time.unit][1]
-        fitted_hz = _fitted_rate_hz(time_s, f"{table}: {time.column}")
-        if rate_hz is not None and abs(rate_hz / fitted_hz - 1) > 1e-3:
-            expected = f"{fitted_hz:.9g} as {table} says"
-            raise AcquisitionError(place=place, key="sample_rate_hz", value=rate_hz, expected=expected)
-        rate_hz, start_s = fitted_hz, max(0.0, float(time_s[0]))
-    if rate_hz is None:
-        raise AcquisitionError(place=place, key="sample_rate_hz", value=None, expected="it, or a [time] table")
-    if not start_s + rows / rate_hz < LARGEST_STAMP_NS * 1e-9 or rate_hz > 1e8:
-        problem = f"{rows} rows at {rate_hz} Hz from {start_s} s"
-        raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
-    return round(start_s * 1e9) + np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64), rate_hz
+        time_s, clock, label = ticks * time.tick_s, "ticks", str(time.ticks)
+        if stamp_s is not None:
+            off_s = _off_ticks(time_s, stamp_s, time.tick_s, place)
+    assert time_s is not None
+    where = f"{table}: {label}"
+    if time.resample_hz is None:
+        rate_hz = uniform_rate_hz(time_s, where)
+        timed = OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
+    else:
+        timed = resample(
+            time_s,
+            parts,
+            rate_hz=time.resample_hz,
+            largest_gap_periods=time.largest_gap_periods,
+            place=where,
+        )
+    given = table_map.sample_rate_hz
+    if given is not None and abs(given / timed.rate_hz - 1) > 1e-3:
+        expected = f"{timed.rate_hz:.9g} as {table} says" if time.resample_hz is None else "none beside time.resample_hz"
+        raise AcquisitionError(place=place, key="sample_rate_hz", value=given, expected=expected)
+    growing = np.concatenate([[True], np.diff(time_s) > 0])
+    warning = stamps_warning(time_s[growing], parts["position"][growing])
+    doubts = [*rate_doubts(timed.report), *([warning] if warning else [])]
+    assert timed.report is not None
+    return _Timed(
+        parts=timed.parts,
+        start_s=timed.start_s,
+        rate_hz=timed.rate_hz,
+        report=replace(timed.report, clock=clock, stamps_off_s=off_s),
+        doubts=tuple(doubts),
+    )
 
 
-def _fitted_rate_hz(time_s: Array, place: str) -> float:
-    """Rate of the uniform grid through `time_s`; refuses times that do not grow or that leave the grid."""
-    steps = np.diff(time_s)
-    if (steps <= 0).any():
-        row = int(np.argmax(steps <= 0))
-        found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected="a later time")
-    period = float(np.median(steps))
-    bad = np.abs(steps - period) > 0.1 * period
-    if bad.any():
-        row = int(np.argmax(bad))
-        missing = round(steps[row] / period) - 1
-        cause = f"{missing} rows missing" if missing > 0 else "not uniform"
-        found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause})"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
-    period = float(time_s[-1] - time_s[0]) / len(steps)
-    off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
-    if off.max() > 0.5 * period:
-        row = int(np.argmax(off))
-        found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most"
-        raise AcquisitionError(found, place=place, key=f"row {row + 1}", expected=expected)
-    # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
-    scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
-    return next(r for d in range(1, 18) if abs((r := float(f"{1 / period:.{d}g}")) * period - 1) <= scatter)
+def _stamps(table: Path, time: Time, rows: int, place: str) -> Array | None:
+    """Times of the rows (N,) in s by the column of times; None without one."""
+    if time.unit not in TIME_UNITS:
+        expected = f"one of {', '.join(TIME_UNITS)}"
+        raise AcquisitionError(place=place, key="time.unit", value=time.unit, expected=expected)
+    if time.column is None:
+        return None
+    return _column(table, time.column, rows, place) * TIME_UNITS[time.unit][1]
+
+
+def _column(table: Path, name: str | int, rows: int, place: str) -> Array:
+    column = read_columns(table, [name], 1)
+    if column.shape != (rows, 1):
+        raise AcquisitionError(f"shape {column.shape}", place=place, key="time", expected=f"one column of {rows} rows")
+    return np.asarray(column[:, 0])
+
+
+def _off_ticks(time_s: Array, stamp_s: Array, tick_s: float, place: str) -> float:
+    """Deviation in s of stamps about the time that ticks give; refuses ticks of another length."""
+    rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
+    if not abs(rate - 1) <= TICK_OFF:
+        expected = f"{tick_s * rate:.6g} as the stamps say"
+        raise AcquisitionError(place=place, key="time.tick_s", value=tick_s, expected=expected)
+    return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))

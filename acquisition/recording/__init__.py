@@ -2,7 +2,7 @@
 
 from .reader import Recording, read_recording
 from .recovery import recover
-from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, REMOTE_REQUEST, SENT, Block, sample_dtype
+from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, OPTIONAL, REMOTE_REQUEST, SENT, Block, sample_dtype
 from .schema import Header
 from .summary import as_tables, overview
 from .writer import RecordingWriter
@@ -12,6 +12,7 @@ __all__ = [
     "EXTENDED",
     "FRAME",
     "LARGEST_STAMP_NS",
+    "OPTIONAL",
     "REMOTE_REQUEST",
     "SENT",
     "Block",

@@ -1,5 +1,6 @@
 """Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes, and what every row must satisfy."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from typing import Any
 
@@ -29,13 +30,22 @@ class Gap:
     missing: int
 
 
-def sample_dtype(n: int, *, reference: bool, extra: int = 0) -> np.dtype[np.void]:
+# Fields that rows may have besides, in their order: measured joint speeds in rad/s or m/s; torques on the joints that are known
+# and not of the drives, N m or N; what is added to the controller's output, by motor, in the unit of the recorded effort.
+OPTIONAL = ("velocity", "known_torque", "feedforward")
+
+
+def sample_dtype(
+    n: int, *, reference: bool, extra: int = 0, optional: Collection[str] = ()
+) -> np.dtype[np.void]:
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
-    `extra` further values of drives are in the field `extra` (extra,), named by `extra_objects.extra_columns`.
+    Those of the fields `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field
+    `extra` (extra,), named by `extra_objects.extra_columns`.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
+    fields += [(name, "<f8", (n,)) for name in OPTIONAL if name in optional]
     return np.dtype(fields + ([("extra", "<f8", (extra,))] if extra else []))
 
 

@@ -3,7 +3,7 @@
 | channel | content |
 |---|---|
 | `/can/<channel>/frames` | blocks of raw CAN frames, both directions: `FRAME` rows |
-| `/samples` | blocks of joint samples in SI, and extra objects: `sample_dtype` rows |
+| `/samples` | blocks of joint samples in SI, optional columns, and extra objects: `sample_dtype` rows |
 | `/joint_states/measured`, `.../reference` | sensor_msgs/msg/JointState in CDR, at most 100 Hz, for viewers only |
 | `/events` | JSON `{kind, text}`: session phases, errors of drives, marks |
 | `/health` | JSON counters: kernel drops, late and missing messages |
@@ -21,13 +21,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib import metadata as packages
+from itertools import combinations
 
 import numpy as np
 
 from ..robot import Robot, extra_columns
-from .rows import sample_dtype
+from .rows import OPTIONAL, sample_dtype
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")
 
@@ -80,7 +81,13 @@ class Header:
 def sample_layouts(robot: Robot) -> list[np.dtype[np.void]]:
     """Rows that samples of a robot may have."""
     counts = dict.fromkeys((len(extra_columns(robot)), 0))
-    return [sample_dtype(robot.n, reference=reference, extra=m) for m in counts for reference in (False, True)]
+    columns = [some for k in range(len(OPTIONAL) + 1) for some in combinations(OPTIONAL, k)]
+    return [
+        sample_dtype(robot.n, reference=reference, extra=m, optional=optional)
+        for m in counts
+        for optional in reversed(columns)
+        for reference in (False, True)
+    ]
 
 
 def metadata_crc(metadata: Mapping[str, str]) -> str:

@@ -54,6 +54,7 @@ class Overview:
     """The content of `robot-acquire info` as plain data. Stamps are the recording's; tables count them from `first_ns`.
 
     `step_jitter_s` is the standard deviation and the worst deviation of the steps between samples, gaps left out.
+    `times` is what the times of an imported recording's rows were like before they were put on a uniform grid.
     `first_ns` is the stamp of the first sample, of the first frame where there are no samples, None without either.
     """
 
@@ -71,6 +72,7 @@ class Overview:
     extras: tuple[ExtraRange, ...]
     step_jitter_s: tuple[float, float]
     effort_provenance: str
+    times: str
     gaps: tuple[Gap, ...]
     frames: tuple[FrameCount, ...]
     events: tuple[Event, ...]
@@ -112,6 +114,7 @@ def overview(recording: Recording) -> Overview:
         extras=_extras(recording),
         step_jitter_s=(0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         effort_provenance=recording.metadata.get("effort_provenance", ""),
+        times=recording.metadata.get("times", ""),
         gaps=() if samples is None else gaps(samples, recording.sample_rate_hz),
         frames=tuple(
             FrameCount(
@@ -212,6 +215,8 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
         yield "gaps", f"{len(found.gaps)}, {missing} samples missing" if found.gaps else "none"
         sd, worst = (1e3 * value for value in found.step_jitter_s)
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
+    if found.times:
+        yield "times", found.times
     yield "effort", found.effort_provenance
     for count in found.frames:
         yield f"CAN {count.channel}", f"{count.frames} frames, {count.sent} of them sent, {count.duration_s:g} s"

@@ -95,6 +95,10 @@ class Robot:
         """Joint positions (N, n) in rad or m from motor positions (N, n): inv(R) q_motor + zero."""
         return np.linalg.solve(self.R, q_motor.T).T + self.zero
 
+    def joint_velocity(self, dq_motor: Array) -> Array:
+        """Joint speeds (N, n) in rad/s or m/s from motor speeds (N, n): inv(R) dq_motor."""
+        return np.asarray(np.linalg.solve(self.R, dq_motor.T).T)
+
     def motor_position(self, q: Array) -> Array:
         """Motor positions (N, n) from joint positions (N, n); the inverse of `joint_position`."""
         return (q - self.zero) @ self.R.T

@@ -1,0 +1,169 @@
+"""Values as they were recorded → values at the joint in SI: units, sides, the robot's rule.
+
+The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity` and `Robot.joint_effort`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import AcquisitionError
+from ..files import read_columns
+from ..robot import Robot
+from .table_map import EFFORT_UNITS, POSITION_UNITS, VELOCITY_UNITS, Quantity, Side
+
+Units = Mapping[str, tuple[str, float]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Tables, and the robot and the map (`place`, for errors) that say what is in them."""
+
+    tables: Sequence[Path]
+    robot: Robot
+    place: str
+
+    def table(self, key: str, number: int) -> Path:
+        """The file that a map counts as `number`, from 1."""
+        if number > len(self.tables):
+            expected = f"{len(self.tables)} at most, the number of tables given"
+            raise AcquisitionError(place=self.place, key=key, value=number, expected=expected)
+        return self.tables[number - 1]
+
+    def position(self, key: str, quantity: Quantity) -> Array:
+        """Joint positions (N, n) in rad or m."""
+        units = self._si(key, quantity, POSITION_UNITS)
+        side = position_side(self.robot, quantity.side, key, self.place)
+        self._check_kinds(key, units, side)
+        values = self._values(key, quantity, units)
+        return self.robot.joint_position(values) if side == "motor" else values
+
+    def velocity(self, key: str, quantity: Quantity) -> Array:
+        """Joint speeds (N, n) in rad/s or m/s."""
+        units, side = self._si(key, quantity, VELOCITY_UNITS), quantity.side
+        if side is None:
+            if not np.array_equal(self.robot.R, np.eye(self.robot.n)):
+                raise AcquisitionError(place=self.place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+            side = "joint"
+        self._check_kinds(key, units, side)
+        values = self._values(key, quantity, units)
+        return self.robot.joint_velocity(values) if side == "motor" else values
+
+    def effort(self, key: str, quantity: Quantity) -> tuple[Array, str]:
+        """Joint efforts (N, n) in the robot's units, and where they come from."""
+        units = self._si(key, quantity, EFFORT_UNITS)
+        side = effort_side(self.robot, tuple(unit for unit, _ in units), quantity.side, key, self.place)
+        values = self._values(key, quantity, units)
+        unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
+        columns = ", ".join(str(column) for column in quantity.columns)
+        origin = f"{self.tables[quantity.table - 1].name}: {columns}: {unit} at the {side}"
+        joint_effort, rule = effort_at_joint(self.robot, values, side)
+        return joint_effort, f"{origin}; {rule}"
+
+    def known_torque(self, key: str, quantity: Quantity) -> Array:
+        """Known torques (N, n) on the joints in N m, forces in N."""
+        units, robot = self._si(key, quantity, EFFORT_UNITS), self.robot
+        if not robot.gain_known:
+            problem = "cannot be added to efforts in " + one(robot.effort_units)
+            expected = "the drive gains in robot.toml, which make them N m or N"
+            raise AcquisitionError(problem, place=self.place, key=key, expected=expected)
+        if quantity.side == "motor":
+            raise AcquisitionError(place=self.place, key=f"{key}.side", value="motor", expected="'joint', where it acts")
+        found = tuple(unit for unit, _ in units)
+        if found != robot.effort_units:
+            problem, expected = f"gives {one(found)}", f"{one(robot.effort_units)}, as joints take"
+            raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
+        return self._values(key, quantity, units)
+
+    def feedforward(self, key: str, quantity: Quantity) -> Array:
+        """What is added to the controller's output (N, n), by motor, in the units of the recorded effort."""
+        units, recorded = self._si(key, quantity, EFFORT_UNITS), tuple(m.recorded_unit for m in self.robot.motors)
+        if quantity.side == "joint":
+            expected = "'motor', where the controller's output acts"
+            raise AcquisitionError(place=self.place, key=f"{key}.side", value="joint", expected=expected)
+        found = tuple(unit for unit, _ in units)
+        if found != recorded:
+            problem, expected = f"gives {one(found)} at the motor", f"{one(recorded)} as robot.toml says"
+            raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
+        return self._values(key, quantity, units)
+
+    def _si(self, key: str, quantity: Quantity, known: Units) -> list[tuple[str, float]]:
+        """SI unit and factor of each column."""
+        n = self.robot.n
+        units = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
+        return si_units(units, n, known, f"{key}.unit", self.place)
+
+    def _check_kinds(self, key: str, units: Sequence[tuple[str, float]], side: Side) -> None:
+        for i, (joint, (unit, _)) in enumerate(zip(self.robot.joints, units, strict=True)):
+            # A motor turns whatever its joint does; a motor that slides drives a joint that slides.
+            if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
+                expected = "an angle" if joint.type == "revolute" else "a length"
+                problem = f"in {unit} for joint {i + 1} ({joint.name})"
+                raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
+
+    def _values(self, key: str, quantity: Quantity, units: Sequence[tuple[str, float]]) -> Array:
+        n = self.robot.n
+        values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
+        if values.shape[1] != n:
+            found = f"{values.shape[1]} columns"
+            raise AcquisitionError(found, place=self.place, key=f"{key}.columns", expected=f"{n}, one per joint")
+        return np.asarray(values * np.array([factor for _, factor in units]))
+
+
+def si_units(units: Sequence[str], n: int, known: Units, key: str, place: str) -> list[tuple[str, float]]:
+    """SI unit and factor of each of n units."""
+    if len(units) != n:
+        raise AcquisitionError(f"{len(units)} units", place=place, key=key, expected=f"one, or {n}, one per joint")
+    for unit in units:
+        if unit not in known:
+            raise AcquisitionError(place=place, key=key, value=unit, expected=f"one of {', '.join(known)}")
+    return [known[unit] for unit in units]
+
+
+def position_side(robot: Robot, side: Side | None, key: str, place: str) -> Side:
+    """The side of positions; one that is not stated is the joint's where both are the same."""
+    if side is None:
+        if not (np.array_equal(robot.R, np.eye(robot.n)) and not robot.zero.any()):
+            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+        side = "joint"
+    if side == "joint" and robot.zero.any():
+        joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
+        name = "zero_deg" if joint.type == "revolute" else "zero_m"
+        problem = f"{name} of joint {joint.name} in robot.toml would do nothing, joint positions are taken as they are"
+        raise AcquisitionError(problem, place=place, key=f"{key}.side", value=side, expected=f"'motor', or no {name}")
+    return side
+
+
+def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: str) -> Side:
+    """The side of efforts in the units `found`; one that is not stated is that which the units fit."""
+    expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
+    fits = [side for side in ("motor", "joint") if found == expected[side]]
+    if side is None:
+        same = np.array_equal(robot.R * robot.gain[:, None], np.eye(robot.n))
+        if len(fits) == 2 and not same:
+            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+        side = "joint" if fits == ["joint"] else "motor"
+    if side not in fits:
+        problem = f"gives {one(found)} at the {side}"
+        raise AcquisitionError(
+            problem, place=place, key=f"{key}.unit", expected=f"{one(expected[side])} as robot.toml says"
+        )
+    return side
+
+
+def effort_at_joint(robot: Robot, values: Array, side: Side) -> tuple[Array, str]:
+    """Joint efforts (N, n) of values (N, n) in the units of their side, and the rule in words."""
+    units = one(robot.effort_units)
+    if side == "joint":
+        return values, f"joint effort = value in {units}"
+    has_gain = robot.gain_known and any(m.drive_gain for m in robot.motors)
+    gain = f" · drive gain {robot.gain.tolist()}" if has_gain else ""
+    return robot.joint_effort(values), f"joint effort = motor_matrixᵀ{gain} · value, in {units}"
+
+
+def one(units: Sequence[str]) -> str:
+    """Units as one where all are the same."""
+    return units[0] if len(set(units)) == 1 else ", ".join(units)

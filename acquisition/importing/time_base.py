@@ -1,0 +1,269 @@
+"""Times of rows as somebody's clock gave them → a uniform grid, and a report of what was found on the way."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..arrays import Array, Ints
+from ..errors import AcquisitionError
+from ..recording import LARGEST_STAMP_NS
+
+LONG_STEP = 1.5  # periods: a step beyond it is a gap, of rows that are missing
+ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their row numbers
+LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
+COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
+_LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
+
+
+@dataclass(frozen=True, kw_only=True)
+class TimeReport:
+    """What the times of rows were like, before any interpolation.
+
+    Attributes:
+        rows: that are used; doubled: rows left out, equal to the row before in their time and in all values.
+        period_s: median step; shortest_s, longest_s: of all steps.
+        jitter_s: standard deviation of the steps, gaps left out.
+        gaps: steps over 1.5 periods; missing: the rows they would have held.
+        grid_hz: rate of the grid that values were interpolated to, None where they are as they were recorded.
+        clock: what the times are: `stamps`, `ticks`.
+        stamps_off_s: standard deviation of the stamps about the ticks, None without both.
+    """
+
+    rows: int
+    doubled: int
+    period_s: float
+    shortest_s: float
+    longest_s: float
+    jitter_s: float
+    gaps: int
+    missing: int
+    grid_hz: float | None = None
+    clock: str = "stamps"
+    stamps_off_s: float | None = None
+
+    @property
+    def text(self) -> str:
+        """The report in one line."""
+        shortest, longest, period, jitter = (
+            f"{1e3 * x:.4g}" for x in (self.shortest_s, self.longest_s, self.period_s, self.jitter_s)
+        )
+        parts = [f"{self.clock} of {self.rows} rows: steps {shortest} to {longest} ms, median {period} ms"]
+        parts.append(f"jitter sd {jitter} ms")
+        parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
+        parts.append(f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows")
+        if self.stamps_off_s is not None:
+            parts.append(f"stamps sd {1e3 * self.stamps_off_s:.4g} ms about the ticks")
+        if self.grid_hz is not None:
+            parts.append(f"interpolated to {self.grid_hz:.9g} Hz")
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OnGrid:
+    """Values (M, n) by name on a uniform grid that begins at `start_s`, its rate, and the report of the times before."""
+
+    parts: Mapping[str, Array]
+    start_s: float
+    rate_hz: float
+    report: TimeReport | None = None
+
+
+def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
+    """What growing times (N,) are like."""
+    steps = np.diff(time_s)
+    period = float(np.median(steps))
+    long = steps > LONG_STEP * period
+    regular = steps[~long]
+    return TimeReport(
+        rows=len(time_s),
+        doubled=doubled,
+        period_s=period,
+        shortest_s=float(steps.min()),
+        longest_s=float(steps.max()),
+        jitter_s=float(np.std(regular)),
+        gaps=int(long.sum()),
+        missing=int((np.rint(steps[long] / period) - 1).sum()),
+    )
+
+
+def resample(
+    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: str
+) -> OnGrid:
+    """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
+
+    Parameters
+    ----------
+    time_s : of the rows; those that repeat the row before in time and values are left out.
+    rate_hz : of the grid; None: the roundest one that the rows have.
+    largest_gap_periods : longest step that is interpolated over, in median steps.
+    place : the file, for errors.
+
+    Raises
+    ------
+    AcquisitionError
+        Fewer than 4 rows, time that runs backwards, two rows of one time with different values, a longer gap.
+    """
+    from scipy.interpolate import CubicSpline
+
+    time_s, parts, doubled = _without_doubled(time_s, parts, place)
+    if len(time_s) < 4:
+        raise AcquisitionError(f"{len(time_s)} rows of different times", place=place, key="time", expected="4 at least")
+    report = report_of(time_s, doubled)
+    steps = np.diff(time_s)
+    k = int(np.argmax(steps))
+    if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
+        raise AcquisitionError(
+            f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, {steps[k] / report.period_s:.1f} periods",
+            place=place,
+            key="time",
+            expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
+            "it apart, or state time.largest_gap_periods",
+        )
+    rate_hz = rate_hz or roundest_rate_hz(time_s)
+    count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
+    grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
+    report = TimeReport(**{**vars(report), "grid_hz": rate_hz})
+    interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
+    return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
+
+
+def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> tuple[Array, Mapping[str, Array], int]:
+    """Times that grow, and the values at them, without rows that are there twice; how many these were."""
+    steps = np.diff(time_s)
+    if (steps < 0).any():
+        row = int(np.argmax(steps < 0))
+        raise AcquisitionError(
+            f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
+            place=place,
+            key=f"row {row + 2}",
+            expected="growing times of one source; rows of two publishers, a clock that was set or a counter that "
+            "wrapped do not have them",
+        )
+    same = np.flatnonzero(steps == 0)
+    for name, x in parts.items():
+        differ = (x[same + 1] != x[same]).any(axis=1)
+        if differ.any():
+            row = int(same[np.argmax(differ)])
+            raise AcquisitionError(
+                f"{name} differs from the row before at the same time, {time_s[row]:.9g} s",
+                place=place,
+                key=f"row {row + 2}",
+                expected="one row for each time; time.ticks names a counter where stamps are too coarse",
+            )
+    keep = np.concatenate([[True], steps > 0])
+    return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
+
+
+def roundest_rate_hz(time_s: Array) -> float:
+    """The roundest rate that the scatter of growing times (N,) cannot tell from that of their rows: 1000, not 1000.0013."""
+    steps = np.diff(time_s)
+    rows = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.rint(steps / np.median(steps))))])
+    period, start = np.polyfit(rows, time_s - time_s[0], 1)
+    scatter = 3 * float(np.std(time_s - time_s[0] - start - period * rows)) / float(time_s[-1] - time_s[0])
+    scatter = min(max(scatter, 1e-12), 1e-2)
+    return _roundest(1 / period, scatter)
+
+
+def _roundest(rate_hz: float, scatter: float) -> float:
+    """The number of fewest digits that is the rate within a share of `scatter`."""
+    return next(r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter)
+
+
+def rate_doubts(report: TimeReport | None) -> list[str]:
+    """Warnings about a grid that is coarser than the rows, or much finer."""
+    if report is None or report.grid_hz is None:
+        return []
+    ratio = report.grid_hz * report.period_s
+    if ratio < COARSER:
+        return [
+            f"resample_hz = {report.grid_hz:g} is below the rows' {1 / report.period_s:.4g} Hz: noise above half of it is "
+            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+        ]
+    if ratio > FINER:
+        return [
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {1 / report.period_s:.4g} Hz: samples between "
+            "rows are interpolated, they tell nothing new"
+        ]
+    return []
+
+
+def stamps_warning(time_s: Array, q: Array) -> str | None:
+    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows.
+
+    Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
+    numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
+    was read late, are much smoother by their numbers.
+    """
+    time_s, q = time_s[:_LOOKED_AT], q[:_LOOKED_AT]
+    steps = np.diff(time_s)
+    period = float(np.median(steps))
+    rows = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.rint(steps / period)))]) * period
+    if len(time_s) < 20 or np.std(steps[steps <= LONG_STEP * period]) < LEAST_SCATTER * period:
+        return None
+    speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
+    moving = speed > 0
+    if not moving.any():
+        return None
+    by_stamp, by_row = (_time_error_s(t, q[:, moving], speed[moving]) for t in (time_s, rows))
+    joint = int(np.argmin(by_row))
+    if by_stamp[joint] <= max(ROUGHER * by_row[joint], LEAST_SCATTER * period):
+        return None
+    return (
+        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
+        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; take a "
+        "counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+    )
+
+
+def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
+    """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
+    middle = time_s[2:-2]
+    nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - middle
+    weights = np.ones_like(nodes)
+    for i in range(4):
+        for j in range(4):
+            if i != j:
+                weights[i] *= nodes[j] / (nodes[j] - nodes[i])
+    neighbours = np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]])
+    off = q[2:-2] - np.einsum("ik,ikn->kn", weights, neighbours)
+    size = np.sqrt(1 + (weights**2).sum(axis=0).mean())  # of the deviation that errors of deviation 1 give
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0)) / speed / size)
+
+
+def stamps_ns(start_s: float, rows: int, rate_hz: float, place: str) -> Ints:
+    """Stamps (N,) in ns of so many rows at a rate, from `start_s` on; from 0 where that is before 0."""
+    start_s = max(0.0, start_s)
+    if not start_s + rows / rate_hz < LARGEST_STAMP_NS * 1e-9 or rate_hz > 1e8:
+        problem = f"{rows} rows at {rate_hz} Hz from {start_s} s"
+        raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
+    return np.asarray(round(start_s * 1e9) + np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64))
+
+
+def uniform_rate_hz(time_s: Array, place: str) -> float:
+    """Rate of the uniform grid through times (N,); refuses times that do not grow or that leave the grid."""
+    way_out = "time.resample_hz interpolates rows to a uniform grid"
+    steps = np.diff(time_s)
+    if (steps <= 0).any():
+        row = int(np.argmax(steps <= 0))
+        found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
+        raise AcquisitionError(
+            found, place=place, key=f"row {row + 2}", expected="a later time; time.resample_hz leaves out doubled rows"
+        )
+    period = float(np.median(steps))
+    bad = np.abs(steps - period) > 0.1 * period
+    if bad.any():
+        row = int(np.argmax(bad))
+        missing = round(steps[row] / period) - 1
+        cause = f"{missing} rows missing" if missing > 0 else "not uniform"
+        found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause}); {way_out}"
+        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
+    period = float(time_s[-1] - time_s[0]) / len(steps)
+    off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
+    if off.max() > 0.5 * period:
+        row = int(np.argmax(off))
+        found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
+        raise AcquisitionError(found, place=place, key=f"row {row + 1}", expected=expected)
+    # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
+    scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
+    return _roundest(1 / period, scatter)
