@@ -5,6 +5,7 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
     files        files written whole or not at all, columns of tables, meshes of a URDF
     protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO, object dictionaries
     robot        the description (robot.toml): joints, motors, limits, the bus and its drives
+    ros          ROS 2 messages, bags read and written, frames of links
     recording    the MCAP format: rows, reader, writer, recovery, summary
     trajectory   reference trajectories, checked against the limits
     transport    the bus as frames and times; logs of other tools
@@ -12,7 +13,7 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
     recorder     frames into a recording by a process of its own, decoding, the second stop
     simulated    simulated drives, the plants they move, dry runs
     session      the one loop that sends: record, enable, track, stop; its guards
-    importing    recordings out of tables and CAN logs
+    importing    recordings out of tables, ROS 2 bags and CAN logs; export
     commands     the command line
 
 From Python, what is used most is here under one name, imported when it is first used::

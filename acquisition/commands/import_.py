@@ -1,6 +1,7 @@
-"""`robot-acquire import`: a recording from tables (CSV, MAT) or from a CAN log."""
+"""`robot-acquire import`: a recording from tables (CSV, MAT), from a ROS 2 bag, or from a CAN log."""
 
 import argparse
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,15 +16,31 @@ if TYPE_CHECKING:
 def add(commands: Commands) -> None:
     """Declare the command."""
     parser = commands.add_parser(
-        "import", help="tables (CSV, MAT) or CAN logs (candump, ASC, BLF, TRC) into a recording"
+        "import", help="tables (CSV, MAT), ROS 2 bags or CAN logs (candump, ASC, BLF, TRC) into a recording"
     )
     inputs = parser.add_argument_group("inputs")
     inputs.add_argument(
-        "tables", nargs="+", type=Path, metavar="FILE", help="CSV or MAT files, as the map counts them; or one CAN log"
+        "tables",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="CSV or MAT files, as the map counts them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log",
     )
     inputs.add_argument("--robot", required=True, type=Path, metavar="ROBOT.toml", help="the robot's description")
-    inputs.add_argument(
-        "--map", type=Path, metavar="MAP.toml", help="which column is what: for tables, none for CAN logs"
+    inputs.add_argument("--map", type=Path, metavar="MAP.toml", help="which column is what: for tables alone")
+    bag = parser.add_argument_group("ROS 2 bag")
+    bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
+    bag.add_argument(
+        "--effort-unit",
+        metavar="UNIT",
+        help="what effort is in the bag: 'N m' at the joints (a force in N where they slide), or A, V, ... of the motors; one "
+        "for all, or one for each joint with commas between",
+    )
+    bag.add_argument(
+        "--resample-hz",
+        type=float,
+        metavar="HZ",
+        help="rate to interpolate to (default: the roundest that stamps have)",
     )
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
@@ -31,7 +48,15 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Import tables, or a CAN log where no map is given, and print what was imported."""
+    """Import a bag where a topic is given, tables where a map is, else a CAN log, and print what was imported."""
+    of_bag = {"--topic": options.topic, "--effort-unit": options.effort_unit, "--resample-hz": options.resample_hz}
+    if options.topic is not None:
+        _import_bag(options)
+        return
+    for name, value in of_bag.items():
+        if value is not None:
+            expected = "--topic with it; tables have time.resample_hz and effort.unit in MAP.toml"
+            raise AcquisitionError("is of ROS 2 bags", key=name, value=value, expected=expected)
     if options.map is None:
         _import_log(options)
         return
@@ -47,24 +72,50 @@ def run(options: argparse.Namespace) -> None:
 
 def _print_imported(result: "Imported") -> None:
     units = ", ".join(dict.fromkeys(result.effort_units))
-    also = "".join(
-        f", with {name.replace('_', ' ')}" for name in (["reference"] if result.has_reference else []) + [*result.optional]
-    )
+    also = ["reference"] if result.has_reference else []
+    also += [name.replace("_", " ") for name in result.optional]
     rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
-    print(one_line(f"{result.out}: {result.robot}, {rate}, effort in {units}{also}"))
+    print(
+        one_line(", ".join([f"{result.out}: {result.robot}", rate, f"effort in {units}", *(f"with {x}" for x in also)]))
+    )
     if result.times:
         print(one_line(f"times: {result.times}"))
     for text in result.warnings:
         print(one_line(f"warning: {text}"))
 
 
+def _import_bag(options: argparse.Namespace) -> None:
+    if options.map is not None:
+        raise AcquisitionError("is for tables", key="--map", value=str(options.map), expected="none with --topic")
+    if len(options.tables) > 1:
+        raise AcquisitionError("a second bag", place=str(options.tables[1]), expected="one")
+    if options.effort_unit is None:
+        expected = "what the driver publishes, as its manual says: 'N m', A, ..."
+        raise AcquisitionError("a bag does not say", key="--effort-unit", value=None, expected=expected)
+    if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
+        raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
+    with Progress("importing"):
+        from ..files import refuse_clash
+        from ..importing import BagChoice, import_bag
+        from ..robot import load_robot
+
+        refuse_clash([options.robot, *options.tables], options.output)
+        units = tuple(unit.strip() for unit in options.effort_unit.split(","))
+        choice = BagChoice(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
+        result = import_bag(options.tables[0], load_robot(options.robot), choice, options.output)
+    _print_imported(result)
+
+
 def _import_log(options: argparse.Namespace) -> None:
     with Progress("importing"):
         from ..files import refuse_clash
-        from ..importing import import_log, is_log
+        from ..importing import import_log, is_bag, is_log
         from ..robot import load_robot
 
         tables = [path for path in options.tables if not is_log(path)]
+        if tables and is_bag(tables[0]):
+            expected = "the topic of its joint states, such as --topic /joint_states"
+            raise AcquisitionError("a ROS 2 bag, and --topic is not there", place=str(tables[0]), expected=expected)
         if tables:
             expected = "MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
             raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)

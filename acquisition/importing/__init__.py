@@ -1,7 +1,21 @@
-"""Recordings out of tables and CAN logs, decoding again, export."""
+"""Recordings out of tables, ROS 2 bags and CAN logs, decoding again, export."""
 
-from .conversions import Converted, decode_recording, export_csv, import_log, is_log
+from .bags import BagChoice, import_bag, is_bag
+from .conversions import Converted, decode_recording, import_log, is_log
+from .exporting import export_bag, export_csv
 from .samples import Imported
 from .tables import import_tables
 
-__all__ = ["Converted", "Imported", "decode_recording", "export_csv", "import_log", "import_tables", "is_log"]
+__all__ = [
+    "BagChoice",
+    "Converted",
+    "Imported",
+    "decode_recording",
+    "export_bag",
+    "export_csv",
+    "import_bag",
+    "import_log",
+    "import_tables",
+    "is_bag",
+    "is_log",
+]

@@ -1,4 +1,4 @@
-"""Conversions of recordings and logs: decode again, export to CSV, import CAN logs."""
+"""Conversions of recordings and logs: decode again, import CAN logs."""
 
 from collections import Counter
 from dataclasses import dataclass, replace
@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..files import atomic_write, write_columns
+from ..files import atomic_write
 from ..recorder import Decoded, decode, written_by_master
 from ..recording import Block, Header, RecordingWriter, read_recording
-from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
+from ..robot import Bus, Robot, check_recorded_positions, resolve
 from ..transport import SUFFIXES, Frame, block_of, read_log
 
 
@@ -128,46 +128,6 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
-
-
-def export_csv(path: Path, out: Path) -> int:
-    """Write the joint samples of a recording as CSV.
-
-    Parameters
-    ----------
-    path : the recording.
-    out : `time_s` from the first sample, then position, effort and reference of each joint in SI, and the extra objects of
-        the drives; the unit is in the name of the column. Written whole or not at all.
-
-    Returns
-    -------
-    The number of samples.
-
-    Raises
-    ------
-    AcquisitionError
-        The recording has no samples, or a file cannot be read or written.
-    """
-    recording = read_recording(path)
-    samples, robot = recording.samples, recording.robot
-    if samples is None:
-        raise AcquisitionError(
-            "holds no joint samples", place=str(path), expected="some; `robot-acquire decode` makes them of frames"
-        )
-    columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
-    names = ["time_s"]
-    fields = samples.dtype.names or ()
-    for field in (field for field in fields if field not in ("stamp_ns", "extra")):
-        for i, joint in enumerate(robot.joints):
-            unit = robot.effort_units[i] if field == "effort" else joint.position_unit
-            names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
-            columns.append(samples[field][:, i])
-    if "extra" in fields:
-        for k, column in enumerate(extra_columns(robot)):
-            names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
-            columns.append(samples["extra"][:, k])
-    write_columns(out, names, np.column_stack(columns))
-    return len(samples)
 
 
 def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, Bus]:

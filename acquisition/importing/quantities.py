@@ -71,7 +71,9 @@ class Source:
             expected = "the drive gains in robot.toml, which make them N m or N"
             raise AcquisitionError(problem, place=self.place, key=key, expected=expected)
         if quantity.side == "motor":
-            raise AcquisitionError(place=self.place, key=f"{key}.side", value="motor", expected="'joint', where it acts")
+            raise AcquisitionError(
+                place=self.place, key=f"{key}.side", value="motor", expected="'joint', where it acts"
+            )
         found = tuple(unit for unit, _ in units)
         if found != robot.effort_units:
             problem, expected = f"gives {one(found)}", f"{one(robot.effort_units)}, as joints take"

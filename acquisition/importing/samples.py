@@ -13,7 +13,9 @@ from ..recording import Header, RecordingWriter, sample_dtype
 from ..robot import Robot, check_recorded_positions
 from .time_base import TimeReport
 
-SPEED_WINDOW_S = 0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
+SPEED_WINDOW_S = (
+    0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
+)
 SPEED_OFF = 0.1  # of the change of position: speeds further off are told
 WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 

@@ -127,7 +127,9 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
         )
     given = table_map.sample_rate_hz
     if given is not None and abs(given / timed.rate_hz - 1) > 1e-3:
-        expected = f"{timed.rate_hz:.9g} as {table} says" if time.resample_hz is None else "none beside time.resample_hz"
+        expected = (
+            f"{timed.rate_hz:.9g} as {table} says" if time.resample_hz is None else "none beside time.resample_hz"
+        )
         raise AcquisitionError(place=place, key="sample_rate_hz", value=given, expected=expected)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
     warning = stamps_warning(time_s[growing], parts["position"][growing])

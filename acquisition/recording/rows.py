@@ -35,9 +35,7 @@ class Gap:
 OPTIONAL = ("velocity", "known_torque", "feedforward")
 
 
-def sample_dtype(
-    n: int, *, reference: bool, extra: int = 0, optional: Collection[str] = ()
-) -> np.dtype[np.void]:
+def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collection[str] = ()) -> np.dtype[np.void]:
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
     Those of the fields `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field

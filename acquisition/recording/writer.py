@@ -12,6 +12,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from ..errors import AcquisitionError
+from ..ros import JOINT_STATE, RosMessages
 from .rows import FRAME, Block, check_frames, check_samples
 from .schema import FRAMES_TOPIC, Header, sample_layouts
 
@@ -28,12 +29,7 @@ class RecordingWriter:
     """
 
     def __init__(self, path: Path, header: Header) -> None:
-        from rosbags.typesys import (
-            Stores,
-            get_typestore,
-        )  # slow to import: needed for writing only, and not while it goes on
-
-        self._types = get_typestore(Stores.ROS2_JAZZY)
+        self._messages = RosMessages()  # slow to make: not while frames come in
         self._robot, self._place = header.robot, str(path)
         self._layout: np.dtype[np.void] | None = None
         self._last_stamp_ns = -1
@@ -132,17 +128,15 @@ class RecordingWriter:
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 
     def _joint_states(self, topic: str, rows: Block, field: str, effort: bool) -> None:
-        store, kind = self._types, "sensor_msgs/msg/JointState"
-        text = store.generate_msgdef(kind, ros_version=2)[0]
-        channel = self._channel(topic, "cdr", kind, "ros2msg", text)
-        header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+        channel = self._channel(topic, "cdr", JOINT_STATE, "ros2msg", self._messages.definition(JOINT_STATE))
         names, nothing = [j.name for j in self._robot.joints], np.zeros(0)
         for row in rows:
             stamp_ns = int(row["stamp_ns"])
-            stamp = header(time(*divmod(stamp_ns, 1_000_000_000)), "")
             # A JointState's effort is in N m or N by definition: amperes and volts have no place there.
-            state = store.types[kind](stamp, names, row[field], nothing, row["effort"] if effort else nothing)
-            self._writer.add_message(channel, stamp_ns, bytes(store.serialize_cdr(state, kind)), stamp_ns)
+            content = self._messages.joint_state(
+                stamp_ns, names, row[field], nothing, row["effort"] if effort else nothing
+            )
+            self._writer.add_message(channel, stamp_ns, content, stamp_ns)
 
 
 def _parts(block: Block) -> Iterator[Block]:

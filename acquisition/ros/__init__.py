@@ -1,0 +1,18 @@
+"""ROS 2: messages as CDR, joint states out of bags, bags written, the frames of a robot's links."""
+
+from .bag_reader import JointStates, read_joint_states
+from .bag_writer import BagWriter
+from .link_frames import LinkFrames, link_frames, quaternions, urdf_of
+from .messages import JOINT_STATE, RosMessages
+
+__all__ = [
+    "JOINT_STATE",
+    "BagWriter",
+    "JointStates",
+    "LinkFrames",
+    "RosMessages",
+    "link_frames",
+    "quaternions",
+    "read_joint_states",
+    "urdf_of",
+]
