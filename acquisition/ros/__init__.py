@@ -2,8 +2,8 @@
 
 from .bag_reader import JointStates, read_joint_states
 from .bag_writer import BagWriter
-from .link_frames import LinkFrames, link_frames, quaternions, urdf_of
 from .messages import JOINT_STATE, RosMessages
+from .placements import LinkFrames, link_frames, quaternions, urdf_of
 
 __all__ = [
     "JOINT_STATE",

@@ -1,0 +1,440 @@
+"""ROS 2 bags: those that the package rosbags writes are read sample by sample, and it reads those that are written."""
+
+
+import numpy as np
+import pytest
+from conftest import REPLAY, robot_named
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from acquisition.commands import main
+from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+
+STORE = get_typestore(Stores.ROS2_JAZZY)
+STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
+TOML = REPLAY / "scara" / "robot.toml"
+N, RATE_HZ, FIRST_NS = 200, 100, 1_700_000_000_000_000_000
+T = np.arange(N) / RATE_HZ
+Q = np.stack([0.5 * np.sin(2 * T), 0.3 * np.sin(3 * T)], axis=1)
+DQ = np.stack([np.cos(2 * T), 0.9 * np.cos(3 * T)], axis=1)
+EFFORT = np.stack([np.cos(5 * T), 2 + np.sin(T)], axis=1)
+NAMES = ("shoulder", "elbow")
+
+
+def message(k, *, names=NAMES, frame="", stamp_ns=None, **parts):
+    """The joint state k as rosbags has it; names in another order take the values with them."""
+    types = STORE.types
+    stamp_ns = FIRST_NS + k * 1_000_000_000 // RATE_HZ if stamp_ns is None else stamp_ns
+    stamp = types["builtin_interfaces/msg/Time"](*divmod(stamp_ns, 1_000_000_000))
+    values = {"position": Q, "velocity": DQ, "effort": EFFORT} | parts
+    order = [NAMES.index(name) if name in NAMES else -1 for name in names]
+    own = [np.zeros(0) if x is None else np.array([x[k][i] if i >= 0 else 9.0 for i in order]) for x in values.values()]
+    return types[STATE](types["std_msgs/msg/Header"](stamp, frame), list(names), *own)
+
+
+def bag(path, messages, *, storage=StoragePlugin.MCAP, compression=None, topic="/joint_states", late_ns=3_000_000):
+    with (
+        Writer(path, version=9, storage_plugin=storage)
+        if compression is None
+        else compressed(path, storage, compression) as w
+    ):
+        states = w.add_connection(topic, STATE, typestore=STORE)
+        other = w.add_connection("/rosout", TEXT, typestore=STORE)
+        text = STORE.types[TEXT]("hello")
+        w.write(other, FIRST_NS, STORE.serialize_cdr(text, TEXT))
+        for k, m in enumerate(messages):
+            w.write(states, FIRST_NS + late_ns + k * 1_000_000_000 // RATE_HZ, STORE.serialize_cdr(m, STATE))
+    return path
+
+
+def compressed(path, storage, mode):
+    writer = Writer(path, version=9, storage_plugin=storage)
+    writer.set_compression(mode, CompressionFormat.ZSTD)
+    return writer
+
+
+def imported(path, *options, capsys=None, out=None):
+    out = out or path.parent / "out.mcap"
+    arguments = ["import", str(path), "--robot", str(TOML), "--topic", "/joint_states", "-o", str(out)]
+    status = main([*arguments, *(options or ("--effort-unit", "N m"))])
+    return status, out
+
+
+def refusal(path, capsys, *options):
+    status, out = imported(path, *options)
+    err = capsys.readouterr().err
+    assert status == 1
+    assert not out.exists()
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A bag of joint states, mcap without compression."""
+    return bag(tmp_path_factory.mktemp("bag") / "whole", map(message, range(N)))
+
+
+STORAGES = {
+    "mcap": (StoragePlugin.MCAP, None),
+    "mcap, zstd": (StoragePlugin.MCAP, CompressionMode.STORAGE),
+    "mcap, zstd by message": (StoragePlugin.MCAP, CompressionMode.MESSAGE),
+    "db3": (StoragePlugin.SQLITE3, None),
+    "db3, zstd by file": (StoragePlugin.SQLITE3, CompressionMode.FILE),
+}
+
+
+@pytest.mark.parametrize("kind", STORAGES)
+@pytest.mark.parametrize("whole_folder", [True, False])
+def test_bags_of_rosbags_are_read_sample_by_sample(tmp_path, kind, whole_folder, capsys):
+    storage, compression = STORAGES[kind]
+    path = bag(tmp_path / "a_bag", map(message, range(N)), storage=storage, compression=compression)
+    if not whole_folder:
+        if compression in (CompressionMode.MESSAGE, CompressionMode.FILE):
+            pytest.skip("a compressed file says so in the folder's metadata.yaml alone")
+        (path,) = (file for file in path.iterdir() if file.suffix in (".mcap", ".db3"))
+    status, out = imported(path, out=tmp_path / "out.mcap")
+    assert status == 0
+    recording = read_recording(out)
+    samples = recording.samples
+    assert samples["position"] == pytest.approx(Q, abs=1e-12)
+    assert samples["velocity"] == pytest.approx(DQ, abs=1e-12)
+    assert samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
+    assert samples["stamp_ns"].tolist() == [FIRST_NS + k * 10_000_000 for k in range(N)]
+    assert recording.sample_rate_hz == RATE_HZ
+    told = f"effort of {path}: /joint_states: N m at the joint, as stated; joint effort = value in N m"
+    assert recording.metadata["effort_provenance"] == told
+    assert recording.metadata["times"].startswith(f"header stamps of {N} rows: steps 10 to 10 ms, median 10 ms")
+    assert recording.metadata["times"] in capsys.readouterr().out
+
+
+def lz4_mcap(path, messages):
+    """An .mcap whose chunks are compressed by lz4, by another writer."""
+    from mcap.writer import CompressionType
+    from mcap.writer import Writer as McapWriter
+
+    with path.open("wb") as file:
+        writer = McapWriter(file, compression=CompressionType.LZ4)
+        writer.start(profile="ros2", library="a test")
+        schema = writer.register_schema(STATE, "ros2msg", STORE.generate_msgdef(STATE, ros_version=2)[0].encode())
+        channel = writer.register_channel("/joint_states", "cdr", schema, {"offered_qos_profiles": ""})
+        for k, m in enumerate(messages):
+            stamp = FIRST_NS + k * 10_000_000
+            writer.add_message(channel, stamp, bytes(STORE.serialize_cdr(m, STATE)), stamp)
+        writer.finish()
+    return path
+
+
+def test_chunks_of_lz4(tmp_path):
+    status, out = imported(lz4_mcap(tmp_path / "a.mcap", map(message, range(N))), out=tmp_path / "out.mcap")
+    assert status == 0
+    assert read_recording(out).samples["position"] == pytest.approx(Q, abs=1e-12)
+
+
+def test_joints_go_by_name_and_times_by_header(tmp_path):
+    """Elbow first, a gripper among them; receptions jitter by milliseconds, header stamps do not."""
+    rng = np.random.default_rng(0)
+    path = tmp_path / "a"
+    with Writer(path, version=9) as w:
+        states = w.add_connection("/joint_states", STATE, typestore=STORE)
+        received = FIRST_NS + np.cumsum(rng.integers(5_000_000, 15_000_000, N))
+        for k in range(N):
+            m = message(k, names=("elbow", "gripper", "shoulder"), velocity=None)
+            w.write(states, int(received[k]), STORE.serialize_cdr(m, STATE))
+            if k % 7 == 0:  # another publisher, of a gripper
+                m = message(k, names=("gripper",), velocity=None)
+                w.write(states, int(received[k]) + 1, STORE.serialize_cdr(m, STATE))
+    status, out = imported(path, out=tmp_path / "out.mcap")
+    assert status == 0
+    recording = read_recording(out)
+    assert recording.samples["position"] == pytest.approx(Q, abs=1e-12)
+    assert recording.samples["effort"] == pytest.approx(EFFORT, abs=1e-12)
+    assert "velocity" not in recording.samples.dtype.names
+    assert [event.text for event in recording.events] == ["29 messages without any of the joints are left out"]
+
+
+def test_without_header_stamps_receptions_are_the_time(tmp_path, capsys):
+    path = bag(tmp_path / "a", (message(k, stamp_ns=0) for k in range(N)))
+    status, out = imported(path, out=tmp_path / "out.mcap")
+    assert status == 0
+    assert read_recording(out).samples["stamp_ns"][0] == FIRST_NS + 3_000_000
+    assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
+
+
+def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, capsys):
+    """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an ampere; N m is of the joints."""
+    text = TOML.read_text()
+    toml = tmp_path / "amperes.toml"
+    replaced = text
+    for line in text.splitlines():
+        if line.startswith(("effort_unit", "drive_gain", "ratio")):
+            replaced = replaced.replace(line + "\n", "")
+    head, *motors = replaced.split("[[motor]]")
+    for k, ratio in enumerate((2, 5)):
+        motors[k] = f'\nratio = {ratio}\ndrive_gain = 3\ndrive_gain_unit = "N m/A"' + motors[k]
+    toml.write_text("[[motor]]".join([head, *motors]))
+    for unit, factor in (("A", [6, 15]), ("mA", [0.006, 0.015]), ("N m", [1, 1])):
+        out = tmp_path / "out.mcap"
+        options = ["--topic", "/joint_states", "--effort-unit", unit, "-o", str(out)]
+        assert main(["import", str(whole), "--robot", str(toml), *options]) == 0
+        assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
+    assert main(["import", str(whole), "--robot", str(toml), *options[:2], "--effort-unit", "V", *options[4:]]) == 1
+    assert "effort.unit: gives V at the motor: expected A as robot.toml says" in capsys.readouterr().err
+
+
+def test_what_is_wrong_with_a_bag_is_told(tmp_path, whole, capsys):
+    empty = bag(tmp_path / "empty", [])
+    assert "empty: /joint_states: has no messages" in refusal(empty, capsys)
+    away = bag(tmp_path / "away", map(message, range(5)), topic="/arm/joint_states")
+    told = refusal(away, capsys)
+    assert (
+        "away: topic /joint_states is not there: expected one of sensor_msgs/msg/JointState: /arm/joint_states" in told
+    )
+    assert "/joint_states: messages have no effort" in refusal(
+        bag(tmp_path / "none", (message(k, effort=None) for k in range(5))), capsys
+    )
+    assert "effort: is zero throughout" in refusal(
+        bag(tmp_path / "zero", (message(k, effort=0 * EFFORT) for k in range(5))), capsys
+    )
+    for name, effort in (
+        ("nan", EFFORT * [1, np.nan]),
+        ("some", EFFORT * np.where(np.arange(N) == 3, np.nan, 1)[:, None]),
+    ):
+        told = refusal(bag(tmp_path / name, (message(k, effort=effort) for k in range(5))), capsys)
+        assert (
+            "effort of joint elbow: is not a number throughout" in told
+            or "state 4: effort of joint shoulder = nan" in told
+        )
+    position = Q * np.where(np.arange(N) == 2, np.inf, 1)[:, None]
+    told = refusal(bag(tmp_path / "inf", (message(k, position=position) for k in range(5))), capsys)
+    assert "state 3: position of joint shoulder = " in told
+    part = refusal(bag(tmp_path / "part", (message(k, names=("elbow", "wrist")) for k in range(5))), capsys)
+    assert "message 1: joints shoulder missing among elbow, wrist: expected all joints of robot.toml" in part
+    foreign = refusal(bag(tmp_path / "foreign", (message(k, names=("gripper",)) for k in range(5))), capsys)
+    assert "has gripper: expected the joints shoulder, elbow of robot.toml" in foreign
+
+
+def test_several_publishers_and_time_that_runs_backwards(tmp_path, capsys):
+    two = [message(k // 2, frame="" if k % 2 else "left") for k in range(40)]
+    told = refusal(bag(tmp_path / "frames", two), capsys)
+    assert "message 2: messages of several publishers: frame '' after 'left': expected one publisher" in told
+    two = [message(k // 2, names=NAMES if k % 2 else NAMES[::-1]) for k in range(40)]
+    assert "messages of several publishers: other names" in refusal(bag(tmp_path / "names", two), capsys)
+    late = [message(k, stamp_ns=FIRST_NS + (k - 30 * (k % 2)) * 10_000_000) for k in range(40)]
+    told = refusal(bag(tmp_path / "back", late), capsys)
+    assert "/joint_states: row 2: time runs backwards" in told
+    assert "rows of two publishers" in told
+    same = [message(k, stamp_ns=FIRST_NS + (k // 2) * 10_000_000) for k in range(40)]
+    assert "row 2: position differs from the row before at the same time" in refusal(
+        bag(tmp_path / "same", same), capsys
+    )
+
+
+def test_options_that_do_not_go_together(tmp_path, whole, capsys):
+    def told(*options):
+        assert main(["import", str(whole), "--robot", str(TOML), "-o", str(tmp_path / "out.mcap"), *options]) == 1
+        return capsys.readouterr().err
+
+    assert "a ROS 2 bag, and --topic is not there: expected the topic" in told()
+    topic = ("--topic", "/joint_states")
+    assert "--effort-unit is missing: a bag does not say: expected what the driver publishes" in told(*topic)
+    assert "--effort-unit = 'Nm': expected one of A, mA" in told(*topic, "--effort-unit", "Nm")
+    assert "--effort-unit: 3 units: expected one, or 2" in told(*topic, "--effort-unit", "A,A,A")
+    assert "--map = " in told(*topic, "--map", "x.toml")
+    assert "--resample-hz = -1.0: expected a number above 0" in told(
+        *topic, "--effort-unit", "N m", "--resample-hz", "-1"
+    )
+    assert "--effort-unit = 'A': is of ROS 2 bags: expected --topic with it" in told("--effort-unit", "A")
+
+
+def test_files_that_are_no_bags(tmp_path, robot, capsys):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "text.mcap").write_text("no bag")
+    (tmp_path / "text.db3").write_text("no bag")
+    own = tmp_path / "own.mcap"
+    with RecordingWriter(own, Header(robot=robot, source="", sample_rate_hz=100.0, effort_provenance="")):
+        pass
+    cut = bag(tmp_path / "cut", map(message, range(N)))
+    (file,) = cut.glob("*.mcap")
+    file.write_bytes(file.read_bytes()[:20_000])
+    for name in ("folder", "text.mcap", "text.db3", "own.mcap", "cut", "missing.mcap"):
+        assert f"{tmp_path / name}: cannot be read: " in refusal(tmp_path / name, capsys)
+
+
+def recorded(tmp_path, robot, *, velocity):
+    samples = np.zeros(250, sample_dtype(robot.n, reference=True, optional=("velocity",) if velocity else ()))
+    rng = np.random.default_rng(3)
+    samples["stamp_ns"] = FIRST_NS + np.arange(250) * 2_000_000
+    samples["position"] = np.cumsum(0.001 * rng.normal(size=(250, robot.n)), axis=0)
+    samples["reference"] = samples["position"] + 0.01
+    samples["effort"] = rng.normal(size=(250, robot.n))
+    if velocity:
+        samples["velocity"] = rng.normal(size=(250, robot.n))
+    path = tmp_path / f"{robot.name}.mcap"
+    with RecordingWriter(path, Header(robot=robot, source="", sample_rate_hz=500.0, effort_provenance="")) as writer:
+        writer.samples(samples)
+    return path, samples
+
+
+def read_back(path):
+    with AnyReader([path]) as reader:
+        found = {}
+        for connection, stamp, raw in reader.messages():
+            found.setdefault(connection.topic, []).append((stamp, reader.deserialize(raw, connection.msgtype)))
+    return found
+
+
+@pytest.mark.parametrize("velocity", [True, False])
+def test_rosbags_reads_what_is_exported_sample_by_sample(tmp_path, robot, velocity, capsys):
+    path, samples = recorded(tmp_path, robot, velocity=velocity)
+    assert main(["export", str(path), "--bag", str(tmp_path / "bag"), "-o", str(tmp_path / "a.csv")]) == 0
+    out = capsys.readouterr().out
+    assert "a.csv: 250 rows" in out
+    assert "250 of /joint_states, 250 of /joint_states/reference, 50 of /tf" in out
+    found = read_back(tmp_path / "bag")
+    assert [stamp for stamp, _ in found["/joint_states"]] == samples["stamp_ns"].tolist()
+    states = [m for _, m in found["/joint_states"]]
+    assert [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in states] == samples["stamp_ns"].tolist()
+    assert all(m.name == [j.name for j in robot.joints] for m in states)
+    for field in ("position", "effort"):
+        assert np.array_equal([getattr(m, field) for m in states], samples[field])
+    speeds = samples["velocity"] if velocity else np.gradient(samples["position"], 0.002, axis=0)
+    assert np.array([m.velocity for m in states]) == pytest.approx(speeds, rel=1e-9, abs=1e-9)
+    references = [m for _, m in found["/joint_states/reference"]]
+    assert np.array_equal([m.position for m in references], samples["reference"])
+    assert not any(len(m.effort) for m in references)
+    # And back again.
+    again = tmp_path / "again.mcap"
+    assert imported(tmp_path / "bag", "--effort-unit", "N m", out=again)[0] == (
+        1 if velocity else 0
+    )  # speeds by chance
+    if not velocity:
+        assert read_recording(again).samples["position"] == pytest.approx(samples["position"], abs=1e-9)
+
+
+def test_a_robot_in_amperes_has_no_effort_in_its_bag(tmp_path, capsys):
+    from dataclasses import replace
+
+    import msgspec
+
+    robot = robot_named("scara")
+    motors = tuple(
+        msgspec.structs.replace(m, drive_gain=None, drive_gain_unit=None, effort_unit="A") for m in robot.motors
+    )
+    text = TOML.read_text()
+    lines = [line for line in text.splitlines() if not line.startswith(("drive_gain", "effort_unit"))]
+    toml = "\n".join(lines).replace("[[motor]]", '[[motor]]\neffort_unit = "A"')
+    robot = replace(robot, motors=motors, files={"robot.toml": toml.encode()})
+    path, _ = recorded(tmp_path, robot, velocity=False)
+    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
+    assert not any(len(m.effort) for _, m in read_back(tmp_path / "bag")["/joint_states"])
+
+
+URDF = """<robot name="two"><link name="world"/><link name="a"/><link name="b"/><link name="tool"/><link name="f1"/>
+<joint name="j1" type="continuous"><parent link="world"/><child link="a"/>
+  <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.4 1.1"/><axis xyz="0 1 1"/></joint>
+<joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0 0 0.5" rpy="1.2 0 0"/>
+  <axis xyz="0 0 -1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="flange" type="fixed"><parent link="b"/><child link="tool"/><origin rpy="0 0 1.5707963267948966"/></joint>
+<joint name="finger" type="prismatic"><parent link="tool"/><child link="f1"/><mimic joint="j2" multiplier="2" offset="0.1"/>
+  <axis xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def urdf_robot(tmp_path):
+    (tmp_path / "two.urdf").write_text(URDF)
+    joints = "".join(
+        f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in (("j1", "revolute"), ("j2", "prismatic"))
+    )
+    motors = '[[motor]]\nname = "m1"\neffort_unit = "N m"\n[[motor]]\nname = "m2"\neffort_unit = "N"\n'
+    (tmp_path / "robot.toml").write_text(
+        f'name = "two"\nurdf = "two.urdf"\n{joints}{motors}[controller]\nbandwidth_hz = 10\n'
+    )
+    from acquisition.robot import load_robot
+
+    return load_robot(tmp_path / "robot.toml")
+
+
+def placements_by_bag(path):
+    """By stamp, each link's pose in the first frame, from /tf: quaternions by hand, products along the chain."""
+    poses = []
+    for stamp, m in read_back(path)["/tf"]:
+        found = {}
+        for t in m.transforms:
+            r, x = t.transform.rotation, t.transform.translation
+            w, v = r.w, np.array([r.x, r.y, r.z])
+            R = (w * w - v @ v) * np.eye(3) + 2 * np.outer(v, v) + 2 * w * np.cross(np.eye(3), v).T
+            T = np.eye(4)
+            T[:3, :3], T[:3, 3] = R, (x.x, x.y, x.z)
+            found[t.child_frame_id] = found.get(t.header.frame_id, np.eye(4)) @ T
+        poses.append((stamp, found))
+    return poses
+
+
+def test_transforms_of_a_urdf_are_those_of_pinocchio(tmp_path):
+    import pinocchio as pin
+
+    robot = urdf_robot(tmp_path)
+    path, samples = recorded(tmp_path, robot, velocity=False)
+    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
+    ((_, description),) = read_back(tmp_path / "bag")["/robot_description"]
+    assert description.data == URDF
+    model = pin.buildModelFromXML(URDF.replace('type="continuous"', 'type="revolute"'), mimic=False)
+    data, by_stamp = (
+        model.createData(),
+        {int(s): q for s, q in zip(samples["stamp_ns"], samples["position"], strict=True)},
+    )
+    for stamp, found in placements_by_bag(tmp_path / "bag"):
+        q1, q2 = by_stamp[stamp]
+        pin.framesForwardKinematics(model, data, np.array([q1, q2, 2 * q2 + 0.1]))
+        for name in ("a", "b", "tool", "f1"):
+            assert found[name] == pytest.approx(data.oMf[model.getFrameId(name)].homogeneous, abs=1e-9)
+
+
+@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
+def test_transforms_and_urdf_of_dh_rows_are_those_of_the_model(tmp_path, name):
+    """/tf, and the URDF that is made of the DH rows, against the model that estimates rest on."""
+    import pinocchio as pin
+
+    from identification.model import InverseModel
+
+    robot = robot_named(name)
+    path, samples = recorded(tmp_path, robot, velocity=False)
+    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
+    ((_, description),) = read_back(tmp_path / "bag")["/robot_description"]
+    assert description.data.startswith("<?xml")
+    xml = description.data.split("?>", 1)[1]
+    continuous = pin.buildModelFromXML(xml)
+    origins, rotations = InverseModel(robot).placements(samples["position"][::5])
+    poses = placements_by_bag(tmp_path / "bag")
+    assert len(poses) == len(origins)
+    for k, (_, found) in enumerate(poses):
+        for j, joint in enumerate(robot.joints):
+            pose = found[f"link_{joint.name}"]
+            assert pose[:3, 3] == pytest.approx(origins[k, j], abs=1e-9)
+            assert pose[:3, :3] == pytest.approx(rotations[k, j], abs=1e-9)
+    if continuous.nq == robot.n:
+        data = continuous.createData()
+        pin.forwardKinematics(continuous, data, np.ascontiguousarray(samples["position"][0]))
+        for j in range(robot.n):
+            assert data.oMi[j + 1].translation == pytest.approx(origins[0, j], abs=1e-9)
+            assert data.oMi[j + 1].rotation == pytest.approx(rotations[0, j], abs=1e-9)
+
+
+def test_a_bag_is_written_whole_or_not_at_all(tmp_path, robot, monkeypatch, capsys):
+    path, _ = recorded(tmp_path, robot, velocity=False)
+    (tmp_path / "there").mkdir()
+    assert main(["export", str(path), "--bag", str(tmp_path / "there")]) == 1
+    assert "there: already exists: expected the name of a new folder" in capsys.readouterr().err
+    assert main(["export", str(path), "--bag", str(tmp_path / "none" / "bag")]) == 1
+    assert "bag: cannot be written: No such file" in capsys.readouterr().err
+    assert main(["export", str(path)]) == 1
+    assert "nothing to write: expected -o OUT.csv, --bag FOLDER or both" in capsys.readouterr().err
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Writer, "write", full)
+    assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 1
+    assert "bag: cannot be written: No space left on device" in capsys.readouterr().err
+    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, "there"]
