@@ -205,14 +205,24 @@ def coloured(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
 
 
 def simulate(
-    plant: Plant, controller: Controller, reference: Reference, cell: Imperfections, *, seed: int = 0, substeps: int = 4
+    plant: Plant,
+    controller: Controller,
+    reference: Reference,
+    cell: Imperfections,
+    *,
+    seed: int = 0,
+    substeps: int = 4,
+    feedforward: Array | None = None,
 ) -> Runs:
-    """All runs along their references, from rest where the position loop carries the arm's weight."""
+    """All runs along their references, from rest where the position loop carries the arm's weight.
+
+    `feedforward` (S, N, n) is added to the controller's output, by motor.
+    """
     c, T, rng = controller, 1.0 / controller.rate_hz, np.random.default_rng([2, seed])
     S, N, n = reference.q.shape
     cascade, to_joints = c.structure.startswith("cascade"), plant.R * c.drive_gain[:, None]
     integrates = c.structure in ("cascade_p_pi", "pid")
-    feedforward = 1.0 if c.structure in ("pd_velocity_feedforward", "pid") else 0.0
+    speed_share = 1.0 if c.structure in ("pd_velocity_feedforward", "pid") else 0.0
     kp, kd, ki = (cell.gain_factor * c.stiffness(), cell.gain_factor * c.velocity_gain, c.integral_gain)
     ki = ki * kd if cascade else ki * cell.gain_factor
     target, target_speed = reference.q @ plant.R.T, reference.dq @ plant.R.T
@@ -243,11 +253,13 @@ def simulate(
         speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (T * (2 if c.two_sample_mean else 1))
         seen_before, seen_earlier = seen, seen_before
         error = target[:, k] - seen
-        u = kp * error + kd * (feedforward * target_speed[:, k] - speed)
+        u = kp * error + kd * (speed_share * target_speed[:, k] - speed)
         if integrates:
             after = integral + T * (c.position_gain * error - speed if cascade else error)
             u = u + ki * after
             integral = np.where(np.abs(u) > c.saturation, integral, after)  # no wind-up
+        if feedforward is not None:
+            u = u + feedforward[:, k]
         tau = np.clip(u, -c.saturation, c.saturation) @ to_joints
         measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
         middle_v, v_before = 1.5 * v - 0.5 * v_before, v

@@ -332,7 +332,8 @@ def test_a_robot_in_amperes_has_no_effort_in_its_bag(tmp_path, capsys):
 
 URDF = """<robot name="two"><link name="world"/><link name="a"/><link name="b"/><link name="tool"/><link name="f1"/>
 <joint name="j1" type="continuous"><parent link="world"/><child link="a"/>
-  <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.4 1.1"/><axis xyz="0 1 1"/><limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
+  <origin xyz="0.1 -0.2 0.3" rpy="0.3 -0.4 1.1"/><axis xyz="0 1 1"/>
+  <limit lower="-9" upper="9" effort="1" velocity="1"/></joint>
 <joint name="j2" type="prismatic"><parent link="a"/><child link="b"/><origin xyz="0 0 0.5" rpy="1.2 0 0"/>
   <axis xyz="0 0 -1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
 <joint name="flange" type="fixed"><parent link="b"/><child link="tool"/><origin rpy="0 0 1.5707963267948966"/></joint>

@@ -99,6 +99,10 @@ class Robot:
         """Joint speeds (N, n) in rad/s or m/s from motor speeds (N, n): inv(R) dq_motor."""
         return np.asarray(np.linalg.solve(self.R, dq_motor.T).T)
 
+    def motor_velocity(self, dq: Array) -> Array:
+        """Motor speeds (N, n) from joint speeds (N, n); the inverse of `joint_velocity`."""
+        return np.asarray(dq @ self.R.T)
+
     def motor_position(self, q: Array) -> Array:
         """Motor positions (N, n) from joint positions (N, n); the inverse of `joint_position`."""
         return (q - self.zero) @ self.R.T

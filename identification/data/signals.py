@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 from typing import Literal
@@ -9,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.recording import Recording, read_recording
+from acquisition.recording import OPTIONAL, Recording, read_recording
 from acquisition.robot import ExtraColumn, Robot, extra_columns
 
 from ..arrays import Array
@@ -49,6 +50,9 @@ class Signals:
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
         effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
             package simulates; `drive`: an object of drives whose loops are faster than the recording.
+        velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
+        known_torque: (N, n) torques on the joints that are known and not of the drives, N m or N, or None.
+        feedforward: (N, n) what was added to the controller's output, by motor in the unit of the recorded effort, or None.
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
@@ -65,12 +69,17 @@ class Signals:
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
     effort_timing: EffortTiming = "command"
+    velocity: Array | None = None
+    known_torque: Array | None = None
+    feedforward: Array | None = None
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
         N, n = self.q.shape
-        for name, part, shape in (("t_s", self.t_s, (N,)), ("effort", self.effort, (N, n))):
-            if part.shape != shape:
+        parts = {name: getattr(self, name) for name in ("t_s", "q", "q_ref", "effort", *OPTIONAL)}
+        for name, part in parts.items():
+            shape = (N,) if name == "t_s" else (N, n)
+            if part is not None and part.shape != shape:
                 raise IdentificationError(
                     place=self.recording, key=f"{name}.shape", value=part.shape, expected=str(shape)
                 )
@@ -78,7 +87,15 @@ class Signals:
             raise IdentificationError(
                 place=self.recording, key="joints recorded", value=n, expected=f"{self.robot.n}, as the robot has"
             )
-        for name, array in (("t_s", self.t_s), ("q", self.q), ("q_ref", self.q_ref), ("effort", self.effort)):
+        if self.known_torque is not None and not self.robot.gain_known:
+            units = " and ".join(sorted(set(self.robot.effort_units)))
+            raise IdentificationError(
+                f"cannot be added to efforts in {units}",
+                place=self.recording,
+                key="known_torque",
+                expected=f"the drive gains of robot {self.robot.name}",
+            )
+        for name, array in parts.items():
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
@@ -89,6 +106,11 @@ class Signals:
                         expected="finite numbers",
                     )
                 array.flags.writeable = False
+
+    @cached_property
+    def torque(self) -> Array:
+        """What the inverse dynamic model gives (N, n): the efforts of the drives and the known torques."""
+        return self.effort if self.known_torque is None else self.effort + self.known_torque
 
     def __repr__(self) -> str:
         reference = ", with reference" if self.q_ref is not None else ""
@@ -133,13 +155,17 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     stamps = samples["stamp_ns"]
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     q, effort = (_at(grid, stamps, samples[name]) for name in ("position", "effort"))
-    reference = _at(grid, stamps, samples["reference"]) if "reference" in (samples.dtype.names or ()) else None
+    fields = samples.dtype.names or ()
+    reference = _at(grid, stamps, samples["reference"]) if "reference" in fields else None
+    optional = {name: _at(grid, stamps, samples[name]) for name in OPTIONAL if name in fields}
     if robot is not None and robot.n == recording.robot.n:
         # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
         was = recording.robot
         _refuse_other_units(was, robot, path)
         q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
         reference = None if reference is None else robot.joint_position(was.motor_position(reference))
+        if "velocity" in optional:
+            optional["velocity"] = robot.joint_velocity(was.motor_velocity(optional["velocity"]))
     return Signals(
         t_s=grid * 1e-9,
         q=q,
@@ -158,6 +184,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         extras=_extras(samples, recording.robot),
         effort_timing=_effort_timing(recording.metadata),
         off_grid=off_grid,
+        **optional,
     )
 
 

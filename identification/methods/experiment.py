@@ -84,7 +84,7 @@ def make_experiment(
     grid = np.arange((settings.stop - 1 - settings.start) % m + settings.start, settings.stop, m)
     times_s, substeps = _instants(problem, loop, grid, step_hz)
     measured = problem.motion.between(settings.start, settings.stop, rule_cutoff_hz(bandwidth_hz, fs))
-    reference = Reference(*(sampled_at((times_s - settings.start / fs) * fs, x) for x in _reference(problem, measured)))
+    reference = _reference(problem, measured, loop, times_s * fs - settings.start)
     q = measured.q[grid - settings.start]
     prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
     J_prior = inertias(prior, poses_of(q))
@@ -142,15 +142,24 @@ def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp],
     return times_s, substeps
 
 
-def _reference(problem: Problem, measured: Motion) -> tuple[Array, Array, Array]:
-    """Reference position, speed and acceleration (N, n): the recorded one, or the measured motion in its place."""
-    signals, settings = problem.signals, problem.settings
+def _reference(problem: Problem, measured: Motion, loop: ControlLaw | None, at: Array) -> Reference:
+    """What the loop is given at places `at` (K,), counted in samples used: the recorded reference, or the measured motion.
+
+    The measured motion has in it what was fed forward. A surrogate loop's output is torque at the joints.
+    """
+    signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
+    known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[used])
     if signals.q_ref is None:
-        return measured.q, measured.dq, measured.ddq
-    q_ref = np.array(signals.q_ref[settings.start : settings.stop])
-    _refuse_foreign_reference(q_ref, signals.q[settings.start : settings.stop], signals)
+        return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
+    q_ref = np.array(signals.q_ref[used])
+    _refuse_foreign_reference(q_ref, signals.q[used], signals)
     dq_ref = differentiate(q_ref, signals.sample_rate_hz)
-    return q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)
+    paths = (sampled_at(at, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
+    ahead = None
+    if signals.feedforward is not None:  # held from sample to sample: a cubic would swing beside a step
+        ahead = signals.feedforward[used][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
+        ahead = signals.robot.joint_effort(ahead) if loop is None else ahead
+    return Reference(*paths, known_torque=known, feedforward=ahead)
 
 
 def _stride(fs: float, decimation: int, step_hz: float) -> int:

@@ -15,7 +15,7 @@ from ..estimation import (
     lag_one,
     relative_error_percent,
 )
-from ..regression import Problem, Regression
+from ..regression import Problem, Regression, known_torque_rows
 from ..trust import Evidence
 from .assess import Verdict, assess_estimate, intervals_of, predicted_rows
 from .experiment import Experiment
@@ -140,11 +140,12 @@ def _direct_errors(
     if final.motion is None:
         return ()
     tau, tracking = e.decimation.filtered(final.motion.tau.T).T, joint_tracking_percent(e, final.motion)
+    measured = observed.tau - known_torque_rows(problem)  # of the drives, as the simulated one is
     return tuple(
         DirectModelError(
             name=joint.name,
             position_error_percent=tracking[j],
-            torque_error_percent=relative_error_percent(observed.tau[:, j], observed.tau[:, j] - tau[:, j]),
+            torque_error_percent=relative_error_percent(measured[:, j], measured[:, j] - tau[:, j]),
         )
         for j, joint in enumerate(problem.signals.robot.joints)
     )

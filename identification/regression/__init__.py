@@ -16,6 +16,7 @@ from .settings import (
 from .system import (
     Regression,
     decimated_regressor,
+    known_torque_rows,
     predicted_torque,
     regression_of_recording,
     torque_of_recording,
@@ -37,6 +38,7 @@ __all__ = [
     "differentiate",
     "fast_rows",
     "forward_backward_3db_hz",
+    "known_torque_rows",
     "lowest_nearby",
     "make_problem",
     "make_settings",

@@ -41,12 +41,12 @@ class FilteredMotion:
         s = self._signals
         if cutoff_hz is None or s.q.size > _NUMBERS_KEPT:
             return motion_between(
-                s.q, s.effort, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
+                s.q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
             )
         if cutoff_hz not in self._filtered:
             self._filtered[cutoff_hz] = lowpass(s.q, cutoff_hz, s.sample_rate_hz)
         return motion_of_filtered(
-            self._filtered[cutoff_hz], s.effort, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
+            self._filtered[cutoff_hz], s.torque, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
         )
 
 

@@ -89,14 +89,27 @@ def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Ar
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
 
-def torque_rate(problem: Problem, beta: Array) -> Array:
-    """Rate of change (rows, n) of the torque that beta (b,) predicts, per sample of the recording, decimated.
+def known_torque_rows(problem: Problem) -> Array:
+    """Known torques (rows, n) of the span used, decimated as the torques are; zeros where there are none."""
+    settings, known = problem.settings, problem.signals.known_torque
+    if known is None:
+        return np.zeros((settings.decimator.rows(settings.stop - settings.start), problem.signals.robot.n))
+    return np.asarray(settings.decimator.filtered(known[settings.start : settings.stop].T).T)
 
-    Differences are central, of the samples before decimation: there they are exact.
+
+def torque_rate(problem: Problem, beta: Array) -> Array:
+    """Rate of change (rows, n) of the drives' torque that beta (b,) predicts, per sample of the recording, decimated.
+
+    Known torques are left out: no drive records them. Differences are central, of the samples before decimation: there they
+    are exact.
     """
-    parts = []
+    parts, known = [], problem.signals.known_torque
     for motion, inside, _ in motion_blocks(problem):
-        rate = differentiate(predicted_torque(motion, problem.model, problem.base, beta), 1.0)
+        predicted = predicted_torque(motion, problem.model, problem.base, beta)
+        if known is not None:
+            first = round(motion.t_s[0] * problem.signals.sample_rate_hz)
+            predicted = predicted - known[first : first + len(predicted)]
+        rate = differentiate(predicted, 1.0)
         parts.append(problem.settings.decimator.filtered(rate.T)[:, inside].T)
     return np.concatenate(parts)
 

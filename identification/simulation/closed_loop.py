@@ -55,13 +55,15 @@ def simulate(
     else:
         friction = Friction(cell.on_plant(model), reference.dq, v, h, stribeck=cell.stribeck)
     look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
-    rows = 0
+    rows, known = 0, reference.known_torque
     for k in range(N):
         if cell is None:
             acting = tau = control.torque(k, q, v)
         else:
             tau = control.torque(k, cell.seen(k, q), v)
             acting = tau + cell.torque[k]
+        if known is not None:
+            acting = acting + known[k]
         for row in range(rows, rows + substeps):
             after = friction.step(q, v, acting)
             if after is None:

@@ -13,8 +13,10 @@ Control acts on motor positions q_m = R q, once per controller period, and is he
 | `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
 | `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
 
-A surrogate, of the controller or of the reference, adds the model's gravity along the reference: a real loop holds its
-robot up by an integral or its own model, and a measured position has that sag in it already.
+A surrogate, of the controller or of the reference, adds the model's gravity along the reference, less the known torque: a real
+loop holds its robot up by an integral or its own model, and a measured position has that sag in it already.
+
+What is recorded as feed-forward is added to u. Known torques act on the joints, beside those of the drives.
 
 Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
 """
@@ -35,11 +37,17 @@ SURROGATE_DAMPING = 0.8
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The inputs of a loop at its instants: q, dq, ddq (N, n), which it is to follow, and what disturbs it, if anything."""
+    """The inputs of a loop at its instants: q, dq, ddq (N, n), which it is to follow, and what acts besides, if anything.
+
+    `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N, n) is added to the controller's
+    output, in its units; `disturbances` are those that nobody knows.
+    """
 
     q: Array
     dq: Array
     ddq: Array
+    known_torque: Array | None = field(default=None, kw_only=True)
+    feedforward: Array | None = field(default=None, kw_only=True)
     disturbances: Disturbances | None = field(default=None, kw_only=True)
 
 
@@ -159,7 +167,10 @@ class Control:
         self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
         self._to_joints = loop.R.T * loop.G
         if loop.gravity and not loop.computed_torque:
-            self._ahead = self._ahead + self._motor_effort(model.gravity(reference.q).T).T
+            self._ahead = self._ahead + self._motor_effort(self._weight(reference.q).T).T
+        self._added = reference.feedforward if loop.computed_torque else None
+        if reference.feedforward is not None and not loop.computed_torque:
+            self._ahead = self._ahead + reference.feedforward
         self._plain = False
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
@@ -167,9 +178,11 @@ class Control:
         if self._integrates:
             # What a loop that has been running for a while holds: the robot at rest. Speeds and accelerations of a single
             # instant would bring their noise into it.
-            held = self._motor_effort(model.gravity(q[None])[0])
+            held = self._motor_effort(self._weight(q[None])[0])
             if loop.gravity:
-                held = held - self._motor_effort(model.gravity(reference.q[:1])[0])
+                held = held - self._motor_effort(self._weight(reference.q[:1])[0])
+            if reference.feedforward is not None:
+                held = held - reference.feedforward[0]
             held = np.clip(held, -loop.saturation, loop.saturation)
             self._integral = np.divide(held, loop.Ki, out=self._integral, where=loop.Ki > 0)
 
@@ -198,15 +211,23 @@ class Control:
         if loop.computed_torque:
             ddq = self._reference.ddq[k] + np.linalg.solve(loop.R, u)
             tau = self._model.inverse(q, v, ddq, self._reference.dq[k])
-            if not self._limited:
+            if not self._limited and self._added is None:
                 return tau
             u = self._motor_effort(tau)
+            if self._added is not None:
+                u = u + self._added[k]
         if self._limited:
             limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)  # np.clip takes thrice as long
             if self._integrates:
                 self._integral = np.where(limited != u, before, self._integral)  # no wind-up
             u = limited
         return np.asarray(self._to_joints.dot(u))
+
+    def _weight(self, q: Array) -> Array:
+        """Joint torques (N, n) that hold the robot at the first N instants at positions q (N, n)."""
+        known = self._reference.known_torque
+        weight = self._model.gravity(q)
+        return weight if known is None else weight - known[: len(q)]
 
     def _motor_effort(self, tau: Array) -> Array:
         """Motor efforts (n, ...) that give the joint torques (n, ...)."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.files import atomic_write
-from acquisition.recording import Header, RecordingWriter, sample_dtype
+from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import FourierReference, fourier_reference
 
@@ -162,11 +162,15 @@ def write_signals(
     provenance, cell = "simulated joint torque", {}
     if noise is not None:
         provenance, cell = f"{provenance}, {noise.effort_text}", {"cell": noise.text}
-    samples = np.empty(len(signals.q), sample_dtype(signals.robot.n, reference=signals.q_ref is not None))
+    optional = {name: getattr(signals, name) for name in OPTIONAL if getattr(signals, name) is not None}
+    layout = sample_dtype(signals.robot.n, reference=signals.q_ref is not None, optional=optional)
+    samples = np.empty(len(signals.q), layout)
     samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
     samples["position"], samples["effort"] = signals.q, signals.effort
     if signals.q_ref is not None:
         samples["reference"] = signals.q_ref
+    for name, values in optional.items():
+        samples[name] = values
     timing = {EFFORT_TIMING: MEAN} if signals.effort_timing == "mean" else {}
     with (
         atomic_write(path) as partial,

@@ -13,7 +13,7 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import cosines, deviations
 from ..model import JointTerm, direct_model
-from ..regression import Decimation, Motion
+from ..regression import Decimation, Motion, known_torque_rows
 from .evidence import Evidence
 from .lines import TrustLine
 
@@ -219,9 +219,10 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
 
 
 def _gains(evidence: Evidence) -> Iterator[_Column]:
-    """Torque of each joint that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
+    """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
     observed, names = evidence.observed, evidence.problem.base.names
     predicted = (observed.system.W @ evidence.estimate.among(names)).reshape(observed.tau.shape[1], -1).T
+    predicted = predicted - known_torque_rows(evidence.problem)
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(
             kind="relative gain",

@@ -106,7 +106,8 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     q, q_ref = sampled_at(ticks, signals.q), sampled_at(ticks, signals.q_ref)
     v = differentiate(q, 1 / loop.period_s)
     dq_ref = differentiate(q_ref, 1 / loop.period_s)
-    reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s))
+    ahead = None if signals.feedforward is None else signals.feedforward[np.rint(ticks).astype(np.intp)]
+    reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s), feedforward=ahead)
     model = direct_model(problem.model, np.zeros(problem.model.p))  # of no use here: these laws have none in them
     control = Control(model, loop, reference, q[0], (q[1] - q[0]) / loop.period_s)
     given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
