@@ -12,7 +12,7 @@ from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop
+from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from identification.study.synthetic import truth
 from identification.trust.physical import inertias
 
@@ -49,13 +49,26 @@ def axis(structure: str, estimate: str, saturation: float):
     )
 
 
-def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float) -> tuple[np.ndarray, np.ndarray]:
-    """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS)."""
+def by_hand(
+    structure: str,
+    estimate: str,
+    path: np.ndarray,
+    saturation: float,
+    ahead: np.ndarray | None = None,
+    force: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Position and motor effort of the sampled loop along the reference path: position, speed, acceleration (3, TICKS).
+
+    `ahead` (TICKS,) is added to the motor's effort, `force` (TICKS,) to that on the mass.
+    """
+    ahead, force = (np.zeros(path.shape[1]) if x is None else x for x in (ahead, force))
     kp, kd, ki = LAWS[structure]
     held = expm(T * np.array([[0, 1, 0], [0, -VISCOUS / MASS, RATIO * GAIN / MASS], [0, 0, 0]]))
     q = v = before = earlier = integral = 0.0
     positions, efforts = [], []
-    for r, dr, ddr in path.T:
+    if structure in ("cascade_p_pi", "pid"):  # it has held the mass at rest before
+        integral = -(ahead[0] + force[0] / (RATIO * GAIN)) / (ki * kd if structure == "cascade_p_pi" else ki)
+    for (r, dr, ddr), fed, push in zip(path.T, ahead, force, strict=True):
         dq = {"exact": v, "backward_difference": (q - before) / T, "two_sample_mean": (q - earlier) / (2 * T)}[estimate]
         before, earlier = q, before
         e, de, speed = RATIO * (r - q), RATIO * (dr - dq), RATIO * dq
@@ -74,11 +87,12 @@ def by_hand(structure: str, estimate: str, path: np.ndarray, saturation: float) 
             u = kp * e + kd * de + ki * integral
         else:
             u = (MASS * (ddr + (kp * e + kd * de) / RATIO) + VISCOUS * v) / (GAIN * RATIO)
+        u += fed
         if abs(u) > saturation:
             u, integral = np.sign(u) * saturation, kept
         positions.append(q)
         efforts.append(u)
-        q, v, _ = held @ [q, v, u]
+        q, v, _ = held @ [q, v, u + push / (RATIO * GAIN)]
     return np.array(positions), np.array(efforts)
 
 
@@ -106,6 +120,39 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     assert np.abs(q).max() > 5e-3
     np.testing.assert_allclose(done.q[::4, 0], q, atol=2e-7)
     np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+
+
+@pytest.mark.parametrize("saturation", [np.inf, 3.0])
+@pytest.mark.parametrize("structure", LAWS)
+def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturation):
+    """Pulses of the motor's effort, counted before the saturation, and a force on the mass, which it does not see."""
+    robot = axis(structure, "exact", saturation)
+    dynamics = InverseModel(robot)
+    base = base_parameters(dynamics)
+    model, path = direct_model(dynamics, base.standard_parameters(truth(dynamics, base))), path_of("sine")
+    k = np.arange(TICKS)
+    ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
+    known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
+    rest = (np.zeros(1), np.zeros(1))
+    references = Reference(*(x[:, None].copy() for x in path), **known)
+    done = simulate(model, recorded_loop(robot), references, start=rest, bound=np.ones(1), substeps=4)
+    q, effort = by_hand(structure, "exact", path, saturation, ahead, force)
+    np.testing.assert_allclose(done.q[::4, 0], q, atol=5e-7)
+    np.testing.assert_allclose(done.tau[::4, 0], GAIN * RATIO * effort, atol=1e-3 * np.abs(GAIN * RATIO * effort).max())
+
+
+def test_a_surrogate_holds_what_the_known_torque_does_not():
+    """At rest under a constant force a surrogate stands at its reference: without sag."""
+    robot = axis("pd", "exact", np.inf)
+    dynamics = InverseModel(robot)
+    base = base_parameters(dynamics)
+    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    still = [np.zeros((TICKS, 1)) for _ in range(3)]
+    references = Reference(*still, known_torque=np.full((TICKS, 1), 30.0))
+    loop = surrogate_loop(5.0, np.array([MASS]), 1 / T)
+    done = simulate(model, loop, references, start=(np.zeros(1), np.zeros(1)), bound=np.ones(1))
+    assert np.abs(done.q).max() < 1e-12
+    assert done.tau[:, 0] == pytest.approx(-30.0)
 
 
 @pytest.mark.parametrize("structure", LAWS)

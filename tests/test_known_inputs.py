@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 from independent_robots import Array, Plant, plant
-from independent_simulator import Imperfections, described_controller, references, simulate
+from independent_simulator import Imperfections, described_controller, designed_pd, references, simulate
 
+from acquisition.commands import main as acquire
+from acquisition.robot.robot import load_robot
+from identification.commands import main as identify
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.methods.idim import validate
 from identification.model import InverseModel
 from identification.regression import Overrides
 from identification.study.synthetic import truth, write_signals
@@ -33,31 +37,221 @@ class Sprung(Plant):
 
 
 @cache
-def record(seed: int = 0) -> Signals:
-    """With everything that is known of it."""
-    toml = REPLAY / "emps" / "robot.toml"
-    body = plant(toml, smooth=0.002)
-    body = Sprung(**vars(body))
-    path = references(body, range(seed, seed + 1), duration_s=10.0, rate_hz=1000.0)
+def records() -> tuple[Signals, ...]:
+    """Two runs with everything that is known of them."""
+    body = Sprung(**vars(plant(REPLAY / "emps" / "robot.toml")))
+    path = references(body, range(2), duration_s=6.0, rate_hz=1000.0)
     pulses = np.zeros_like(path.q)
     for k, start in enumerate(range(500, pulses.shape[1] - 500, EVERY)):
-        pulses[0, start : start + WIDTH] = PULSE_V * (-1) ** (k // 2)
+        pulses[:, start : start + WIDTH] = PULSE_V * (-1) ** (k // 2)
     cell = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
-    runs = simulate(body, described_controller(body), path, cell, feedforward=pulses, seed=seed)
+    runs = simulate(body, described_controller(body), path, cell, feedforward=pulses, substeps=2)
     robot = robot_named("emps")
     # The rules of the package, not what reproduces the digits of the axis's authors.
     robot = replace(robot, identification=type(robot.identification)())
-    return replace(
-        runs.signals(robot, 0), known_torque=-STIFFNESS * (runs.q_true[0] - AT_REST), feedforward=pulses[0]
+    spring = -STIFFNESS * (runs.q_true - AT_REST)
+    return tuple(
+        replace(runs.signals(robot, s), known_torque=spring[s].copy(), feedforward=pulses[s].copy()) for s in range(2)
     )
 
 
-def fitted(signals: Signals, method: str):
+@cache
+def fitted(signals: Signals, method: str) -> Fit:
     if method == "iv":
         return identify_iv(signals, Overrides(), Iteration())
     return identify_ls(signals, Overrides(), trust=True)
 
 
-def inside(fit) -> np.ndarray:
+def line(fit: Fit, test: str):
+    return next(found for found in fit.trust.lines if found.test == test)
+
+
+def inside(fit: Fit) -> np.ndarray:
     true = truth(InverseModel(fit.problem.signals.robot), fit.base)
     return (fit.intervals.low <= true) & (true <= fit.intervals.high)
+
+
+@cache
+def without(column: str) -> Signals:
+    return replace(records()[0], **{column: None})
+
+
+@pytest.mark.parametrize("method", ["ls", "iv"])
+def test_with_both_the_truth_is_in_the_intervals(method):
+    fit = fitted(records()[0], method)
+    assert inside(fit).all()
+    assert fit.trust.verdict == "trust"
+    assert fit.errors[-1].moving_relative_error_percent < 2.0
+    assert line(fit, "replay").figures[0].value == pytest.approx(1.0, abs=0.002)
+    assert line(fit, "lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
+    if fit.iv:
+        assert fit.status == "converged"
+        assert (
+            fit.iv.passes[-1].tracking_percent < 0.01
+        )  # 0.03 without the pulses, and the robot is lost without the spring
+        assert fit.iv.direct[0].torque_error_percent < 3.0
+
+
+@pytest.mark.parametrize("method", ["ls", "iv"])
+def test_without_the_spring_the_fit_says_caution(method):
+    fit = fitted(without("known_torque"), method)
+    assert not inside(fit).all()
+    assert fit.trust.verdict == "caution"
+    found = line(fit, "added columns")
+    assert found.level == "caution"
+    kind, _, stiffness = found.text.partition(" N/m")[0].rpartition(" ")
+    assert kind == "spring of joint axis"
+    assert float(stiffness) == pytest.approx(STIFFNESS, rel=0.03)
+    assert "record its torque" in found.text
+
+
+@pytest.mark.parametrize("method", ["ls", "iv"])
+def test_without_the_pulses_the_fit_says_caution(method):
+    fit = fitted(without("feedforward"), method)
+    assert fit.trust.verdict == "caution"
+    found = line(fit, "replay")
+    assert found.level == "caution"
+    assert found.value < 0.97
+    if fit.iv:
+        assert fit.iv.passes[-1].tracking_percent > 10 * fitted(records()[0], "iv").iv.passes[-1].tracking_percent
+
+
+def test_a_validation_counts_the_known_torque():
+    fit = fitted(records()[0], "ls")
+    errors = [
+        validate(signals, Overrides(), lambda base: fit.beta)[1][-1]
+        for signals in (records()[1], without("known_torque"))
+    ]
+    assert errors[0].moving_relative_error_percent < 2.0
+    assert errors[1].moving_relative_error_percent > 30.0
+
+
+def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
+    """A table with all columns, through both command lines, gives the fit of the arrays."""
+    signals = records()[0]
+    speed = np.gradient(signals.q, 1e-3, axis=0)
+    columns = [signals.q, signals.q_ref, signals.effort / 35.15065188, speed, signals.known_torque, signals.feedforward]
+    np.savetxt(
+        tmp_path / "a.csv", np.hstack(columns), delimiter=",", header="q,r,u,v,known,ahead", comments="", fmt="%.15g"
+    )
+    units = {"position": ("q", "m"), "reference": ("r", "m"), "effort": ("u", "V"), "velocity": ("v", "m/s")}
+    units |= {"known_torque": ("known", "N"), "feedforward": ("ahead", "V")}
+    tables = (f'[{key}]\ncolumns = ["{name}"]\nunit = "{unit}"\n' for key, (name, unit) in units.items())
+    (tmp_path / "map.toml").write_text("sample_rate_hz = 1000\n" + "".join(tables))
+    toml, log = tmp_path / "robot.toml", tmp_path / "log.mcap"
+    text = (REPLAY / "emps" / "robot.toml").read_text()
+    toml.write_text(text.partition("[identification]")[0])
+    arguments = [str(tmp_path / "a.csv"), "--robot", str(toml), "--map", str(tmp_path / "map.toml"), "-o", str(log)]
+    assert acquire(["import", *arguments]) == 0
+    out = capsys.readouterr().out
+    assert out.startswith(
+        f"{log}: EMPS, 6001 samples at 1000 Hz, effort in N, with reference, with velocity, with known"
+    )
+    read = load_signals(log)
+    for name in ("q", "q_ref", "effort", "known_torque", "feedforward"):
+        assert getattr(read, name) == pytest.approx(getattr(signals, name), rel=1e-12, abs=1e-12)
+    assert read.velocity == pytest.approx(speed, rel=1e-12)
+    assert identify(["fit", str(log), "--all"]) == 0
+    out = capsys.readouterr().out
+    rms = np.sqrt(np.mean(signals.known_torque**2))
+    assert f"known torque, added to that of the drives and to the simulated robot: rms axis {rms:.3g} N\n" in out
+    rms = np.sqrt(np.mean(signals.feedforward**2))
+    assert f"feed-forward, added to the output of the simulated controller: rms axis {rms:.3g} V\n" in out
+    assert identify_ls(read, Overrides()).beta == pytest.approx(fitted(signals, "ls").beta, rel=1e-9)
+    assert acquire(["export", str(log), "-o", str(tmp_path / "b.csv")]) == 0
+    head, row, *_ = (tmp_path / "b.csv").read_text().splitlines()
+    own = "axis_position_m,axis_effort_N,axis_reference_m,axis_velocity_m_s,axis_known_torque_N,axis_feedforward_V"
+    assert head == f"time_s,{own}"
+    assert float(row.split(",")[5]) == pytest.approx(signals.known_torque[0, 0], rel=1e-12)
+    write_signals(tmp_path / "again.mcap", read, source="")
+    assert np.array_equal(load_signals(tmp_path / "again.mcap").feedforward, read.feedforward)
+
+
+def test_another_description_of_the_robot(tmp_path):
+    """Twice the ratio halves speeds; torques on the joint stay; without a gain torques cannot be added to volts."""
+    signals = replace(records()[0], velocity=records()[0].q)
+    write_signals(tmp_path / "a.mcap", signals, source="")
+    text = (REPLAY / "emps" / "robot.toml").read_text()
+    (tmp_path / "twice.toml").write_text(text.replace('name = "motor"', 'name = "motor"\nratio = 2'))
+    read = load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "twice.toml"))
+    assert read.velocity == pytest.approx(signals.velocity / 2, rel=1e-12)
+    assert np.array_equal(read.known_torque, signals.known_torque)
+    assert np.array_equal(read.feedforward, signals.feedforward)
+    volts = text.replace("drive_gain = 35.15065188\n", "").replace('drive_gain_unit = "N/V"', 'effort_unit = "V"')
+    (tmp_path / "volts.toml").write_text(volts)
+    with pytest.raises(
+        IdentificationError, match="known_torque: cannot be added to efforts in V: expected the drive gains"
+    ):
+        load_signals(tmp_path / "a.mcap", load_robot(tmp_path / "volts.toml"))
+
+
+@pytest.mark.parametrize(
+    ("added", "message"),
+    [
+        ('[known_torque]\ncolumns = ["k"]\nunit = "N m"', "known_torque.unit: gives N m: expected N, as joints take"),
+        (
+            '[known_torque]\ncolumns = ["k"]\nunit = "N"\nside = "motor"',
+            "known_torque.side = 'motor': expected 'joint'",
+        ),
+        (
+            '[feedforward]\ncolumns = ["k"]\nunit = "A"',
+            "feedforward.unit: gives A at the motor: expected V as robot.toml",
+        ),
+        ('[feedforward]\ncolumns = ["k"]\nunit = "V"\nside = "joint"', "feedforward.side = 'joint': expected 'motor'"),
+        ('[velocity]\ncolumns = ["k"]\nunit = "rad/s"', "velocity.unit: in rad for joint 1 (axis): expected a length"),
+        (
+            '[velocity]\ncolumns = ["k"]\nunit = "m"',
+            "velocity.unit = 'm': expected one of rad/s, deg/s, rpm, m/s, mm/s",
+        ),
+        ('[velocity]\ncolumns = ["w"]\nunit = "m/s"', "velocity of joint axis = -1 x the derivative of its position"),
+    ],
+)
+def test_columns_that_cannot_be(tmp_path, capsys, added, message):
+    t = np.arange(300) / 1000
+    table = np.stack([0.02 * np.sin(9 * t), np.cos(t), np.cos(t), -0.18 * np.cos(9 * t)], axis=1)
+    np.savetxt(tmp_path / "a.csv", table, delimiter=",", header="q,u,k,w", comments="")
+    own = '[position]\ncolumns = ["q"]\nunit = "m"\n[effort]\ncolumns = ["u"]\nunit = "V"\n'
+    (tmp_path / "map.toml").write_text(f"sample_rate_hz = 1000\n{own}{added}\n")
+    arguments = ["--robot", str(REPLAY / "emps" / "robot.toml"), "--map", str(tmp_path / "map.toml")]
+    assert acquire(["import", str(tmp_path / "a.csv"), *arguments, "-o", str(tmp_path / "out.mcap")]) == 1
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "out.mcap").exists()
+
+
+@cache
+def arm(compensated: bool) -> Fit:
+    """Six joints, four with horizontal axes; the weight is taken out of the torques, as some drivers do."""
+    toml = REPLAY / "tx40" / "robot.toml"
+    body = plant(toml)
+    path = references(body, range(1), duration_s=4.0, rate_hz=500.0)
+    runs = simulate(
+        body, designed_pd(body, 10.0, 500.0), path, Imperfections(encoder_noise=1e-5, torque_noise_percent=3.0)
+    )
+    robot = robot_named("tx40")
+    robot = replace(robot, identification=type(robot.identification)())
+    signals = runs.signals(robot, 0)
+    if compensated:
+        signals = replace(signals, effort=signals.effort - body.rigid(runs.q_true[0], np.zeros_like(signals.q))[1])
+    return identify_ls(signals, Overrides(torque_lag_s=-0.001))
+
+
+def test_torques_without_the_weight_of_the_robot_are_told():
+    found = line(arm(compensated=True), "physical")
+    assert found.level == "caution"
+    assert "the torques fit a model without gravity better: " in found.text
+    left, against = (float(part.split()[-1]) for part in found.text.split("better: ")[1].split(" %")[:2])
+    assert left < 0.6 * against
+    assert line(arm(compensated=False), "physical").level == "ok"
+
+
+def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
+    """The SCARA: gravity takes no part in its torques."""
+    toml = REPLAY / "scara" / "robot.toml"
+    body = plant(toml)
+    path = references(body, range(1), duration_s=4.0, rate_hz=1000.0)
+    signals = simulate(body, described_controller(body), path, Imperfections(torque_noise_percent=2.0)).signals(
+        robot_named("scara"), 0
+    )
+    assert "gravity" not in line(identify_ls(signals, Overrides()), "physical").text
+    upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))  # a description that lays it on its side
+    assert "without gravity better" in line(identify_ls(replace(signals, robot=upright), Overrides()), "physical").text

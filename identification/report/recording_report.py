@@ -132,7 +132,22 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
         + (" with MATLAB's edge rule" if settings.edges == "matlab" else "")
         + timing,
         f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
+        *_known_lines(signals),
     )
+
+
+def _known_lines(signals: Signals) -> list[str]:
+    """What is known besides position and effort, and what is done with it."""
+    lines, joints, units = [], signals.robot.joints, signals.robot.effort_units
+    for values, text in (
+        (signals.known_torque, "known torque, added to that of the drives and to the simulated robot"),
+        (signals.feedforward, "feed-forward, added to the output of the simulated controller"),
+    ):
+        if values is not None:
+            own = [m.recorded_unit for m in signals.robot.motors] if values is signals.feedforward else units
+            sizes = zip(joints, np.sqrt(np.mean(values**2, axis=0)), own, strict=True)
+            lines.append(f"{text}: rms " + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes))
+    return lines
 
 
 def recording_lines(signals: Signals) -> tuple[str, ...]:

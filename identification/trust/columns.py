@@ -63,7 +63,7 @@ class Lack:
 
 
 def added_columns_test(evidence: Evidence) -> TrustLine:
-    """Whether the model lacks something: asymmetric friction, an offset, drift, Stribeck friction, tilt of gravity, a gain."""
+    """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
     if evidence.observed.reduced:
         text = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
@@ -165,6 +165,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
     time, speed = np.linspace(0.0, 1.0, T), np.abs(motion.dq)
     slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(speed.max(axis=0), 1e-300))) ** 2))
     speed, slow = decimation.filtered(speed.T).T, decimation.filtered(slow.T).T
+    position = decimation.kept(motion.q)
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
     for j, joint in enumerate(robot.joints):
         only, effort, where = np.eye(n)[j], robot.effort_units[j], f"of joint {joint.name}"
@@ -188,13 +189,20 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             advice="warm the robot up, or record a shorter motion",
         )
         yield _Column(
+            kind="spring",
+            where=where,
+            torque=np.outer(position[:, j], only),
+            unit=f"{effort}/{joint.position_unit}",
+            advice="record its torque, of a spring, a hose or a weight, as known_torque",
+        )
+        yield _Column(
             kind=STRIBECK,
             where=where,
             torque=np.outer(slow[:, j], only),
             unit=effort,
             advice="leave out slow rows by a larger --low-speed-percent",
         )
-    yield from _tilts(evidence, chi, decimation.kept(motion.q))
+    yield from _tilts(evidence, chi, position)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)
 

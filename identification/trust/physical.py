@@ -29,6 +29,8 @@ from .lines import LEVELS, Level, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 POSES = 300  # positions of the trajectory at which M must be positive
+NO_WEIGHT = 1e-9  # m: arms of weights about all axes below this are none
+LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is told
 FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
 
 
@@ -67,6 +69,7 @@ def physical_test(evidence: Evidence) -> TrustLine:
     weighted least squares is looked at as well.
     """
     found, lowest = _findings(evidence, evidence.estimate, evidence.intervals)
+    found += _gravity_findings(evidence)
     if evidence.method == "ols" and all(finding.level != "do not use" for finding in found):
         weighted = weighted_least_squares(evidence.observed.system)
         severe, _ = _findings(evidence, weighted, _intervals(evidence, weighted))
@@ -158,6 +161,36 @@ def _inertia_findings(
     return [
         _Finding(level="caution", text=f"{told}, which chance may explain: a consistent set is needed to simulate it")
     ], least
+
+
+def _gravity_findings(evidence: Evidence) -> list[_Finding]:
+    """Whether torques of a robot whose axes are not all vertical are fitted better by a model without gravity.
+
+    Torques from which the controller has taken the robot's weight do that. Not made of reduced rows.
+    """
+    problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
+    if evidence.observed.reduced:
+        return []
+    settings = problem.settings
+    q = settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
+    of_links = np.array([idm.is_link_parameter(c) for c in columns])
+    at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
+    if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
+        return []
+    G = at_rest.transpose(1, 0, 2).reshape(-1, len(columns))
+    system, weight = evidence.observed.system, evidence.rows.weight
+    left = []
+    for W in (system.W, system.W - G):
+        A = W * weight[:, None]
+        size = np.linalg.norm(A, axis=0)
+        A = A / np.where(size > 0, size, 1.0)
+        rho = evidence.rows.Y - A @ np.linalg.lstsq(A, evidence.rows.Y, rcond=1e-9)[0]
+        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(evidence.rows.Y)))
+    if left[1] >= LIGHTER * left[0]:
+        return []
+    text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
+    text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
+    return [_Finding(level="caution", text=text)]
 
 
 def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
