@@ -157,8 +157,7 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> t
 
 def roundest_rate_hz(time_s: Array) -> float:
     """The roundest rate that the scatter of growing times (N,) cannot tell from that of their rows: 1000, not 1000.0013."""
-    steps = np.diff(time_s)
-    rows = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.rint(steps / np.median(steps))))])
+    rows = _row_numbers(time_s)
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
     scatter = 3 * float(np.std(time_s - time_s[0] - start - period * rows)) / float(time_s[-1] - time_s[0])
     scatter = min(max(scatter, 1e-12), 1e-2)
@@ -198,7 +197,7 @@ def stamps_warning(time_s: Array, q: Array) -> str | None:
     time_s, q = time_s[:_LOOKED_AT], q[:_LOOKED_AT]
     steps = np.diff(time_s)
     period = float(np.median(steps))
-    rows = np.concatenate([[0.0], np.cumsum(np.maximum(1.0, np.rint(steps / period)))]) * period
+    rows = _row_numbers(time_s) * period
     if len(time_s) < 20 or np.std(steps[steps <= LONG_STEP * period]) < LEAST_SCATTER * period:
         return None
     speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
@@ -214,6 +213,19 @@ def stamps_warning(time_s: Array, q: Array) -> str | None:
         f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; take a "
         "counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
     )
+
+
+def _row_numbers(time_s: Array) -> Array:
+    """Numbers (N,) of rows at growing times, those that are missing counted.
+
+    A late stamp alone makes a long step too, but not three long steps together.
+    """
+    steps = np.diff(time_s)
+    period = float(np.median(steps))
+    padded = np.concatenate([[period], steps, [period]])
+    together = padded[:-2] + padded[1:-1] + padded[2:]
+    missing = (steps > LONG_STEP * period) & (together > (2 + LONG_STEP) * period)
+    return np.concatenate([[0.0], np.cumsum(np.where(missing, np.rint(steps / period), 1.0))])
 
 
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:

@@ -1,0 +1,20 @@
+"""Uneven times after `resample_hz`: the estimates of 100 runs inside their 95 % intervals."""
+
+import sys
+
+import pytest
+from jittered_time import covered
+
+pytestmark = pytest.mark.skipif(
+    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
+)
+
+
+def test_estimates_from_uneven_times_stay_in_their_intervals(tmp_path):
+    found = covered(tmp_path, 100)
+    by_parameter = 100 * found.inside.mean(axis=0)
+    print(
+        f"\n{100 * found.inside.mean():.1f} % of 100 runs x {found.inside.shape[1]} parameters inside; {by_parameter}"
+    )
+    assert found.inside.mean() >= 0.94
+    assert by_parameter.min() >= 88
