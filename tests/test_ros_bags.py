@@ -437,3 +437,25 @@ def test_a_bag_is_written_whole_or_not_at_all(tmp_path, robot, monkeypatch, caps
     assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 1
     assert "bag: cannot be written: No space left on device" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == [path.name, "there"]
+
+
+@pytest.mark.parametrize("storage", [StoragePlugin.MCAP, StoragePlugin.SQLITE3])
+def test_damaged_bags_are_read_or_refused_in_one_line(tmp_path, storage, capsys):
+    path = bag(tmp_path / "a", map(message, range(20)), storage=storage)
+    (file,) = (f for f in path.iterdir() if f.suffix in (".mcap", ".db3"))
+    whole, rng = file.read_bytes(), np.random.default_rng(1)
+    seen = set()
+    for k in range(16):
+        damaged = bytearray(whole)
+        if k % 2:
+            damaged = damaged[: rng.integers(len(whole))]
+        else:
+            for place in rng.integers(len(whole), size=200):
+                damaged[place] = rng.integers(256)
+        file.write_bytes(bytes(damaged))
+        status, out = imported(file, out=tmp_path / "out.mcap")
+        err = capsys.readouterr().err
+        seen.add(status)
+        assert status == 0 or (status == 1 and err.count("\n") == 1 and err.startswith(f"robot-acquire: {file}"))
+        out.unlink(missing_ok=True)
+    assert 1 in seen
