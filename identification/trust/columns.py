@@ -19,8 +19,9 @@ from .lines import TrustLine
 
 BEYOND = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
+SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
 SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
-STRIBECK, ASYMMETRIC, OFFSET = "Stribeck friction", "asymmetric friction", "offset"
+STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
 ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
 TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
@@ -59,7 +60,8 @@ class Lack:
     @property
     def found(self) -> bool:
         """Whether chance does not explain it, and it matters."""
-        return abs(self.t) > BEYOND and self.taken_percent > TAKEN_PERCENT
+        least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
+        return abs(self.t) > BEYOND and self.taken_percent > least
 
 
 def added_columns_test(evidence: Evidence) -> TrustLine:
@@ -189,7 +191,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             advice="warm the robot up, or record a shorter motion",
         )
         yield _Column(
-            kind="spring",
+            kind=SPRING,
             where=where,
             torque=np.outer(position[:, j], only),
             unit=f"{effort}/{joint.position_unit}",
