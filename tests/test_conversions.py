@@ -9,8 +9,7 @@ from made_up_buses import bus_text, flat, robot_of, session
 from acquisition.commands.program import main
 from acquisition.errors import AcquisitionError
 from acquisition.files.columns import read_columns
-from acquisition.importing.conversions import decode_recording, import_log
-from acquisition.importing.exporting import export_csv
+from acquisition.importing.conversions import decode_recording, export_csv, import_log
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import ERROR, SENT
 from acquisition.transport.logs import read_log

@@ -9,8 +9,7 @@ from dry_sessions import dry_session, swing
 from made_up_buses import block, bus_of, bus_text, flat, frame, robot_of, session
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing.conversions import decode_recording
-from acquisition.importing.exporting import export_csv
+from acquisition.importing.conversions import decode_recording, export_csv
 from acquisition.recorder.decoding import decode
 from acquisition.recorder.recorder import Recorder
 from acquisition.recording.reader import read_recording

@@ -10,8 +10,9 @@ from jittered_time import MAP, covered
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
+from acquisition.importing.stamps import rows_in_time, stamps_warning
 from acquisition.importing.tables import import_tables
-from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz, stamps_warning
+from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
 from acquisition.recording import read_recording
 
 RNG = np.random.default_rng(5)
@@ -122,6 +123,33 @@ def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
     # With a row missing, numbers of rows are counted on.
     kept = np.delete(np.arange(600), [100, 300, 301])
     assert stamps_warning(stamps[kept], (motion(even) + noise)[kept]) is not None
+
+
+def test_stamps_off_by_a_tick_are_found_and_no_others():
+    """Of rows at their stamps, one in fifteen is off by 1 ms; those of a joint that stands tell nothing."""
+    stamps, wrong = UNEVEN.copy(), np.arange(5, 395, 15)
+    stamps[wrong] += 0.001 * np.where(np.arange(len(wrong)) % 2, 1, -1)
+    q = motion(UNEVEN) + 1e-5 * RNG.standard_normal((400, 2))
+    left_out = np.flatnonzero(~rows_in_time(stamps, q))
+    assert set(left_out) <= set(wrong)
+    slow = set(wrong) - set(left_out)  # where both joints nearly stand, nothing shows
+    assert len(slow) <= 4
+    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place="log")
+    assert found.report.off == len(left_out)
+    t = stamps[0] + np.arange(len(found.parts["position"])) / 100
+    off = np.abs(found.parts["position"] - motion(t))[10:-10].max()
+    assert off < 3e-4
+    assert np.abs(on_grid(stamps, q=q).parts["q"] - motion(t))[10:-10].max() > 3 * off
+    # A knee in the path of another joint is none of time.
+    assert rows_in_time(UNEVEN, motion(UNEVEN)).all()
+    assert rows_in_time(stamps, np.zeros((400, 2))).all()
+    assert rows_in_time(stamps[:10], q[:10]).all()
+    # Every stamp off: nothing tells which are right.
+    late = UNEVEN + 0.001 * RNG.standard_normal(400)
+    assert rows_in_time(late, q).mean() > 0.97
+    # Rows between gaps stay.
+    sparse = np.delete(np.arange(400), range(4, 396, 3))
+    assert np.diff(stamps[sparse][rows_in_time(stamps[sparse], q[sparse])]).max() < 3 * 0.013 * 2
 
 
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
@@ -237,5 +265,7 @@ def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
     assert 6 <= low <= 8
     assert 13 <= high <= 15
     assert float(times.split("jitter sd ")[1].split(" ms")[0]) == pytest.approx(1.29, abs=0.1)
-    assert times.endswith("no gaps, no doubled rows, interpolated to 100 Hz")
+    off, rest = times.split("no doubled rows, ")[1].split(" rows left out whose stamps the motion contradicts, ")
+    assert float(off) == pytest.approx(0.05 * 790, abs=12)
+    assert rest == "interpolated to 100 Hz"
     assert found.imported.warnings == ()

@@ -1,8 +1,7 @@
 """Recordings out of tables, ROS 2 bags and CAN logs, decoding again, export."""
 
 from .bags import BagChoice, import_bag, is_bag
-from .conversions import Converted, decode_recording, import_log, is_log
-from .exporting import export_bag, export_csv
+from .conversions import Converted, decode_recording, export_bag, export_csv, import_log, is_log
 from .samples import Imported
 from .tables import import_tables
 

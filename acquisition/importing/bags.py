@@ -11,8 +11,9 @@ from ..robot import Robot
 from ..ros import JointStates, read_joint_states
 from .quantities import effort_at_joint, effort_side, position_side, si_units
 from .samples import Imported, Samples, write_samples
+from .stamps import stamps_warning
 from .table_map import EFFORT_UNITS, LARGEST_GAP_PERIODS
-from .time_base import rate_doubts, resample, stamps_ns, stamps_warning
+from .time_base import rate_doubts, resample, stamps_ns
 
 SUFFIXES = (".mcap", ".db3")
 

@@ -16,8 +16,9 @@ from ..recording import OPTIONAL
 from ..robot import Robot, parse_toml
 from .quantities import Source
 from .samples import Imported, Samples, write_samples
+from .stamps import stamps_warning
 from .table_map import TIME_UNITS, TableMap, Time
-from .time_base import OnGrid, rate_doubts, report_of, resample, stamps_ns, stamps_warning, uniform_rate_hz
+from .time_base import OnGrid, rate_doubts, report_of, resample, stamps_ns, uniform_rate_hz
 
 TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
 

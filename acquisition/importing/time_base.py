@@ -1,19 +1,17 @@
 """Times of rows as somebody's clock gave them → a uniform grid, and a report of what was found on the way."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..recording import LARGEST_STAMP_NS
+from .stamps import LONG_STEP, row_numbers, rows_in_time
 
-LONG_STEP = 1.5  # periods: a step beyond it is a gap, of rows that are missing
-ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their row numbers
-LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
+POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
-_LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,6 +22,7 @@ class TimeReport:
         rows: that are used; doubled: rows left out, equal to the row before in their time and in all values.
         period_s: median step; shortest_s, longest_s: of all steps.
         jitter_s: standard deviation of the steps, gaps left out.
+        off: rows left out because the motion contradicts their stamps.
         gaps: steps over 1.5 periods; missing: the rows they would have held.
         grid_hz: rate of the grid that values were interpolated to, None where they are as they were recorded.
         clock: what the times are: `stamps`, `ticks`.
@@ -38,6 +37,7 @@ class TimeReport:
     jitter_s: float
     gaps: int
     missing: int
+    off: int = 0
     grid_hz: float | None = None
     clock: str = "stamps"
     stamps_off_s: float | None = None
@@ -52,6 +52,8 @@ class TimeReport:
         parts.append(f"jitter sd {jitter} ms")
         parts.append(f"{self.gaps} gaps, {self.missing} rows missing" if self.gaps else "no gaps")
         parts.append(f"{self.doubled} doubled rows left out" if self.doubled else "no doubled rows")
+        if self.off:
+            parts.append(f"{self.off} rows left out whose {self.clock} the motion contradicts")
         if self.stamps_off_s is not None:
             parts.append(f"stamps sd {1e3 * self.stamps_off_s:.4g} ms about the ticks")
         if self.grid_hz is not None:
@@ -94,7 +96,8 @@ def resample(
 
     Parameters
     ----------
-    time_s : of the rows; those that repeat the row before in time and values are left out.
+    time_s : of the rows; those that repeat the row before in time and values are left out, and those whose `position` in
+        `parts` contradicts their time (`rows_in_time`).
     rate_hz : of the grid; None: the roundest one that the rows have.
     largest_gap_periods : longest step that is interpolated over, in median steps.
     place : the file, for errors.
@@ -110,6 +113,8 @@ def resample(
     if len(time_s) < 4:
         raise AcquisitionError(f"{len(time_s)} rows of different times", place=place, key="time", expected="4 at least")
     report = report_of(time_s, doubled)
+    in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
+    time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
@@ -123,7 +128,7 @@ def resample(
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
-    report = TimeReport(**{**vars(report), "grid_hz": rate_hz})
+    report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
     return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
 
@@ -157,7 +162,7 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> t
 
 def roundest_rate_hz(time_s: Array) -> float:
     """The roundest rate that the scatter of growing times (N,) cannot tell from that of their rows: 1000, not 1000.0013."""
-    rows = _row_numbers(time_s)
+    rows = row_numbers(time_s)
     period, start = np.polyfit(rows, time_s - time_s[0], 1)
     scatter = 3 * float(np.std(time_s - time_s[0] - start - period * rows)) / float(time_s[-1] - time_s[0])
     scatter = min(max(scatter, 1e-12), 1e-2)
@@ -185,62 +190,6 @@ def rate_doubts(report: TimeReport | None) -> list[str]:
             "rows are interpolated, they tell nothing new"
         ]
     return []
-
-
-def stamps_warning(time_s: Array, q: Array) -> str | None:
-    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows.
-
-    Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
-    numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
-    was read late, are much smoother by their numbers.
-    """
-    time_s, q = time_s[:_LOOKED_AT], q[:_LOOKED_AT]
-    steps = np.diff(time_s)
-    period = float(np.median(steps))
-    rows = _row_numbers(time_s) * period
-    if len(time_s) < 20 or np.std(steps[steps <= LONG_STEP * period]) < LEAST_SCATTER * period:
-        return None
-    speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
-    moving = speed > 0
-    if not moving.any():
-        return None
-    by_stamp, by_row = (_time_error_s(t, q[:, moving], speed[moving]) for t in (time_s, rows))
-    joint = int(np.argmin(by_row))
-    if by_stamp[joint] <= max(ROUGHER * by_row[joint], LEAST_SCATTER * period):
-        return None
-    return (
-        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
-        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; take a "
-        "counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
-    )
-
-
-def _row_numbers(time_s: Array) -> Array:
-    """Numbers (N,) of rows at growing times, those that are missing counted.
-
-    A late stamp alone makes a long step too, but not three long steps together.
-    """
-    steps = np.diff(time_s)
-    period = float(np.median(steps))
-    padded = np.concatenate([[period], steps, [period]])
-    together = padded[:-2] + padded[1:-1] + padded[2:]
-    missing = (steps > LONG_STEP * period) & (together > (2 + LONG_STEP) * period)
-    return np.concatenate([[0.0], np.cumsum(np.where(missing, np.rint(steps / period), 1.0))])
-
-
-def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
-    """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
-    middle = time_s[2:-2]
-    nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - middle
-    weights = np.ones_like(nodes)
-    for i in range(4):
-        for j in range(4):
-            if i != j:
-                weights[i] *= nodes[j] / (nodes[j] - nodes[i])
-    neighbours = np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]])
-    off = q[2:-2] - np.einsum("ik,ikn->kn", weights, neighbours)
-    size = np.sqrt(1 + (weights**2).sum(axis=0).mean())  # of the deviation that errors of deviation 1 give
-    return np.asarray(np.sqrt(np.mean(off**2, axis=0)) / speed / size)
 
 
 def stamps_ns(start_s: float, rows: int, rate_hz: float, place: str) -> Ints:

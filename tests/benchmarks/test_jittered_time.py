@@ -16,5 +16,5 @@ def test_estimates_from_uneven_times_stay_in_their_intervals(tmp_path):
     print(
         f"\n{100 * found.inside.mean():.1f} % of 100 runs x {found.inside.shape[1]} parameters inside; {by_parameter}"
     )
-    assert found.inside.mean() >= 0.94
+    assert found.inside.mean() >= 0.93
     assert by_parameter.min() >= 88

@@ -1,0 +1,103 @@
+"""Whether the motion agrees with the times of its rows: an error of time puts a position off its path by speed x error."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+
+LONG_STEP = 1.5  # periods: a step beyond it is a gap, of rows that are missing
+ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their row numbers
+LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
+LEFT_OPEN = 3.0  # periods: no row is left out where a longer step would be left
+OFF_STAMP, FAR_DEVIATIONS = 0.05, 6.0  # periods, and deviations of the scatter: stamps further off are left out
+_PASSES = 4  # a stamp that is off hides those beside it
+_LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
+
+
+def stamps_warning(time_s: Array, q: Array) -> str | None:
+    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows.
+
+    Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
+    numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
+    was read late, are much smoother by their numbers.
+    """
+    time_s, q = time_s[:_LOOKED_AT], q[:_LOOKED_AT]
+    steps = np.diff(time_s)
+    period = float(np.median(steps))
+    rows = row_numbers(time_s) * period
+    if len(time_s) < 20 or np.std(steps[steps <= LONG_STEP * period]) < LEAST_SCATTER * period:
+        return None
+    speed = np.sqrt(np.mean((np.diff(q, axis=0) / period) ** 2, axis=0))
+    moving = speed > 0
+    if not moving.any():
+        return None
+    by_stamp, by_row = (_time_error_s(t, q[:, moving], speed[moving]) for t in (time_s, rows))
+    joint = int(np.argmin(by_row))
+    if by_stamp[joint] <= max(ROUGHER * by_row[joint], LEAST_SCATTER * period):
+        return None
+    return (
+        f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
+        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; take a "
+        "counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+    )
+
+
+def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
+    """Which rows at growing times (N,) have positions q (N, n) that their neighbours expect at their time.
+
+    A stamp that is off by a tick puts all joints off their path by their speed times the tick. Left out are rows whose
+    positions tell of an error of time over a twentieth of a period, far beyond the scatter of the others, one of any two
+    neighbours, and none where a gap would be left.
+    """
+    kept = np.arange(len(time_s))
+    for _ in range(_PASSES):
+        t, x = time_s[kept], q[kept]
+        if len(t) < 20:
+            break
+        period = float(np.median(np.diff(t)))
+        off, _ = _off_neighbours(t, x)
+        speed = (x[3:-1] - x[1:-3]) / (t[3:-1] - t[1:-3])[:, None]
+        scatter = np.median(np.abs(off), axis=0) / 0.6745
+        weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
+        information = speed**2 @ weight
+        error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
+        deviations = np.abs(error_s) * np.sqrt(information)
+        around = np.concatenate([[0.0], deviations, [0.0]])
+        late = (deviations > FAR_DEVIATIONS) & (np.abs(error_s) > OFF_STAMP * period)
+        late &= (deviations >= around[:-2]) & (deviations > around[2:])
+        late &= t[3:-1] - t[1:-3] < LEFT_OPEN * period
+        if not late.any():
+            break
+        kept = np.delete(kept, np.flatnonzero(late) + 2)
+    return np.isin(np.arange(len(time_s)), kept)
+
+
+def row_numbers(time_s: Array) -> Array:
+    """Numbers (N,) of rows at growing times, those that are missing counted.
+
+    A late stamp alone makes a long step too, but not three long steps together.
+    """
+    steps = np.diff(time_s)
+    period = float(np.median(steps))
+    padded = np.concatenate([[period], steps, [period]])
+    together = padded[:-2] + padded[1:-1] + padded[2:]
+    missing = (steps > LONG_STEP * period) & (together > (2 + LONG_STEP) * period)
+    return np.concatenate([[0.0], np.cumsum(np.where(missing, np.rint(steps / period), 1.0))])
+
+
+def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
+    """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
+    off, size = _off_neighbours(time_s, q)
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0)) / speed / size)
+
+
+def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, float]:
+    """How far each q (N, n) is off the cubic through two rows before and two after (N - 4, n), and what errors of 1 give."""
+    nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
+    weights = np.ones_like(nodes)
+    for i in range(4):
+        for j in range(4):
+            if i != j:
+                weights[i] *= nodes[j] / (nodes[j] - nodes[i])
+    off = q[2:-2] - np.einsum("ik,ikn->kn", weights, np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]]))
+    return off, float(np.sqrt(1 + (weights**2).sum(axis=0).mean()))
