@@ -14,7 +14,7 @@ from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Joint, Robot
 
-_BASE = "base"
+_BASE = "base_link"
 _THICKNESS = 0.02  # of drawn links, m
 
 
@@ -61,7 +61,7 @@ class LinkFrames:
 def link_frames(robot: Robot, place: str) -> LinkFrames:
     """The links of a robot; errors of its URDF name `place`."""
     if robot.urdf is None:
-        names = [_BASE, *(f"link_{j.name}" for j in robot.joints)]
+        names = [_BASE, *(f"link_{j + 1}" for j in range(robot.n))]  # as an exported URDF has them
         return LinkFrames(
             links=[
                 _Link(
