@@ -20,8 +20,9 @@ from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.methods.idim import validate
 from identification.model import InverseModel
-from identification.regression import Overrides
+from identification.regression import Overrides, make_problem, torque_rate
 from identification.study.synthetic import truth, write_signals
+from identification.trust.columns import Lack
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples
@@ -218,6 +219,42 @@ def test_columns_that_cannot_be(tmp_path, capsys, added, message):
     assert not (tmp_path / "out.mcap").exists()
 
 
+def test_rates_of_torques_are_those_of_the_drives():
+    """No drive records the spring: its rate is not in the column of a lag."""
+    signals = records()[0]
+    with_spring, plain = make_problem(signals, Overrides()), make_problem(without("known_torque"), Overrides())
+    beta, settings = fitted(signals, "ls").beta, with_spring.settings
+    spring = np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
+    apart = torque_rate(plain, beta) - torque_rate(with_spring, beta)
+    assert apart[5:-5] == pytest.approx(settings.decimator.filtered(spring.T).T[5:-5], abs=1e-6 * np.abs(spring).max())
+
+
+def test_a_spring_has_to_take_more_than_other_terms():
+    lack = Lack(kind="offset", where="", value=1.0, unit="N", t=6.0, taken_percent=5.0, together_percent=5.0, advice="")
+    assert lack.found
+    assert not replace(lack, kind="spring").found
+    assert replace(lack, kind="spring", taken_percent=11.0).found
+
+
+@cache
+def flat_arm() -> Signals:
+    """The SCARA: gravity takes no part in its torques."""
+    body = plant(REPLAY / "scara" / "robot.toml")
+    path = references(body, range(1), duration_s=4.0, rate_hz=1000.0)
+    runs = simulate(body, described_controller(body), path, Imperfections(torque_noise_percent=2.0))
+    return runs.signals(robot_named("scara"), 0)
+
+
+def test_a_gain_is_that_of_the_drive_and_not_of_the_known_torque():
+    """A drive whose torque is recorded 10 % too large, beside a known torque that is larger than its own."""
+    signals = flat_arm()
+    known = np.stack([0 * signals.t_s, 20 * np.sin(4 * signals.t_s)], axis=1)
+    wrong = replace(signals, effort=(signals.effort - known) * [1.0, 1.1], known_torque=known)
+    found = line(identify_ls(wrong, Overrides()), "added columns")
+    assert found.text.startswith("relative gain of joint elbow ")
+    assert float(found.text.split("elbow ")[1].split(" %")[0]) == pytest.approx(10.0, abs=0.5)
+
+
 @cache
 def arm(compensated: bool) -> Fit:
     """Six joints, four with horizontal axes; the weight is taken out of the torques, as some drivers do."""
@@ -245,13 +282,7 @@ def test_torques_without_the_weight_of_the_robot_are_told():
 
 
 def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
-    """The SCARA: gravity takes no part in its torques."""
-    toml = REPLAY / "scara" / "robot.toml"
-    body = plant(toml)
-    path = references(body, range(1), duration_s=4.0, rate_hz=1000.0)
-    signals = simulate(body, described_controller(body), path, Imperfections(torque_noise_percent=2.0)).signals(
-        robot_named("scara"), 0
-    )
+    signals = flat_arm()
     assert "gravity" not in line(identify_ls(signals, Overrides()), "physical").text
     upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))  # a description that lays it on its side
     assert "without gravity better" in line(identify_ls(replace(signals, robot=upright), Overrides()), "physical").text

@@ -140,7 +140,8 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     off = np.abs(found.parts["position"] - motion(t))[10:-10].max()
     assert off < 3e-4
     assert np.abs(on_grid(stamps, q=q).parts["q"] - motion(t))[10:-10].max() > 3 * off
-    # A knee in the path of another joint is none of time.
+    # Errors of less than a twentieth of a period are left, however plain.
+    assert rows_in_time(UNEVEN + 0.3 * (stamps - UNEVEN), motion(UNEVEN)).all()
     assert rows_in_time(UNEVEN, motion(UNEVEN)).all()
     assert rows_in_time(stamps, np.zeros((400, 2))).all()
     assert rows_in_time(stamps[:10], q[:10]).all()
