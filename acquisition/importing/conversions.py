@@ -10,7 +10,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..files import atomic_write
+from ..files import atomic_write, write_columns
 from ..recorder import Decoded, decode, written_by_master
 from ..recording import Block, Header, RecordingWriter, read_recording
 from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
@@ -168,8 +168,7 @@ def export_csv(path: Path, out: Path) -> int:
         for k, column in enumerate(extra_columns(robot)):
             names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
             columns.append(samples["extra"][:, k])
-    with atomic_write(out) as partial:
-        np.savetxt(partial, np.column_stack(columns), delimiter=",", header=",".join(names), comments="", fmt="%.17g")
+    write_columns(out, names, np.column_stack(columns))
     return len(samples)
 
 
