@@ -30,7 +30,9 @@ def fit(
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. Where it states
+        `controller.sample_rate_hz` they are commands, each held after its instant; `torque_lag_s` of `[identification]`
+        states another lag, "none" leaves them as they are.
     sample_rate_hz : rate of the samples.
     robot : the description, or the path of a robot.toml.
     q_ref : (N, n) reference positions; without them the measured positions take their place, which leaves the instruments of
