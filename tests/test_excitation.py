@@ -367,7 +367,7 @@ effort_unit = "N m"
 
 def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differences():
     robot = capsules("ground_m = -0.3")
-    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2), 0.02)
+    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
     assert obstacles.names == ("base and link of b", "ground and link of a", "ground and link of b")
     assert obstacles.near == ()
     apart, _, names = obstacles.nearest(np.array([[0.3, 0.0], [0.3, np.pi - 1e-3]]), 9.0)
@@ -382,7 +382,7 @@ def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differen
     beside = capsules("").files["robot.toml"].decode().replace("from_m = [0, 0, 0]", "from_m = [0.3, 0.2, 0]", 1)
     beside = beside.replace("to_m = [0, 0, 0.5]", "to_m = [0.3, 0.2, 0.5]")
     beside = InverseModel(robot_from_files({"robot.toml": beside.encode()}, "here"))
-    pair = obstacles_of(beside, lambda name: None, np.zeros(2), 0.02)
+    pair = obstacles_of(beside, lambda name: None, np.zeros((1, 2)), 0.02)
     d, slopes, _ = pair.nearest(q, 9.0)
     # Points of the axis of link b, 0.2 to 1 m from joint b, to the axis of the base's capsule.
     s = np.linspace(0.2, 1.0, 4001)
@@ -412,7 +412,7 @@ def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch
 
 def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named(tmp_path):
     robot = capsules("ground_m = -0.05")
-    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros(2), 0.02).near == (
+    assert obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02).near == (
         "ground and link of a",
         "ground and link of b",
     )
@@ -425,14 +425,14 @@ def test_shapes_that_touch_in_the_middle_and_meshes_that_are_not_found_are_named
         files = {"robot.toml": URDF_TOML.format(elbow="", rail="").encode(), "robot.urdf": urdf.encode()}
         model = InverseModel(robot_from_files(files, "here"))
         if names is None:
-            assert obstacles_of(model, lambda name: None, np.zeros(2), 0.02).missing == ("package://none/a.stl",)
+            assert obstacles_of(model, lambda name: None, np.zeros((1, 2)), 0.02).missing == ("package://none/a.stl",)
             (tmp_path / "a.stl").write_text("no mesh")
             with pytest.raises(
                 IdentificationError, match=r"link 'slide': collision mesh = .package://none/a.stl.: expected a"
             ):
-                obstacles_of(model, lambda name: tmp_path / "a.stl", np.zeros(2), 0.02)
+                obstacles_of(model, lambda name: tmp_path / "a.stl", np.zeros((1, 2)), 0.02)
             continue
-        obstacles = obstacles_of(model, lambda name: None, np.zeros(2), 0.02)
+        obstacles = obstacles_of(model, lambda name: None, np.zeros((1, 2)), 0.02)
         assert obstacles.names == names
         assert obstacles.nearest(np.array([[0.0, 0.5]]), 9.0)[0] == pytest.approx([3.5 - 0.2])
 

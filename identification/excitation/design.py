@@ -23,7 +23,7 @@ from .series import Motion, Series, motion_of
 
 PLAIN = 20  # random references, whose geometric mean the criterion is relative to
 STARTS = 3  # of the search, from random references of other seeds
-POSES = 200  # among which a search of a robot with obstacles finds room to start
+POSES = 200  # at which links that are always near each other are found, and room to start
 START_SHARE = 0.9  # of the limits, which a search starts within
 BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
 CREEP_SHARE = 0.05  # of a joint's speed limit
@@ -127,8 +127,9 @@ def excite(
     model = InverseModel(robot)
     base = base_parameters(model)
     direct = None if knowledge.beta is None else direct_model(model, base.standard_parameters(knowledge.beta))
-    middle = np.array([np.mean(joint.si("position") or 0.0) for joint in robot.joints])
-    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), middle, MARGIN_M)
+    ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
+    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
+    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
     limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
     _refuse_rest(limits, place)
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
@@ -285,7 +286,7 @@ def _warnings(limits: Limits) -> tuple[str, ...]:
         found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
     if limits.obstacles is not None and limits.obstacles.near:
         near = "; ".join(limits.obstacles.near)
-        found.append(f"distances not checked of what is nearer than {MARGIN_M:g} m in the middle of the ranges: {near}")
+        found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
         return (*found, "torque was not checked: neither a fit nor [parameters] give it")
     if not limits.robot.gain_known:

@@ -16,6 +16,7 @@ from .series import Motion, Series, motion_of
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 FINER = 10  # times as many samples check what lies between those of the search
 ITERATIONS = 50  # of a search
+ROUNDS = 10  # that a search among obstacles has these iterations in
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
 BISECTIONS = 10
 
@@ -82,27 +83,44 @@ def best_series(problem: Problem, start: Array, say: Callable[[float], None]) ->
         J = limits.jacobian(at_last(z)[1], basis) * unit.ravel()
         return np.concatenate([-J, J])
 
-    done = minimize(
-        objective,
-        (start / unit).ravel(),
-        jac=True,
-        method="SLSQP",
-        constraints={"type": "ineq", "fun": slack, "jac": slack_slopes},
-        options={"maxiter": ITERATIONS, "ftol": TOLERANCE},
-        callback=lambda z: say(value),
-    )
-    return np.asarray(done.x.reshape(unit.shape) * unit)
+    def from_there(x: Array, iterations: int) -> Array:
+        done = minimize(
+            objective,
+            (x / unit).ravel(),
+            jac=True,
+            method="SLSQP",
+            constraints={"type": "ineq", "fun": slack, "jac": slack_slopes},
+            options={"maxiter": iterations, "ftol": TOLERANCE},
+            callback=lambda z: say(value),
+        )
+        return np.asarray(done.x.reshape(unit.shape) * unit)
+
+    if not limits.checks_distance:
+        return from_there(start, ITERATIONS)
+    # Distances are not convex: after a few iterations back to what keeps all limits, on the way from where they did.
+    x = start
+    for _ in range(ROUNDS):
+        x, _ = shrunk(from_there(x, ITERATIONS // ROUNDS), problem.series, limits, problem.samples, x)
+    return x
 
 
-def shrunk(x: Array, series: Series, limits: Limits, samples: int) -> tuple[Array, float]:
-    """A series drawn together about its position at the ends until it keeps all limits at so many samples of a period.
+def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Array | None = None) -> tuple[Array, float]:
+    """A series moved towards another until it keeps all limits at so many samples of a period.
+
+    Parameters
+    ----------
+    x : (n, K) its coefficients.
+    series, limits, samples : what they are of, what is kept, and at how many samples.
+    towards : (n, K) the other; None for rest at its own position at the ends.
 
     Returns
     -------
-    Coefficients x (n, K), and the largest share used of a limit: above 1 where standing still is already too much.
+    Coefficients x (n, K), and the largest share used of a limit: above 1 where the other leaves one too.
     """
     basis, still = series.basis(samples), x.copy()
     still[:, 1:] = 0.0
+    if towards is not None:
+        still = towards
 
     def most(scale: float) -> float:
         return float(np.abs(limits.used(motion_of(still + scale * (x - still), basis))).max())

@@ -43,7 +43,7 @@ class Obstacles:
     Attributes:
         model: pinocchio's model.
         pairs: of shapes; of link 0 is what stands still.
-        near: names of pairs that are too near in the middle of the ranges, and so are not looked at.
+        near: names of pairs that are too near at all poses, and so are not looked at.
         missing: meshes of the URDF that are not found; their links are not looked at, or in part.
     """
 
@@ -89,16 +89,15 @@ class Obstacles:
         return d, slopes, tuple(names)
 
 
-def obstacles_of(dynamics: InverseModel, find: Find, middle: Array, margin_m: float) -> Obstacles | None:
+def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles | None:
     """The pairs of a robot's shapes; None where neither capsules, nor shapes of a URDF, nor a ground are described.
 
     Parameters
     ----------
     dynamics : the model of the robot.
     find : the file of a mesh by its name in the URDF.
-    middle : (n,) of the ranges.
-    margin_m : pairs that are nearer than it in the middle of the ranges are left out: they say more of the shapes than of the
-        motion.
+    poses : (N, n) positions within the ranges.
+    margin_m : pairs that are nearer than it at all poses are left out: they say more of the shapes than of the motion.
 
     Raises
     ------
@@ -124,7 +123,7 @@ def obstacles_of(dynamics: InverseModel, find: Find, middle: Array, margin_m: fl
     if not pairs and not missing:
         return None
     single = [Obstacles(model=model, pairs=(pair,), near=()) for pair in pairs]
-    apart = [one.nearest(middle[None], np.inf)[0][0] > margin_m for one in single]
+    apart = [one.nearest(poses, np.inf)[0].max() > margin_m for one in single]
     kept = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
     near = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
     return Obstacles(model=model, pairs=kept, near=near, missing=tuple(missing))
