@@ -150,7 +150,7 @@ def test_base_of_a_urdf_is_that_of_its_description_and_names_the_joints(here, ca
     assert (status, of_urdf) == (0, of_toml)
     first, second = (json.loads((here / f"{kind}.json").read_text()) for kind in ("urdf", "toml"))
     assert first == second
-    assert first["joints"] == list(ARM)
+    assert first["joint_names"] == list(ARM)
     assert first["report"]["sections"][1]["rows"][2] == ["3", "slide", "prismatic"]
 
 

@@ -29,7 +29,7 @@ class BaseFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of a robot's base parameters, or of the values that a recording was simulated with."""
 
     robot: str
-    joints: list[str]  # joint number 1, 2, ..., which ends the names of parameters
+    joint_names: list[str]  # joint number 1, 2, ..., which ends the names of parameters
     parameters: list[BaseParameter]
 
 
@@ -52,7 +52,7 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
     ]
     return BaseFile(
         robot=robot.name,
-        joints=[joint.name for joint in robot.joints],
+        joint_names=[joint.name for joint in robot.joints],
         parameters=parameters,
         report=document_json(base_document(base, robot, true)),
     )
