@@ -2,12 +2,15 @@
 
 The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
 
+    work         where tasks run: this process, processes, a Dask cluster
     estimation   least squares, instrumental variables and their tests, on arrays
     data         a recording as signals on a uniform grid
     model        inverse and direct dynamics, friction and rotors, base parameters (pinocchio)
     regression   settings, filters, the over-determined system W, Y, and the rows that count
     simulation   the robot in closed loop: control laws, friction with stick phases
-    methods      the method on one screen (`idim`), the simulated replica of the experiment, what a fit is worth
+    trust        when to believe a fit
+    replica      the recorded experiment simulated, instruments
+    methods      the method on one screen (`idim`), several recordings, what a fit is worth
     study        robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies
     report       one report of a fit as a document; terminal, Markdown, HTML and JSON show it
     export       a fit as URDF, MJCF and robot.toml
@@ -29,18 +32,34 @@ from acquisition.lazy import lazy_names
 
 if TYPE_CHECKING:
     from .errors import IdentificationError
-    from .notebook import Fit, Iteration, Overrides, Signals, fit, identify_iv, identify_ls, load_signals, validate
+    from .notebook import (
+        Fit,
+        Iteration,
+        Overrides,
+        RecordingFile,
+        Recordings,
+        Signals,
+        fit,
+        identify_iv,
+        identify_ls,
+        load_signals,
+        processes,
+        validate,
+    )
 
 __all__ = [
     "Fit",
     "IdentificationError",
     "Iteration",
     "Overrides",
+    "RecordingFile",
+    "Recordings",
     "Signals",
     "fit",
     "identify_iv",
     "identify_ls",
     "load_signals",
+    "processes",
     "validate",
 ]
 

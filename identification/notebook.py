@@ -7,12 +7,26 @@ from numpy.typing import ArrayLike
 
 from acquisition.robot import Robot, load_robot
 
-from .data import Signals, load_signals, signals_from_arrays
+from .data import RecordingFile, Recordings, Signals, load_signals, signals_from_arrays
 from .errors import IdentificationError
 from .methods import Fit, Iteration, identify_iv, identify_ls, validate
 from .regression import Overrides
+from .work import processes
 
-__all__ = ["Fit", "Iteration", "Overrides", "Signals", "fit", "identify_iv", "identify_ls", "load_signals", "validate"]
+__all__ = [
+    "Fit",
+    "Iteration",
+    "Overrides",
+    "RecordingFile",
+    "Recordings",
+    "Signals",
+    "fit",
+    "identify_iv",
+    "identify_ls",
+    "load_signals",
+    "processes",
+    "validate",
+]
 
 
 def fit(

@@ -6,12 +6,12 @@ from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
-from identification.methods.experiment import make_experiment
-from identification.methods.instruments import simulated_motion
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
+from identification.replica.experiment import make_experiment
+from identification.replica.instruments import simulated_motion
 from identification.study.synthetic import truth
 
 

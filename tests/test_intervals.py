@@ -12,13 +12,14 @@ from scipy.signal import lfilter
 
 import identification.regression.system as regression_module
 from identification.data.signals import load_signals
-from identification.estimation.confidence import MOST, TimeBlocks, cosines, deviations, intervals
+from identification.estimation.confidence import MOST, cosines, deviations, intervals
 from identification.estimation.estimators import (
     instrumental_variables,
     ordinary_least_squares,
     weighted_least_squares,
 )
 from identification.estimation.system import System
+from identification.estimation.time_blocks import TimeBlocks, intervals_of_blocks
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_ls
 from identification.regression.settings import Overrides
@@ -192,9 +193,55 @@ def test_time_blocks_are_sums_over_their_rows():
         some = system.with_columns(columns)
         fit = weighted_least_squares(some)
         W_w, Y_w = some.weighted(fit.weights)
-        by_rows, by_blocks = intervals(fit, Y_w - W_w @ fit.beta, n), blocks.intervals(fit)
+        by_rows, by_blocks = intervals(fit, Y_w - W_w @ fit.beta, n), intervals_of_blocks(fit, [blocks])
         np.testing.assert_allclose(by_blocks.sigma, by_rows.sigma, rtol=1e-9)
         np.testing.assert_allclose(by_blocks.low, by_rows.low, rtol=1e-9)
+
+
+def test_intervals_of_several_recordings_by_hand():
+    """Variances of the recordings' own cosines add up, each over the share of white noise that its cosines find."""
+    parts, n, b, rng = (40, 90), 2, 3, np.random.default_rng(8)
+    T = sum(parts)
+    W, Y, joint = rng.normal(size=(n * T, b)), rng.normal(size=n * T), np.repeat([0, 1], T)
+    fit = ordinary_least_squares(System.whole(W, Y, joint, tuple("abc")))
+    rho = Y - W @ fit.beta
+    found = intervals(fit, rho, n, parts)
+    time, variance, freedom = np.tile(np.arange(T), n), np.zeros(b), 0
+    rows = fit.Q @ fit.bread.T  # beta - beta_true = rows' rho
+    for first, length in ((0, 40), (40, 90)):
+        inside = (time >= first) & (time < first + length)
+        B = int(0.4 * length ** (2 / 3))
+        L, white, whole = np.zeros(b), np.zeros(b), (rows[inside] ** 2).sum(axis=0)
+        for k in range(1, B + 1):
+            a = rows * (inside * np.sqrt(2) * np.cos(np.pi * k * (time - first + 0.5) / length))[:, None]
+            L += (a.T @ rho) ** 2 / B
+            white += ((a**2).sum(axis=0) - ((fit.Q.T @ a) ** 2).sum(axis=0)) / B
+        variance, freedom = variance + L / (white / whole), freedom + B
+    assert found.freedom == freedom
+    np.testing.assert_allclose(found.sigma, np.sqrt(variance), rtol=1e-9)
+    np.testing.assert_allclose(found.half, stats.t.ppf(0.975, freedom) * np.sqrt(variance), rtol=1e-6)
+
+
+def test_time_blocks_with_instruments_are_sums_over_their_rows():
+    """The same of instruments, of two recordings, joints weighted: intervals of the rows."""
+    T, n, b, rng = 128, 2, 3, np.random.default_rng(6)
+    W, Y, counts = rng.normal(size=(2, n, b, T)), rng.normal(size=(2, n, T)), rng.uniform(size=(2, T, n)) > 0.3
+    Z = W + 0.3 * rng.normal(size=W.shape)
+
+    def stacked(x):  # (2, n, ..., T) -> rows joint by joint, recording by recording
+        return np.moveaxis(x, -1, 2).swapaxes(0, 1).reshape(n * 2 * T, *x.shape[2:-1])
+
+    system = System.whole(stacked(W), stacked(Y), np.repeat([0, 1], 2 * T), tuple("abc"))
+    system = system.with_rows(stacked(counts.transpose(0, 2, 1)).astype(float))
+    fit = instrumental_variables(system, stacked(Z), np.array([1.0, 0.2]))
+    each = []
+    for k in range(2):
+        each.append(TimeBlocks.none_yet(T, n, tuple("abc"), instruments=True))
+        for a, z in ((0, 77), (77, T)):
+            each[k].add(a, W[k][..., a:z], Y[k][:, a:z], counts[k][a:z], Z[k][..., a:z])
+    W_w, Y_w = system.weighted(fit.weights)
+    by_rows = intervals(fit, Y_w - W_w @ fit.beta, n, (T, T))
+    np.testing.assert_allclose(intervals_of_blocks(fit, each).sigma, by_rows.sigma, rtol=1e-9)
 
 
 def test_time_blocks_are_equal():

@@ -18,15 +18,15 @@ from independent_simulator import Controller, Imperfections, Runs, description, 
 
 from acquisition.robot.robot import Robot
 from identification.data.signals import Signals, load_signals
-from identification.methods.experiment import make_experiment
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.instruments import simulate_instruments, simulated_robot
 from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
+from identification.replica.experiment import make_experiment
+from identification.replica.instruments import simulate_instruments, simulated_robot
 from identification.study.synthetic import truth
 
 SETTLED = ("converged", "not_confirmed")

@@ -7,7 +7,7 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.report import fit_document, recording_document, to_markdown, validation_document
+from identification.report import Validated, fit_document, recording_document, to_markdown, validation_document
 
 SCARA = REPLAY / "scara" / "session.mcap"
 
@@ -64,7 +64,8 @@ def test_a_number_that_does_not_exist_is_a_dash():
 
 def test_a_validation_and_a_recording_say_what_they_are():
     signals, fit = signals_of(SCARA), ls_of(SCARA)
-    document = validation_document(signals, fit.settings, "fit.json", fit.errors, ("another robot",))
+    validated = [Validated(signals, fit.settings, fit.errors)]
+    document = validation_document(validated, "fit.json", fit.errors, ("another robot",))
     assert document.title.startswith("fit.json on session.mcap: ")
     assert document.sections[0].warnings == ("another robot",)
     assert [row[0] for row in document.sections[1].table.rows] == ["shoulder", "elbow", "all"]

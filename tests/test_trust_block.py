@@ -31,13 +31,13 @@ from identification.methods.iteration import Iteration
 from identification.regression.settings import Overrides
 from identification.trust import Evidence, Trust, TrustLine
 from identification.trust.columns import lacks_of
+from identification.trust.held_out import held_out_test
 from identification.trust.lines import LEVELS, worst_first
 from identification.trust.solution import (
     _whitened,
     contrast_test,
     fixed_point_test,
     halves_test,
-    held_out_test,
     instruments_test,
 )
 

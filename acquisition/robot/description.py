@@ -146,6 +146,7 @@ class Identification(TomlTable, frozen=True):
     edges: Edges = "smooth"
     low_speed_percent: Share | LowSpeed | None = None
     torque_lag_s: Lag | Literal["none"] | None = None
+    own: tuple[Literal["Off", "Fv", "Fc"], ...] = ()
 
     @property
     def low_speed(self) -> LowSpeed:

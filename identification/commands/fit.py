@@ -1,4 +1,4 @@
-"""`robot-identify fit`: base parameters from a recording."""
+"""`robot-identify fit`: base parameters from a recording, or from several of one robot."""
 
 import argparse
 from collections.abc import Callable
@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING
 from acquisition.commands import Commands, Progress, from_options
 
 from ..errors import IdentificationError
-from .options import above_zero, add_recording, add_settings, load, positive, refuse_outputs, share
+from .options import (
+    above_zero,
+    add_recording,
+    add_settings,
+    add_work,
+    positive,
+    refuse_outputs,
+    share,
+    sources,
+    work_of,
+)
 from .results import print_results, untrusted
 
 if TYPE_CHECKING:
-    from ..data import Signals
+    from ..data import Recordings
     from ..methods import Fit, Prior
 
 
 def add(commands: Commands) -> None:
     """Declare the command; its settings have the names of the fields of `Overrides` and `Iteration`."""
-    parser = commands.add_parser("fit", help="base parameters from a recording")
+    parser = commands.add_parser("fit", help="base parameters from a recording, or from several")
     add_recording(parser)
     settings = add_settings(parser)
     settings.add_argument(
@@ -65,6 +75,7 @@ def add(commands: Commands) -> None:
         "--tolerance-percent", type=above_zero, metavar="P", help="passes end when changes are smaller (default 2.5)"
     )
     iv.add_argument("--max-iterations", type=positive, metavar="N", help="most passes (default 10)")
+    add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
@@ -90,45 +101,54 @@ def run(options: argparse.Namespace) -> int:
         if value is not None and not options.consistent:
             shown = {"value": str(value) if name == "prior" else value, "expected": "--consistent with it"}
             raise IdentificationError("does nothing alone", key=f"--{name.replace('_', '-')}", **shown)
-    inputs = [options.recording, options.robot, options.prior, Path(options.start or "regular")]
+    inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
+    from acquisition.files import refuse_clash
+
+    pictures = [options.rrd] if options.rrd else []
+    if len(options.recordings) > 1 and options.rrd:
+        pictures = [options.rrd.with_stem(f"{options.rrd.stem}_{path.stem}") for path in options.recordings]
+        refuse_clash(inputs, *pictures)
     with Progress("reading") as progress:
+        from ..data import Recordings
         from ..report import check_report_file, fit_document, fit_file, write_json, write_report
 
         if options.report:
             check_report_file(options.report)
-        signals = load(options)
-        prior = _prior(options, signals) if options.consistent else None
-        progress.say("fitting")
-        fit = _identify(options, signals, progress.say)
+        with work_of(options, len(options.recordings)) as work:
+            recordings = Recordings(sources=tuple(sources(options)), work=work)
+            prior = _prior(options) if options.consistent else None
+            fit = _identify(options, recordings, progress.say)
         if prior is not None:
             from ..methods import with_consistent
 
             fit = with_consistent(fit, prior)
+    signals = fit.problem.signals
     document = fit_document(signals, fit, everything=options.all)
     try:
         if options.json:
             write_json(options.json, fit_file(signals, fit, document))
         if options.report:
             write_report(options.report, document)
-        if options.rrd:
+        for picture, one in zip(pictures, fit.recordings, strict=False):
             with Progress("writing the Rerun file"):
                 from ..view import write_fit_rrd
 
-                write_fit_rrd(options.rrd, signals, fit)
+                write_fit_rrd(picture, one.problem.signals, fit.on(one))
     finally:  # print the fit even if a file cannot be written
         print_results(document)
     return untrusted(fit.distrust)
 
 
-def _prior(options: argparse.Namespace, signals: "Signals") -> "Prior":
+def _prior(options: argparse.Namespace) -> "Prior":
     """What `--prior` expects of the links; before any fit, so that a recording in A or V is refused at once."""
     from acquisition.robot import load_robot
 
     from ..methods import Prior, refuse_unknown_gain, urdf_prior
 
     path, weight = options.prior, options.prior_weight or 1.0
-    refuse_unknown_gain(signals.robot)
+    robot = sources(options)[0].load().robot
+    refuse_unknown_gain(robot)
     if path is None:
         return Prior(weight=weight)
     if path.suffix.lower() == ".toml":
@@ -137,10 +157,10 @@ def _prior(options: argparse.Namespace, signals: "Signals") -> "Prior":
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
-    return Prior(robot=urdf_prior(signals.robot, text, path.name), name=path.name, weight=weight)
+    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name, weight=weight)
 
 
-def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[str], None]) -> "Fit":
+def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
     from ..methods import Iteration, identify_iv, identify_ls
     from ..regression import Overrides
     from ..report import read_fit
@@ -148,10 +168,10 @@ def _identify(options: argparse.Namespace, signals: "Signals", say: Callable[[st
     overrides = from_options(Overrides, options)
     if options.method != "iv":
         return identify_ls(
-            signals, overrides, method=options.method, essential=options.essential, trust=options.trust, say=say
+            recordings, overrides, method=options.method, essential=options.essential, trust=options.trust, say=say
         )
     values = None
     if options.start not in (None, "regular", "ls"):
         values = partial(read_fit(Path(options.start)).beta, place=options.start)
     iteration = from_options(Iteration, options, values=values)
-    return identify_iv(signals, overrides, iteration, essential=options.essential, say=say)
+    return identify_iv(recordings, overrides, iteration, essential=options.essential, say=say)

@@ -4,14 +4,17 @@ Options have the names of the fields that they set, of `Overrides` and `Noise`: 
 """
 
 import argparse
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import IdentificationError
 
 if TYPE_CHECKING:
-    from ..data import Signals
+    from ..data import RecordingFile, Signals
+    from ..work import Work
 
 
 def add_simulation_options(
@@ -78,13 +81,15 @@ def add_imperfections(parser: argparse.ArgumentParser, **defaults: float) -> Non
 
 
 def add_recording(parser: argparse.ArgumentParser, *before: str) -> None:
-    """The group of inputs: files that come before, the recording, and a description used instead of its own."""
+    """The group of inputs: files that come before, the recordings, and a description used instead of their own."""
     inputs = parser.add_argument_group("inputs")
     for name in before:
         inputs.add_argument(
             name, type=Path, metavar=f"{name.upper()}.json", help=f"the {name}, as `fit --json` writes it"
         )
-    inputs.add_argument("recording", type=Path, metavar="LOG.mcap", help="the recording")
+    inputs.add_argument(
+        "recordings", type=Path, nargs="+", metavar="LOG.mcap", help="the recording, or several of one robot"
+    )
     inputs.add_argument(
         "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recording's own"
     )
@@ -117,13 +122,45 @@ def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
     return group
 
 
-def load(options: argparse.Namespace) -> "Signals":
-    """The recording of `add_recording`, by the description given in place of its own."""
+def load(options: argparse.Namespace) -> list["Signals"]:
+    """The recordings of `add_recording`, by the description given in place of their own."""
+    return [source.load() for source in sources(options)]
+
+
+def sources(options: argparse.Namespace) -> list["RecordingFile"]:
+    """The files of the recordings of `add_recording`, to be read where they are needed."""
     from acquisition.robot import load_robot
 
-    from ..data import load_signals
+    from ..data import RecordingFile
 
-    return load_signals(options.recording, load_robot(options.robot) if options.robot else None)
+    robot = load_robot(options.robot) if options.robot else None
+    return [RecordingFile.at(path, robot) for path in options.recordings]
+
+
+def add_work(parser: argparse.ArgumentParser) -> None:
+    """Where tasks run: on the cores of this machine, or on a cluster."""
+    group = parser.add_argument_group("where it runs")
+    where = group.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=positive, metavar="N", help="processes on this machine (default: all cores)")
+    where.add_argument(
+        "--cluster",
+        metavar="tcp://HOST:8786",
+        help="the Dask scheduler whose workers do the work, on other machines too",
+    )
+
+
+@contextmanager
+def work_of(options: argparse.Namespace, tasks: int) -> Iterator["Work"]:
+    """What `add_work` asks for, for so many tasks at a time."""
+    from ..work import cluster, processes
+
+    if options.cluster is not None:
+        with cluster(options.cluster) as work:
+            yield work
+    else:
+        cores = options.workers or (os.cpu_count() or 1)
+        with processes(min(cores, tasks)) as work:
+            yield work
 
 
 def make_folder(out: Path) -> None:

@@ -6,7 +6,17 @@ from pathlib import Path
 from acquisition.commands import Commands, from_options
 
 from ..errors import IdentificationError
-from .options import add_simulation_options, controllers, cutoffs, factors, positive, refuse_outputs, share
+from .options import (
+    add_simulation_options,
+    add_work,
+    controllers,
+    cutoffs,
+    factors,
+    positive,
+    refuse_outputs,
+    share,
+    work_of,
+)
 from .results import print_results
 from .robots import MOTION, add_robot, robot_of
 
@@ -41,6 +51,7 @@ def add(commands: Commands) -> None:
     )
     varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
     add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)
+    add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
     outputs.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
@@ -60,8 +71,9 @@ def run(options: argparse.Namespace) -> None:
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err = Console(stderr=True)
-    each = run_study(robot, study)
-    runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
+    with work_of(options, study.runs) as work:
+        each = run_study(robot, study, work)
+        runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
     if not any(run.error_ls > 0 for run in runs):
         raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
     document = study_document(robot.name, study, runs, true)

@@ -1,4 +1,4 @@
-"""`robot-identify validate`: apply a fit to another recording."""
+"""`robot-identify validate`: apply a fit to other recordings."""
 
 import argparse
 from pathlib import Path
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def add(commands: Commands) -> None:
     """Declare the command."""
-    parser = commands.add_parser("validate", help="apply a fit to another recording")
+    parser = commands.add_parser("validate", help="apply a fit to other recordings")
     add_recording(parser, "fit")
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
@@ -32,29 +32,33 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
-    refuse_outputs([options.fit, options.recording, options.robot], options.json)
+    refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
-        from ..methods import validate
+        from ..methods import validate_all
         from ..regression import Overrides
-        from ..report import doubts, read_fit, validation_document, validation_file, write_json
+        from ..report import Validated, doubts, read_fit, validation_document, validation_file, write_json
 
-        stored, signals = read_fit(options.fit), load(options)
-        signals, notes = as_fitted(
-            signals, options.recording, stored, str(options.fit), chosen=options.robot is not None
-        )
+        stored, recordings, notes = read_fit(options.fit), [], []
+        for path, own in zip(options.recordings, load(options), strict=True):
+            signals, told = as_fitted(own, path, stored, str(options.fit), chosen=options.robot is not None)
+            overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
+            recordings.append((signals, overrides))
+            notes += told
         progress.say("predicting")
-        overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
-        settings, errors = validate(signals, overrides, lambda base: stored.beta(base, str(options.fit)))
-    warnings = (*settings.warnings, *notes, *doubts(stored, str(options.fit)))
-    document = validation_document(signals, settings, options.fit.name, errors, warnings)
+        each, errors = validate_all(recordings, lambda base: stored.beta(base, str(options.fit)))
+    of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
+    warnings = (*of_settings, *notes, *doubts(stored, str(options.fit)))
+    validated = [Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
+    document = validation_document(validated, options.fit.name, errors, warnings)
     if options.json:
-        write_json(options.json, validation_file(signals, settings, options.fit.name, errors, document, warnings))
+        write_json(options.json, validation_file(validated, options.fit.name, errors, document, warnings))
     print_results(document)
     error, most = errors[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
-    return untrusted([f"{options.fit} on {options.recording}: {found}: expected at most {most:g} %"])
+    on = ", ".join(map(str, options.recordings))
+    return untrusted([f"{options.fit} on {on}: {found}: expected at most {most:g} %"])
 
 
 def as_fitted(

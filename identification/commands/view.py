@@ -5,7 +5,8 @@ from pathlib import Path
 
 from acquisition.commands import Commands, Progress, from_options
 
-from .options import add_recording, add_settings, load, refuse_outputs
+from ..errors import IdentificationError
+from .options import add_recording, add_settings, refuse_outputs, sources
 from .results import print_results
 
 
@@ -21,13 +22,17 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Write the Rerun file, and say how to open it."""
-    out = options.out or Path(str(options.recording).removesuffix(options.recording.suffix) + ".rrd")
-    refuse_outputs([options.recording, options.robot], out)
+    if options.out and len(options.recordings) > 1:
+        text = f"one file for {len(options.recordings)} recordings"
+        raise IdentificationError(text, key="--out", value=str(options.out), expected="no --out: LOG.rrd each")
+    outs = [options.out or Path(str(path).removesuffix(path.suffix) + ".rrd") for path in options.recordings]
+    refuse_outputs([*options.recordings, options.robot], *outs)
     with Progress("reading") as progress:
         from ..regression import Overrides
         from ..view import write_recording_rrd
 
-        signals = load(options)
-        progress.say("writing the Rerun file")
-        write_recording_rrd(out, signals, from_options(Overrides, options))
-    print_results(f"look at it: rerun --bind 127.0.0.1 {out}")
+        for out, source in zip(outs, sources(options), strict=True):
+            signals = source.load()
+            progress.say("writing the Rerun file")
+            write_recording_rrd(out, signals, from_options(Overrides, options))
+    print_results(f"look at it: rerun --bind 127.0.0.1 {' '.join(map(str, outs))}")

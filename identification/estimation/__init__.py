@@ -1,6 +1,6 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
-from .confidence import Intervals, TimeBlocks, cosines, deviations, intervals
+from .confidence import Intervals, cosines, deviations, deviations_of_parts, intervals, slices
 from .consistency import (
     GAMMA,
     Consistent,
@@ -29,9 +29,10 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .f_test import f_tail
+from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
-from .system import System
+from .system import System, undetermined_parameters
+from .time_blocks import TimeBlocks, intervals_of_blocks
 from .whitening import whitened
 
 __all__ = [
@@ -51,12 +52,15 @@ __all__ = [
     "consistent_parameters",
     "cosines",
     "deviations",
+    "deviations_of_parts",
     "essential_parameters",
     "f_tail",
     "hac_sigma",
+    "independent_share",
     "instrument_tests",
     "instrumental_variables",
     "intervals",
+    "intervals_of_blocks",
     "lag_one",
     "link_parameters",
     "one_thread",
@@ -64,7 +68,9 @@ __all__ = [
     "prior_shares",
     "pseudo_inertia",
     "relative_error_percent",
+    "slices",
     "torque_errors",
+    "undetermined_parameters",
     "weighted_least_squares",
     "whitened",
 ]

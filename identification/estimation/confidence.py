@@ -4,10 +4,11 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 (2018). Only the low-frequency part of the residual matters for an estimate; the cosines of the lowest frequencies measure it.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from .estimators import Estimate
@@ -47,69 +48,64 @@ class Intervals:
         return 0.5 * (self.high - self.low)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TimeBlocks:
-    """Normal matrices of a recording's equal blocks of time, from which the scores of any least squares estimate follow.
+def intervals(estimate: Estimate, rho: Array, n: int, parts: tuple[int, ...] | None = None) -> Intervals:
+    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in rows that do not count.
 
-    Attributes:
-        products: (K, n, b, b + 1) of block and joint, W'[W Y] of the rows that count.
-        instants: T, how many the blocks share.
-        names: (b,) parameters.
+    `parts` are the numbers of instants of each of several recordings, in the order of the rows; None for one.
     """
-
-    products: Array
-    instants: int
-    names: tuple[str, ...]
-
-    @classmethod
-    def none_yet(cls, instants: int, n: int, names: tuple[str, ...]) -> "TimeBlocks":
-        """Blocks to which `add` brings the rows of so many instants of n joints."""
-        b = len(names)
-        products = np.zeros((min(TIME_BLOCKS, instants), n, b, b + 1))
-        return cls(products=products, instants=instants, names=names)
-
-    def add(self, first: int, W: Array, Y: Array, counts: NDArray[np.bool_]) -> None:
-        """Add the instants from `first` on: W (n, b, rows), Y (n, rows), and which of them count (rows, n)."""
-        K = len(self.products)
-        block = np.arange(first, first + len(counts)) * K // self.instants
-        for k in np.unique(block):
-            for j in range(len(W)):
-                rows = np.flatnonzero((block == k) & counts[:, j])
-                W_k = W[j][:, rows]
-                self.products[k, j] += W_k @ np.c_[W_k.T, Y[j, rows]]
-
-    def intervals(self, estimate: Estimate) -> Intervals:
-        """Intervals of a least squares estimate, of all parameters or some."""
-        among = [self.names.index(name) for name in estimate.names]
-        weighted = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, among]  # (K, b, all + 1)
-        N, bread = weighted[..., among], estimate.bread
-        scores = (weighted[..., -1] - N @ estimate.beta) @ bread @ bread.T  # (W'W)⁻¹ = bread bread'
-        return _intervals(estimate, scores, bread.T @ N @ bread, cosines(self.instants))  # Q = W bread
-
-
-def intervals(estimate: Estimate, rho: Array, n: int) -> Intervals:
-    """Intervals of an estimate from its weighted residuals rho (r,), stacked joint by joint, zero in rows that do not count."""
     b = len(estimate.names)
     scores = (estimate.Q * rho[:, None]).reshape(n, -1, b).sum(axis=0) @ estimate.bread.T
-    T = len(scores)
-    blocks = np.array_split(estimate.Q.reshape(n, T, b).transpose(1, 0, 2), min(T, TIME_BLOCKS))
-    grams = np.stack([Q.T @ Q for Q in (block.reshape(-1, b) for block in blocks)])
-    return _intervals(estimate, scores, grams, cosines(T))
+    Q = estimate.Q.reshape(n, len(scores), b).transpose(1, 0, 2)
+    found = []
+    for part in slices(parts or (len(scores),)):
+        T = len(scores[part])
+        blocks = np.array_split(Q[part], min(T, TIME_BLOCKS))
+        grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
+        found.append(Scores(scores=scores[part], grams=grams, cosines=cosines(T)))
+    return intervals_of_scores(estimate, found)
 
 
-def _intervals(estimate: Estimate, scores: Array, grams: Array, B: int) -> Intervals:
-    """Intervals from scores (T, b) of instants or blocks, which add up to beta - beta_true, and Q'Q of blocks (K, b, b)."""
-    sigma = deviations(scores, B) / np.sqrt(_share(estimate.bread, grams, B))
-    half = _reach(B) * sigma
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Scores:
+    """A recording's share of beta - beta_true: scores (T, b) of instants or blocks of time, whose sum it is.
+
+    `grams` (K, b, b) are Q'Q of blocks of time; `cosines` is their number that the recording's length bears.
+    """
+
+    scores: Array
+    grams: Array
+    cosines: int
+
+
+def intervals_of_scores(estimate: Estimate, recordings: Sequence[Scores], bread: Array | None = None) -> Intervals:
+    """Intervals from the scores of recordings: independent of one another, so variances and degrees of freedom add up.
+
+    `bread` (b, b) belongs to the Q of the scores' `grams`: that of the estimate by default.
+    """
+    bread = estimate.bread if bread is None else bread
+    each = [deviations(own.scores, own.cosines) / np.sqrt(_share(bread, own.grams, own.cosines)) for own in recordings]
+    sigma, freedom = np.hypot.reduce(each), sum(own.cosines for own in recordings)
+    half = _reach(freedom) * sigma
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
     return Intervals(
         low=estimate.beta - half,
         high=estimate.beta + half,
         sigma=sigma,
-        freedom=B,
+        freedom=freedom,
         covariance=estimate.covariance * scale[:, None] * scale,
     )
+
+
+def slices(parts: Sequence[int]) -> list[slice]:
+    """The instants of each recording among those of all."""
+    edges = np.cumsum([0, *parts])
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+
+
+def deviations_of_parts(scores: Array, parts: Sequence[int]) -> Array:
+    """Standard deviations (b,) of the sums of scores (T, b) of recordings that are independent of one another."""
+    return np.asarray(np.hypot.reduce([deviations(scores[part], cosines(len(scores[part]))) for part in slices(parts)]))
 
 
 def deviations(scores: Array, B: int) -> Array:
@@ -128,8 +124,9 @@ def _share(bread: Array, grams: Array, B: int) -> Array:
     cosine = _family(B, len(grams))
     of_block = ((bread @ grams) * bread).sum(axis=-1)  # (K, b), sum of squared rows of Q bread'
     lost = (bread @ np.tensordot(cosine, grams, axes=1)) ** 2  # (B, b, b)
-    found = (cosine**2 @ of_block - lost.sum(axis=-1)).mean(axis=0)
-    return np.asarray(np.maximum(found / of_block.sum(axis=0), LEAST_SHARE))
+    found, whole = (cosine**2 @ of_block - lost.sum(axis=-1)).mean(axis=0), of_block.sum(axis=0)
+    seen = whole > 0  # one of several recordings may say nothing of a parameter
+    return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=seen), LEAST_SHARE))
 
 
 def _family(B: int, T: int) -> Array:

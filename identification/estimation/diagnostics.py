@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from .confidence import slices
 from .f_test import f_tail, independent_share
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
@@ -82,7 +83,7 @@ def relative_error_percent(tau: Array, rho: Array) -> float | None:
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
 
 
-def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int) -> Array:
+def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int, parts: tuple[int, ...] | None = None) -> Array:
     """Standard deviations that hold for correlated residuals (Newey and West, Econometrica 55, 1987).
 
     beta - beta_true = bread Qᵀ rho. The scores of all joints at one instant are added first, so correlation between joints
@@ -95,6 +96,7 @@ def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int) -> Array
     rho : (r,) weighted residuals, stacked joint by joint, zero in rows that do not count.
     n : number of joints, of equally many rows.
     rows : how many of the rows count.
+    parts : numbers of instants of several recordings; None for one.
 
     Returns
     -------
@@ -102,13 +104,17 @@ def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int) -> Array
     """
     b = Q.shape[1]
     scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
-    T = len(scores)
+    variance = np.sum([_hac_variance(scores[part], bread) for part in slices(parts or (len(scores),))], axis=0)
+    return np.asarray(np.sqrt(rows / max(1, rows - b) * variance))
+
+
+def _hac_variance(scores: Array, bread: Array) -> Array:
+    T, b = scores.shape
     width = min(int(np.ceil(1.3 * np.sqrt(T))), T - 1) + 1
     # Bartlett's weights 1 - lag/width are those of sums over a moving window: S is the mean product of such sums.
     running = np.cumsum(np.concatenate([np.zeros((width, b)), scores, np.zeros((width - 1, b))]), axis=0)
     sums = (running[width:] - running[:-width]) @ bread.T
-    variance = (sums**2).sum(axis=0) / width
-    return np.asarray(np.sqrt(rows / max(1, rows - b) * variance))
+    return np.asarray((sums**2).sum(axis=0) / width)
 
 
 @dataclass(frozen=True, kw_only=True)

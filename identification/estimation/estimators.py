@@ -16,11 +16,10 @@ from threadpoolctl import threadpool_limits
 from ..arrays import Array
 from ..errors import IdentificationError
 from .f_test import f_tail, independent_share
-from .system import System
+from .system import RANK_TOLERANCE, System, refuse_rank_deficiency
 
 F = TypeVar("F", bound=Callable[..., Any])
 
-RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 F_TEST_LEVEL = 0.01  # a parameter is dropped only where the F test's p-value stays above
 
 
@@ -188,7 +187,7 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
     _refuse_few_rows(system)
     W, Y = system.weighted(weights)
     Z = Z * (weights[system.joint_of_row] * system.used)[:, None]
-    _refuse_rank_deficiency(Z, system.names)
+    refuse_rank_deficiency(Z, system.names)
     factors = _factors(Z, W)
     condition = float(np.linalg.cond(factors.A))
     if not condition < 1 / RANK_TOLERANCE:
@@ -204,7 +203,7 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
 def _least_squares(system: System, weights: Array) -> Estimate:
     _refuse_few_rows(system)
     W, Y = system.weighted(weights)
-    singular = _refuse_rank_deficiency(W, system.names)
+    singular = refuse_rank_deficiency(W, system.names)
     return _estimate(system, weights, _solution(_factors(W, W), W, Y), float(singular[0] / singular[-1]))
 
 
@@ -276,23 +275,3 @@ def _condition(W: Array) -> float:
 def _norms(W: Array) -> Array:
     norms = np.linalg.norm(W, axis=0)
     return np.asarray(np.where(norms > 0, norms, 1.0))
-
-
-def _refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
-    """Singular values of the column-scaled W; an error names the parameters that cannot be told apart."""
-    norms = np.linalg.norm(W, axis=0)
-    unseen = [name for name, norm in zip(names, norms, strict=True) if norm <= 1e-12 * norms.max()]
-    if unseen:
-        raise IdentificationError(
-            "no torque depends on them", key="parameters not excited", value=unseen, shown=", ".join(unseen)
-        )
-    _, singular, Vt = np.linalg.svd(np.linalg.qr(W / norms, mode="r"))
-    lost = singular < RANK_TOLERANCE * singular[0]
-    if lost.any():
-        involved = np.abs(Vt[lost]).max(axis=0) > 0.05
-        together = ", ".join(name for name, i in zip(names, involved, strict=True) if i)
-        raise IdentificationError(
-            f"the trajectory excites too little: rank {int((~lost).sum())} for {len(names)} parameters; these cannot be "
-            f"told apart: {together}"
-        )
-    return np.asarray(singular)

@@ -6,6 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..errors import IdentificationError
+
+RANK_TOLERANCE = 1e-8  # of the largest singular value of the column-scaled W
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,3 +57,37 @@ class System:
         """W (r, b) and Y (r,) with rows of joint j times `weights` (n,), and zero where they do not count."""
         w = weights[self.joint_of_row] * self.used
         return self.W * w[:, None], self.Y * w
+
+
+def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:
+    """Singular values of the column-scaled W; an error names the parameters that cannot be told apart."""
+    unseen, alike, singular = _undetermined(W, names)
+    if unseen:
+        raise IdentificationError(
+            "no torque depends on them", key="parameters not excited", value=unseen, shown=", ".join(unseen)
+        )
+    if alike:
+        rank = int((singular >= RANK_TOLERANCE * singular[0]).sum())
+        raise IdentificationError(
+            f"the trajectory excites too little: rank {rank} for {len(names)} parameters; these cannot be "
+            f"told apart: {', '.join(alike)}"
+        )
+    return singular
+
+
+def undetermined_parameters(W: Array, names: tuple[str, ...]) -> list[str]:
+    """Names of the parameters that the rows W (r, b) do not determine: not excited, or not to be told apart."""
+    unseen, alike, _ = _undetermined(W, names)
+    return [name for name in names if name in (*unseen, *alike)]
+
+
+def _undetermined(W: Array, names: tuple[str, ...]) -> tuple[list[str], list[str], Array]:
+    """Parameters that no row depends on, those that cannot be told apart, and the singular values of the column-scaled W."""
+    norms = np.linalg.norm(W, axis=0)
+    seen = norms > 1e-12 * norms.max()
+    _, singular, Vt = np.linalg.svd(np.linalg.qr(W[:, seen] / norms[seen], mode="r"))
+    lost = singular < RANK_TOLERANCE * singular[:1]
+    involved = np.abs(Vt[lost]).max(axis=0, initial=0.0) > 0.05
+    known = [name for name, s in zip(names, seen, strict=True) if s]
+    unseen = [name for name, s in zip(names, seen, strict=True) if not s]
+    return unseen, [name for name, i in zip(known, involved, strict=True) if i], np.asarray(singular)

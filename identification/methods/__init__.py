@@ -4,29 +4,29 @@ from .consistent import Prior, consistent_set, refuse_unknown_gain, urdf_prior, 
 from .fit import (
     NO_FIXED_POINT,
     ConsistentSet,
-    DirectModelError,
     Fit,
+    FittedRecording,
     InstrumentEvidence,
-    InstrumentKind,
     LeastSquares,
     Method,
+    OwnTest,
     Pass,
     Rows,
     Status,
 )
-from .idim import identify_iv, identify_ls, validate
+from .idim import identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
 
 __all__ = [
     "NO_FIXED_POINT",
     "ConsistentSet",
-    "DirectModelError",
     "Fit",
+    "FittedRecording",
     "InstrumentEvidence",
-    "InstrumentKind",
     "Iteration",
     "LeastSquares",
     "Method",
+    "OwnTest",
     "Pass",
     "Prior",
     "Rows",
@@ -38,5 +38,6 @@ __all__ = [
     "regular_start",
     "urdf_prior",
     "validate",
+    "validate_all",
     "with_consistent",
 ]

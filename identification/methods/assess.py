@@ -1,24 +1,28 @@
 """Assesses an estimate: torque errors of all rows, robust deviations, tests, warnings."""
 
-from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..data import Signals
-from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     Intervals,
+    System,
+    f_tail,
     hac_sigma,
+    independent_share,
     intervals,
+    intervals_of_blocks,
+    lag_one,
     torque_errors,
 )
-from ..regression import Problem, Regression, torque_of_recording
-from ..simulation import has_controller, recorded_loop
-from ..trust import Evidence, trust_in
-from .fit import Fit, InstrumentEvidence, LeastSquares, Method, Rows, Status
+from ..regression import Regression, base_name
+from ..replica import Replica
+from ..trust import Evidence, held_out_recordings, trust_in
+from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Method, OwnTest, Rows, Status
+from .recordings import Observed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,81 +32,111 @@ class Verdict:
     status: Status = "solved"
     iv: InstrumentEvidence | None = None
     warnings: tuple[str, ...] = ()
+    replicas: tuple[Replica, ...] = ()
 
 
-def evidence_of_ls(problem: Problem, observed: Regression, method: Method, ls: LeastSquares) -> Evidence:
+def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares) -> Evidence:
     """What least squares has to show for itself: it has no instruments."""
-    used, robot, loop = observed.system.used, problem.signals.robot, None
-    if has_controller(robot.controller):
-        with suppress(IdentificationError):  # described in part: least squares does without
-            loop = recorded_loop(robot)
     return Evidence(
-        problem=problem,
-        observed=observed,
+        parts=observed.evidence,
+        observed=observed.regression,
         method=method,
         fixed_point=True,
         estimate=ls.estimate,
-        used=used,
+        used=observed.regression.system.used,
         intervals=ls.intervals,
         least_squares=ls.full,
-        loop=loop,
+        factors=factors_of_ls(observed),
     )
 
 
-def assess_ls(evidence: Evidence, ls: LeastSquares) -> Fit:
+def factors_of_ls(observed: Observed) -> tuple[tuple[System, Array], ...]:
+    """The reduced system of each of several recordings, W as its instruments; none where rows are held."""
+    if not observed.regression.reduced or len(observed.observations) == 1:
+        return ()
+    return tuple((one.regression.system, one.regression.system.W) for one in observed.observations)
+
+
+def assess_ls(observed: Observed, evidence: Evidence, ls: LeastSquares) -> Fit:
     """A fit by least squares."""
-    return _fit(evidence, ls, Verdict())
+    return _fit(observed, evidence, ls, Verdict())
 
 
-def assess_estimate(evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict) -> Fit:
+def assess_estimate(
+    observed: Observed, evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict
+) -> Fit:
     """A fit by instruments, with the torque (rows, n) it predicts; least squares of the same rows stands beside it."""
-    observed, estimate = evidence.observed, evidence.estimate
-    sigma_hac = robust_sigma(observed, estimate, predicted, evidence.used)
-    own = replace(ls, estimate=estimate, sigma_hac=sigma_hac, intervals=evidence.intervals, tau_predicted=predicted)
-    return replace(_fit(evidence, own, verdict), least_squares=ls)
+    sigma_hac = robust_sigma(observed.regression, evidence.estimate, predicted, evidence.used)
+    own = replace(
+        ls, estimate=evidence.estimate, sigma_hac=sigma_hac, intervals=evidence.intervals, tau_predicted=predicted
+    )
+    return replace(_fit(observed, evidence, own, verdict), least_squares=ls)
 
 
-def _fit(evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
-    problem, observed = evidence.problem, evidence.observed
-    settings, signals = problem.settings, problem.signals
-    # Decimation keeps the last sample and every n_d-th before it.
-    kept = settings.stop - 1 - settings.decimation * np.arange(len(observed.tau))[::-1]
-    names = tuple(joint.name for joint in signals.robot.joints)
+def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
+    rows, predicted = observed.regression, solved.tau_predicted
+    names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
+    trust, held_out = trust_in(evidence), held_out_recordings(evidence)
+    fitted = [
+        FittedRecording(
+            problem=one.problem,
+            parameters=observed.parameters.of[k],
+            rows=part,
+            errors=torque_errors(rows.tau[part], predicted[part], rows.speed[part], names),
+            held_out=held,
+            replica=verdict.replicas[k] if verdict.replicas else None,
+        )
+        for k, (one, part, held) in enumerate(zip(observed.observations, observed.parts, held_out, strict=True))
+    ]
     return Fit(
-        problem=problem,
+        recordings=tuple(fitted[k] for k in observed.order),
         method=evidence.method,
         status=verdict.status,
         estimate=solved.estimate,
         sigma_hac=solved.sigma_hac,
         intervals=solved.intervals,
         least_squares=solved,
-        rows=Rows(t_s=signals.t_s[kept], tau=observed.tau, tau_predicted=solved.tau_predicted, speed=observed.speed),
-        errors=torque_errors(observed.tau, solved.tau_predicted, observed.speed, names),
-        warnings=_warnings(problem, verdict.warnings),
-        trust=trust_in(evidence),
+        rows=Rows(
+            t_s=np.concatenate([one.t_s for one in observed.observations]),
+            tau=rows.tau,
+            tau_predicted=predicted,
+            speed=rows.speed,
+        ),
+        errors=torque_errors(rows.tau, predicted, rows.speed, names),
+        warnings=_warnings(observed, verdict.warnings),
+        trust=trust,
+        own=own_test(observed, solved.full),
         iv=verdict.iv,
     )
 
 
-def predicted_rows(problem: Problem, observed: Regression, estimate: Estimate) -> Array:
-    """Decimated torque (rows, n) that an estimate predicts for the rows of `observed`."""
-    if observed.reduced:
-        return torque_of_recording(problem, estimate.among(problem.base.names))[1]
-    return np.asarray((columns_of(observed, estimate) @ estimate.beta).reshape(observed.tau.shape[1], -1).T)
-
-
-def columns_of(observed: Regression, estimate: Estimate) -> Array:
-    """Columns of W (r, b) of the parameters estimated."""
-    names = observed.system.names
-    return observed.system.W[:, [names.index(name) for name in estimate.names]]
+def own_test(observed: Observed, full: Estimate) -> OwnTest | None:
+    """The F test of the recordings' own parameters against shared ones, by least squares; None where they have none."""
+    parameters, rows = observed.parameters, observed.regression
+    if not parameters.any:
+        return None
+    W, Y = rows.system.weighted(full.weights)
+    shared = list(dict.fromkeys(map(base_name, parameters.names)))
+    merge = np.array([[float(base_name(name) == one) for one in shared] for name in parameters.names])
+    norm = np.linalg.norm(Y - W @ full.beta)
+    together = W @ merge
+    scale = np.linalg.norm(together, axis=0)
+    left = np.linalg.norm(Y - together / scale @ np.linalg.lstsq(together / scale, Y)[0])
+    rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
+    more, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
+    F = float((left**2 - norm**2) / more / (norm**2 / freedom)) if norm > 0 else float("inf")
+    share = independent_share(lag_one(rho) or 0.0)
+    p = f_tail(F * share, more, max(1.0, full.rows * share - len(parameters.names)))
+    names = tuple(name for name in parameters.names if "@" in name)
+    return OwnTest(names=names, F=F, p_value=f_tail(F, more, freedom), F_effective=F * share, p_effective=p)
 
 
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
     """Intervals of an estimate from the rows that are `used` (r,)."""
-    if observed.time_blocks is not None:
-        return observed.time_blocks.intervals(estimate)
+    if observed.time_blocks:
+        return intervals_of_blocks(estimate, observed.time_blocks)
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-    return intervals(estimate, rho * used, observed.tau.shape[1])
+    return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
 
 
 def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:
@@ -110,17 +144,19 @@ def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, use
     if observed.reduced:
         return np.full(len(estimate.names), np.nan)
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-    return hac_sigma(estimate.Q, estimate.bread, rho * used, observed.tau.shape[1], rows=estimate.rows)
-
-
-def _warnings(problem: Problem, of_method: tuple[str, ...]) -> tuple[str, ...]:
-    signals = problem.signals
-    return (
-        *problem.settings.warnings,
-        *gain_warnings(signals),
-        *recording_warnings(signals),
-        *of_method,
+    return hac_sigma(
+        estimate.Q, estimate.bread, rho * used, observed.tau.shape[1], rows=estimate.rows, parts=observed.parts
     )
+
+
+def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]:
+    """Those of the settings and of the recordings, which several recordings may share, and those of the method."""
+    problems = [observed.observations[k].problem for k in observed.order]
+    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals)] for p in problems]
+    if len(problems) == 1:
+        return (*of_settings[0], *recording_warnings(problems[0].signals), *of_method)
+    named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
+    return (*dict.fromkeys(text for texts in of_settings for text in texts), *named, *of_method)
 
 
 def recording_warnings(signals: Signals) -> tuple[str, ...]:

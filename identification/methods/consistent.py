@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import msgspec
+import numpy as np
 
 from acquisition.robot import Robot
 
@@ -47,9 +48,19 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
     IdentificationError : a drive gain is not known, the prior is of another robot, or no consistent parameters are found.
     """
     problem, full = fit.problem, fit.least_squares.full
-    covariance = covariance_of_all(fit.base.names, fit.estimate, fit.intervals, full)
+    covariance = covariance_of_all(full.names, fit.estimate, fit.intervals, full)
+    first = np.array(
+        [full.names.index(name) for name in fit.recordings[0].parameters]
+    )  # of own parameters one recording's
+    covariance = covariance[np.ix_(first, first)]
     found = consistent_set(problem.model, fit.base, fit.beta, covariance, prior=prior, reach=fit.intervals.reach)
-    tau, predicted, speed = torque_of_recording(problem, found.beta)
+    if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
+        text = "the recordings are too long together for the errors of a consistent set"
+        raise IdentificationError(
+            text, place=problem.signals.robot.name, expected="a larger --decimate, or one recording"
+        )
+    each = [torque_of_recording(one.problem, found.beta) for one in fit.recordings]
+    tau, predicted, speed = (np.concatenate(x) for x in zip(*each, strict=True))
     names = tuple(joint.name for joint in problem.signals.robot.joints)
     return replace(fit, consistent=found, consistent_errors=torque_errors(tau, predicted, speed, names))
 

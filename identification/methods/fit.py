@@ -1,7 +1,7 @@
 """What an identification gives: an estimate, the settings it was made with, and the evidence for and against it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -11,10 +11,10 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
 from ..regression import Motion, Problem, Settings
-from ..trust import Trust
+from ..replica import DirectModelError, InstrumentKind, Replica
+from ..trust import HeldOut, Trust
 
 Method = Literal["ols", "wls", "iv"]
-InstrumentKind = Literal["simulated", "consistent", "reference"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
 
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
@@ -55,18 +55,6 @@ class Pass:
     def settled(self) -> bool:
         """Whether both tests hold."""
         return self.residual_settled and self.parameters_settled
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DirectModelError:
-    """A joint of the robot simulated with the final estimate against the recording, in percent of its variation.
-
-    Position in percent of |q - mean|, torque in percent of |tau|, both relative norms.
-    """
-
-    name: str
-    position_error_percent: float | None
-    torque_error_percent: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,11 +160,46 @@ class ConsistentSet:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
-    """Base parameters of a robot from one recording, and the evidence for them.
+class FittedRecording:
+    """One of the recordings of a fit.
 
     Attributes:
-        problem: recording, settings and model.
+        problem: recording, settings and model; without samples where several recordings are too long to be held.
+        parameters: (b,) names of its base parameters among those of the fit.
+        rows: its decimated samples among those of the fit.
+        errors: that the fit leaves on it, one entry per joint and, last, all joints together.
+        held_out: its torque predicted by the fit of the other recordings; None where there are none.
+        replica: the robot simulated in it with the estimate; None after least squares.
+    """
+
+    problem: Problem
+    parameters: tuple[str, ...]
+    rows: slice
+    errors: tuple[TorqueError, ...]
+    held_out: HeldOut | None
+    replica: Replica | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnTest:
+    """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
+
+    `F_effective` and `p_effective` count only as many independent rows as the residual's correlation leaves.
+    """
+
+    names: tuple[str, ...]
+    F: float
+    p_value: float
+    F_effective: float
+    p_effective: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """Base parameters of a robot from one recording or several, and the evidence for them.
+
+    Attributes:
+        recordings: those fitted, in the order given.
         method, status: by which method, and how it ended.
         estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
         sigma_hac: (b,) deviations that hold for correlated residuals; NaN where the recording is so long that rows were
@@ -184,15 +207,16 @@ class Fit:
         intervals: 95 % intervals of the estimate.
         least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
             beside instrumental variables.
-        rows: all decimated rows, measured and predicted.
+        rows: all decimated rows, measured and predicted; recordings in the order of their digests.
         errors: one entry per joint and, last, all joints together.
         trust: tests of the estimate, and the verdict.
         iv: there for the instrumental variable method only.
         consistent: the nearest physically consistent parameters, where asked for, and `consistent_errors`: their torque errors,
             as `errors`.
+        own: the test of the parameters that recordings have for themselves; None where they share all.
     """
 
-    problem: Problem
+    recordings: tuple[FittedRecording, ...]
     method: Method
     status: Status
     estimate: Estimate
@@ -206,11 +230,26 @@ class Fit:
     iv: InstrumentEvidence | None = None
     consistent: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
+    own: OwnTest | None = None
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
+
+    def on(self, one: FittedRecording) -> "Fit":
+        """The fit as one of its recordings shows it: rows, errors and simulated motion of that one."""
+        iv = self.iv
+        if iv is not None and one.replica is not None:
+            iv = replace(iv, simulated=one.replica.simulated.motion, q=one.replica.q, direct=one.replica.direct)
+        rows = Rows(**{name: x[one.rows] for name, x in vars(self.rows).items()})
+        here = slice(0, one.rows.stop - one.rows.start)
+        return replace(self, recordings=(replace(one, rows=here),), rows=rows, errors=one.errors, iv=iv)
+
+    @property
+    def problem(self) -> Problem:
+        """That of the first recording: robot, model and base parameters are those of all."""
+        return self.recordings[0].problem
 
     @property
     def settings(self) -> Settings:
-        """What the fit did with the recording."""
+        """What the fit did with the first recording; cut-off and rate of rows are common to all."""
         return self.problem.settings
 
     @property
@@ -225,8 +264,8 @@ class Fit:
 
     @property
     def beta(self) -> Array:
-        """(b,) values of all base parameters, zero where one was left out."""
-        return self.estimate.among(self.base.names)
+        """(b,) values of all base parameters, of the first recording; zero where one was left out."""
+        return self.estimate.among(self.recordings[0].parameters)
 
     @property
     def distrust(self) -> tuple[str, ...]:
@@ -236,5 +275,6 @@ class Fit:
     def __repr__(self) -> str:
         essential, error = len(self.essential.kept), self.errors[-1].moving_relative_error_percent
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
-        made = f"{self.problem.signals.robot.name}, {self.problem.signals.recording}, {self.method}, {self.status}"
+        names = ", ".join(one.problem.signals.recording for one in self.recordings)
+        made = f"{self.problem.signals.robot.name}, {names}, {self.method}, {self.status}"
         return f"Fit({made}: {len(self.beta)} parameters, {essential} essential, {moving})"

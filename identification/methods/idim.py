@@ -4,13 +4,13 @@ Letters and equation numbers are those of Janot2014: A. Janot, P.-O. Vandanjon, 
 approach for rigid industrial robots identification", Control Engineering Practice 25 (2014) 85-101.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
 
 from ..arrays import Array
-from ..data import Signals
+from ..data import Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
@@ -24,20 +24,11 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..model import BaseParameters
-from ..regression import (
-    Overrides,
-    Problem,
-    Regression,
-    Settings,
-    make_problem,
-    regression_of_recording,
-    torque_of_recording,
-)
+from ..regression import Overrides, Settings, make_problem, torque_of_recording
+from ..replica import PassInstruments
 from ..trust import covariance_of_all
-from .assess import assess_ls, evidence_of_ls, intervals_of, predicted_rows, robust_sigma
-from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, make_experiment
+from .assess import assess_ls, evidence_of_ls, intervals_of, robust_sigma
 from .fit import Fit, LeastSquares
-from .instruments import Instruments, simulate_instruments
 from .iteration import (
     Iteration,
     Trial,
@@ -48,6 +39,7 @@ from .iteration import (
     rows_of_pass,
     start_values,
 )
+from .recordings import Observed, observe_all
 from .verdict import assess_iv, assess_pass, with_instruments
 
 Say = Callable[[str], None]
@@ -59,7 +51,7 @@ def _silent(text: str) -> None:
 
 @one_thread
 def identify_ls(
-    signals: Signals,
+    signals: Signals | Recordings,
     overrides: Overrides,
     *,
     method: Literal["ols", "wls"] = "wls",
@@ -71,7 +63,7 @@ def identify_ls(
 
     Parameters
     ----------
-    signals : the recording.
+    signals : the recording, or several of one robot, each filtered and decimated by itself.
     overrides : settings in place of those of the description; `Overrides()` for none.
     method : `wls`, rows weighted joint by joint, or `ols`, all rows alike.
     essential : keep only the parameters that the recording determines well.
@@ -84,23 +76,22 @@ def identify_ls(
 
     Raises
     ------
-    IdentificationError : where the recording is too short or excites too little.
+    IdentificationError : where a recording is too short, all together excite too little, or they are not of one robot.
     """
-    problem = make_problem(signals, overrides)  # (2): tau = IDM(q, dq, ddq) beta
-    observed = regression_of_recording(problem, say)  # (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    ls = solve_least_squares(problem, observed, method, essential=essential)
-    evidence = evidence_of_ls(problem, observed, method, ls)
-    if trust and not observed.reduced:
+    # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
+    observed = observe_all(signals, overrides, say)
+    ls = solve_least_squares(observed, method, essential=essential)
+    evidence = evidence_of_ls(observed, method, ls)
+    if trust and not observed.regression.reduced:
         say("simulating the robot")
-        e = make_experiment(problem, inertia_prior(problem, overrides, ls))
-        z = simulate_instruments(e, ls.full.beta, ls.full.covariance)
-        evidence = with_instruments(evidence, e, z)
-    return assess_ls(evidence, ls)
+        lab = observed.lab(inertia_prior(observed, ls), gain_update=True)
+        evidence = with_instruments(evidence, lab.instruments(ls.full.beta, ls.full.covariance))
+    return assess_ls(observed, evidence, ls)
 
 
 @one_thread
 def identify_iv(
-    signals: Signals,
+    signals: Signals | Recordings,
     overrides: Overrides,
     iteration: Iteration,
     *,
@@ -126,33 +117,33 @@ def identify_iv(
     ------
     IdentificationError : as `identify_ls`, or where the recording is too long, or the first pass gives no estimate.
     """
-    problem = make_problem(signals, overrides)  # (2)
-    observed = regression_of_recording(problem, say)  # (5), (6)
-    if observed.reduced:
-        raise IdentificationError("too long for instruments", place=signals.recording, expected="a larger --decimate")
-    ls, system = solve_least_squares(problem, observed, "wls", essential=essential), observed.system
-    kept = ls.essential.kept if essential else np.arange(problem.base.b)
-    prior, gain_update = inertia_prior(problem, overrides, ls), iteration.gain_update
-    e = make_experiment(problem, prior, gain_update=gain_update, rate_per_bandwidth=RATE_PER_BANDWIDTH)
-    early = make_experiment(problem, prior, gain_update=gain_update, rate_per_bandwidth=EARLY_RATE_PER_BANDWIDTH)
+    observed = observe_all(signals, overrides, say)  # (2), (5), (6)
+    problem, rows = observed.problem, observed.regression
+    if rows.reduced:
+        raise IdentificationError(
+            "too long for instruments", place=problem.signals.recording, expected="a larger --decimate"
+        )
+    ls, system = solve_least_squares(observed, "wls", essential=essential), rows.system
+    kept = ls.essential.kept if essential else np.arange(len(system.names))
+    lab = observed.lab(inertia_prior(observed, ls), gain_update=iteration.gain_update)
 
-    def solve(z: Instruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: PassInstruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         return instrumental_variables(system.with_rows(used).with_columns(kept), z.Z[:, kept], ls.full.weights)
 
     def spread(estimate: Estimate, used: Array) -> Array:  # C = D R D
-        found = intervals_of(observed, estimate, predicted_rows(problem, observed, estimate), used)
+        found = intervals_of(rows, estimate, observed.predicted(estimate), used)
         return covariance_of_all(system.names, estimate, found, ls.full)
 
     trials: list[Trial] = []
-    beta, covariance = start_values(problem, iteration, ls), None
+    beta, covariance = start_values(observed, iteration, ls), None
     if iteration.start != "regular":
         covariance = spread(ls.full, system.used)
     failure: str | None = None
     while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
-        coarse = is_coarse(e, iteration, trials)
-        z = simulate_instruments(early if coarse else e, beta, covariance)  # Z = IDM(q_sim, dq_sim, ddq_sim)
-        used = rows_of_pass(problem, observed, z, trials)
+        coarse = is_coarse(problem, iteration, trials)
+        z = lab.instruments(beta, covariance, coarse=coarse)  # Z = IDM(q_sim, dq_sim, ddq_sim)
+        used = rows_of_pass(observed, z, trials)
         try:
             estimate = solve(z, used)
         except IdentificationError as error:
@@ -163,26 +154,24 @@ def identify_iv(
         evidence = assess_pass(estimate, z, system.with_rows(used), iteration.tolerance_percent)
         trials.append(Trial(z=z, estimate=estimate, covariance=covariance, used=used, evidence=evidence, coarse=coarse))
         beta = next_values(trials, system.names)
-    return assess_iv(problem, observed, ls, e, conclude(e, iteration, trials, failure, solve))
+    return assess_iv(observed, ls, conclude(lab, iteration, trials, failure, solve))
 
 
-def solve_least_squares(
-    problem: Problem, observed: Regression, method: Literal["ols", "wls"], *, essential: bool
-) -> LeastSquares:
+def solve_least_squares(observed: Observed, method: Literal["ols", "wls"], *, essential: bool) -> LeastSquares:
     """Least squares of a regression, and its reduction to the essential parameters, which `essential` asks for."""
-    solve = weighted_least_squares if method == "wls" else ordinary_least_squares
-    full = solve(observed.system)
-    predicted = predicted_rows(problem, observed, full)
-    rho = (observed.tau - predicted) * full.weights * observed.fast
-    reduction = essential_parameters(observed.system, full, correlation=lag_one(rho) or 0.0)
+    solve, rows = weighted_least_squares if method == "wls" else ordinary_least_squares, observed.regression
+    full = solve(rows.system)
+    predicted = observed.predicted(full)
+    rho = (rows.tau - predicted) * full.weights * rows.fast
+    reduction = essential_parameters(rows.system, full, correlation=lag_one(rho) or 0.0)
     estimate = full
     if essential:
         estimate = reduction.estimate
-        predicted = predicted_rows(problem, observed, estimate)
+        predicted = observed.predicted(estimate)
     return LeastSquares(
         estimate=estimate,
-        sigma_hac=robust_sigma(observed, estimate, predicted, observed.system.used),
-        intervals=intervals_of(observed, estimate, predicted, observed.system.used),
+        sigma_hac=robust_sigma(rows, estimate, predicted, rows.system.used),
+        intervals=intervals_of(rows, estimate, predicted, rows.system.used),
         full=full,
         essential=reduction,
         tau_predicted=predicted,
@@ -203,6 +192,21 @@ def validate(
     -------
     The settings, and an error per joint and, last, that of all joints.
     """
-    problem = make_problem(signals, overrides)
-    tau, predicted, speed = torque_of_recording(problem, values(problem.base))
-    return problem.settings, torque_errors(tau, predicted, speed, tuple(j.name for j in signals.robot.joints))
+    ((settings, errors),), _ = validate_all([(signals, overrides)], values)
+    return settings, errors
+
+
+@one_thread
+def validate_all(
+    recordings: Sequence[tuple[Signals, Overrides]], values: Callable[[BaseParameters], Array]
+) -> tuple[tuple[tuple[Settings, tuple[TorqueError, ...]], ...], tuple[TorqueError, ...]]:
+    """`validate` of several recordings of one robot: settings and errors of each, and the errors of all together."""
+    check_one_robot([signals for signals, _ in recordings])
+    names = tuple(j.name for j in recordings[0][0].robot.joints)
+    each, parts = [], []
+    for signals, overrides in recordings:
+        problem = make_problem(signals, overrides)
+        parts.append(torque_of_recording(problem, values(problem.base)))
+        each.append((problem.settings, torque_errors(*parts[-1], names)))
+    tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
+    return tuple(each), torque_errors(tau, predicted, speed, names)

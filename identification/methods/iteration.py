@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,18 +10,11 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, weighted_least_squares
 from ..model import BaseParameters, InverseModel
-from ..regression import (
-    Overrides,
-    Problem,
-    Regression,
-    fast_rows,
-    make_settings,
-    regression_of_recording,
-    rule_cutoff_hz,
-)
-from .experiment import Experiment
+from ..regression import Problem, fast_rows, rule_cutoff_hz
+from ..replica import Lab, PassInstruments, Replica
+from ..simulation import has_controller
 from .fit import LeastSquares, Pass
-from .instruments import Instruments, SimulatedMotion, joint_tracking_percent, simulated_motion, simulated_robot
+from .recordings import Observed
 
 ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
 RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
@@ -50,7 +43,7 @@ class Trial:
     `covariance` (b, b) is that of all base parameters, with honest deviations.
     """
 
-    z: Instruments
+    z: PassInstruments
     estimate: Estimate
     covariance: Array
     used: Array
@@ -71,7 +64,7 @@ class IterationResult:
         estimate: that of the pass number `returned`, counted from 1.
         used: (r,) rows it rests on.
         z: the instruments that gave it.
-        final: the robot simulated with it, or with the nearest consistent parameters.
+        final: the robot simulated with it in each recording, or with the nearest consistent parameters.
         passes: all of them.
         start: what the iteration started from.
         failure: why it could not go on, None where it could.
@@ -79,19 +72,22 @@ class IterationResult:
 
     estimate: Estimate
     used: Array
-    z: Instruments
-    final: SimulatedMotion
+    z: PassInstruments
+    final: tuple[Replica, ...]
     passes: tuple[Pass, ...]
     returned: int
     start: str
     failure: str | None
 
 
-def start_values(problem: Problem, iteration: Iteration, ls: LeastSquares) -> Array:
-    """Base parameters (b,) that are simulated first."""
+def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> Array:
+    """Values of all parameters that are simulated first."""
+    problem, repeated = observed.problem, observed.parameters.repeated
     if iteration.values is not None:
-        return iteration.values(problem.base)
-    return ls.full.beta if iteration.start == "ls" else regular_start(problem.model, problem.base, iteration.inertias)
+        return repeated(iteration.values(problem.base))
+    if iteration.start == "ls":
+        return ls.full.beta
+    return repeated(regular_start(problem.model, problem.base, iteration.inertias))
 
 
 def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
@@ -100,44 +96,46 @@ def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
     return 0.5 * (beta + trials[-1].z.beta) if len(trials) >= RELAXED_AFTER else beta
 
 
-def is_coarse(e: Experiment, iteration: Iteration, trials: Sequence[Trial]) -> bool:
+def is_coarse(problem: Problem, iteration: Iteration, trials: Sequence[Trial]) -> bool:
     """Whether the next pass is simulated coarsely: the first from a regular start, and a second where a PD stands in.
 
     Their estimates are only where the passes after them start. A described controller sets steps of its own, so that there
     is less to save. The last pass allowed is never coarse.
     """
-    early = 0 if iteration.start != "regular" else 2 if e.loop is None else 1
+    early = 0 if iteration.start != "regular" else 1 if has_controller(problem.signals.robot.controller) else 2
     return len(trials) < min(early, iteration.max_iterations - 1)
 
 
-def rows_of_pass(problem: Problem, observed: Regression, z: Instruments, trials: Sequence[Trial]) -> Array:
+def rows_of_pass(observed: Observed, z: PassInstruments, trials: Sequence[Trial]) -> Array:
     """Rows (r,) that count in a pass: 1 where the simulated robot is fast enough, and 0."""
     if len(trials) >= ROWS_FREE:
         return trials[-1].used
-    low_speed_percent = problem.settings.low_speed.iv
-    fast = fast_rows(z.slip, observed.slip_noise, problem.model.coulomb_directions, low_speed_percent)
-    return fast.T.reshape(-1).astype(float)
+    fast = []
+    for one, own in zip(observed.observations, z.each, strict=True):
+        percent, directions = one.problem.settings.low_speed.iv, one.problem.model.coulomb_directions
+        fast.append(fast_rows(own.slip, one.regression.slip_noise, directions, percent))
+    return np.concatenate(fast).T.reshape(-1).astype(float)
 
 
 def conclude(
-    e: Experiment,
+    lab: Lab,
     iteration: Iteration,
     trials: Sequence[Trial],
     failure: str | None,
-    solve: Callable[[Instruments, Array], Estimate],
+    solve: Callable[[PassInstruments, Array], Estimate],
 ) -> IterationResult:
     """The last pass where it settled; otherwise the pass whose simulated robot tracks best.
 
     Raises `IdentificationError` where there was no pass.
     """
     if not trials:
-        raise IdentificationError(f"no instruments: {failure}", place=e.problem.signals.recording)
-    last, names = trials[-1], e.problem.base.names
+        raise IdentificationError(f"no instruments: {failure}", place=", ".join(lab.names))
+    last = trials[-1]
     found = None
     if not last.settled or failure is not None:
-        found = _best_pass(e, solve, [trial.z for trial in trials], last.used)
+        found = _best_pass(lab, solve, [trial.z for trial in trials], last.used)
     if found is None:
-        found = len(trials), last.estimate, simulated_robot(e, last.estimate.among(names), last.covariance)
+        found = len(trials), last.estimate, lab.replicas(last.estimate.among(lab.parameters.names), last.covariance)
     returned, estimate, final = found
     return IterationResult(
         estimate=estimate,
@@ -152,8 +150,8 @@ def conclude(
 
 
 def _best_pass(
-    e: Experiment, solve: Callable[[Instruments, Array], Estimate], tried: Sequence[Instruments], used: Array
-) -> tuple[int, Estimate, SimulatedMotion] | None:
+    lab: Lab, solve: Callable[[PassInstruments, Array], Estimate], tried: Sequence[PassInstruments], used: Array
+) -> tuple[int, Estimate, tuple[Replica, ...]] | None:
     """Where there is no fixed point, the pass whose simulated robot tracks best at its worst joint.
 
     All passes are solved on the same rows `used` (r,), and their robots simulated with the estimate itself, not with the
@@ -163,27 +161,25 @@ def _best_pass(
     for number, z in enumerate(tried, 1):
         with suppress(IdentificationError):
             estimate = solve(z, used)
-            simulated = simulated_motion(e, estimate.among(e.problem.base.names))
-            if simulated.motion is not None:
-                worst = max((x for x in joint_tracking_percent(e, simulated.motion) if x is not None), default=0.0)
-                found.append((worst, number, estimate, simulated))
+            replicas = lab.plain_replicas(estimate.among(lab.parameters.names))
+            if all(one.direct for one in replicas):
+                joints = [d.position_error_percent for one in replicas for d in one.direct]
+                worst = max((x for x in joints if x is not None), default=0.0)
+                found.append((worst, number, estimate, replicas))
     return min(found, key=lambda one: one[0])[1:] if found else None
 
 
-def inertia_prior(problem: Problem, overrides: Overrides, ls: LeastSquares) -> Array:
-    """Parameters (b,) whose inertias the controller's gains are taken to be set for: least squares at the rule's cut-off.
+def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:
+    """Parameters (b,) whose inertias the controllers' gains are taken to be set for: least squares at the rule's cut-off.
 
     Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
     """
-    if problem.settings.filtered:
+    if all(one.problem.settings.filtered for one in observed.observations):
         return ls.full.beta
-    signals = problem.signals
-    cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, signals.sample_rate_hz)
-    overrides = replace(overrides, cutoff_hz=cutoff_hz, decimation=problem.settings.decimation)
+    signals = [one.problem.signals for one in observed.observations]
+    cutoff_hz = min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals)
     try:
-        settings = make_settings(signals, overrides, problem.motion)
-        observed = regression_of_recording(replace(problem, settings=settings))
-        return weighted_least_squares(observed.system).beta
+        return weighted_least_squares(observed.at_cutoff(cutoff_hz).system).beta
     except IdentificationError:
         return ls.full.beta
 

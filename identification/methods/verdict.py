@@ -13,85 +13,90 @@ from ..estimation import (
     instrument_tests,
     instrumental_variables,
     lag_one,
-    relative_error_percent,
 )
-from ..regression import Problem, Regression, known_torque_rows
-from ..trust import Evidence
-from .assess import Verdict, assess_estimate, intervals_of, predicted_rows
-from .experiment import Experiment
-from .fit import DirectModelError, Fit, InstrumentEvidence, LeastSquares, Pass, Status
-from .instruments import Instruments, SimulatedMotion, joint_tracking_percent
+from ..regression import Regression
+from ..replica import DirectModelError, PassInstruments, Replica, told, worst
+from ..trust import Evidence, Part
+from .assess import Verdict, assess_estimate, intervals_of
+from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status
 from .iteration import IterationResult
+from .recordings import Observed
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def assess_iv(problem: Problem, observed: Regression, ls: LeastSquares, e: Experiment, outcome: IterationResult) -> Fit:
+def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
-    estimate, final, passes = outcome.estimate, outcome.final, outcome.passes
-    tests = _tests(observed, estimate, outcome.used)
-    direct = _direct_errors(problem, observed, e, final)
-    status, reason = _status(passes, final.reason, final.tracking_percent, outcome.failure, direct, tests)
+    estimate, replicas, passes = outcome.estimate, outcome.final, outcome.passes
+    tests = _tests(observed.regression, estimate, outcome.used)
+    direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.observations]
+    final_reason = told([one.simulated.reason for one in replicas], names)
+    tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
+    status, reason = _status(passes, final_reason, tracking_percent, outcome.failure, direct, tests)
+    first = replicas[observed.order[0]]
     if reason is not None and outcome.returned != len(passes):
         reason += f"; pass {outcome.returned} is returned, which tracks best"
     evidence = InstrumentEvidence(
         start=outcome.start,
-        reference=e.reference_kind,
-        controller="surrogate" if e.loop is None else "described",
+        reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
+        controller="described" if all(one.described for one in replicas) else "surrogate",
         passes=passes,
         returned=outcome.returned,
         reason=reason,
         tests=tests,
         rows_used_percent=float(100 * outcome.used.mean()),
-        saturated_percent=e.saturated_percent,
+        saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
-        simulated=final.motion,
-        q=e.q,
+        simulated=first.simulated.motion,
+        q=first.q,
     )
-    verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(e, tests))
-    predicted = predicted_rows(problem, observed, estimate)
+    verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(replicas, tests), replicas=replicas)
+    predicted = observed.predicted(estimate)
     found = Evidence(
-        problem=problem,
-        observed=observed,
+        parts=tuple(_simulated(part, other) for part, other in zip(observed.evidence, replicas, strict=True)),
+        observed=observed.regression,
         method="iv",
         fixed_point=status in ("converged", "not_confirmed"),
         estimate=estimate,
         used=outcome.used,
-        intervals=intervals_of(observed, estimate, predicted, outcome.used),
+        intervals=intervals_of(observed.regression, estimate, predicted, outcome.used),
         least_squares=ls.full,
         Z=outcome.z.Z,
-        simulated=final.motion,
-        decimation=e.decimation,
-        reference=e.reference_kind,
-        loop=e.loop,
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
     )
-    return assess_estimate(found, ls, predicted, verdict)
+    return assess_estimate(observed, found, ls, predicted, verdict)
 
 
-def with_instruments(evidence: Evidence, e: Experiment, z: Instruments) -> Evidence:
+def _simulated(part: Part, simulated: Replica) -> Part:
+    """A recording's part of the evidence with the robot simulated in it."""
+    motion, decimation = simulated.simulated.motion, simulated.decimation
+    return replace(part, simulated=motion, decimation=decimation, reference=simulated.reference_kind)
+
+
+def with_instruments(evidence: Evidence, z: PassInstruments) -> Evidence:
     """The evidence of least squares with the instruments of a robot simulated with it, for the tests that need them."""
     system, weights = evidence.observed.system, evidence.least_squares.weights
     try:
         estimate = instrumental_variables(system.with_rows(evidence.used), z.Z, weights)
     except IdentificationError:
         return evidence
+    parts = (
+        replace(part, simulated=one.motion, decimation=one.decimation, reference=one.reference_kind)
+        for part, one in zip(evidence.parts, z.each, strict=True)
+    )
     return replace(
         evidence,
+        parts=tuple(parts),
         Z=z.Z,
-        simulated=z.motion,
-        decimation=e.decimation,
-        reference=e.reference_kind,
-        loop=e.loop,
         first_stage_F=_tests(evidence.observed, estimate, evidence.used).first_stage_F,
     )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-def assess_pass(estimate: Estimate, z: Instruments, system: System, tolerance_percent: float) -> Pass:
+def assess_pass(estimate: Estimate, z: PassInstruments, system: System, tolerance_percent: float) -> Pass:
     """A pass that led from the parameters asked for to `estimate`, and whether it settled.
 
     `system` has all parameters and the rows that this pass used.
@@ -133,22 +138,23 @@ def _tests(observed: Regression, estimate: Estimate, used: Array) -> InstrumentT
     return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
 
 
-def _direct_errors(
-    problem: Problem, observed: Regression, e: Experiment, final: SimulatedMotion
-) -> tuple[DirectModelError, ...]:
-    """Errors of the simulated robot by joint; none where it could not be simulated."""
-    if final.motion is None:
+def _direct_errors(replicas: tuple[Replica, ...]) -> tuple[DirectModelError, ...]:
+    """Errors of the simulated robot by joint, of the recording that is worst; none where one could not be simulated."""
+    if any(not one.direct for one in replicas):
         return ()
-    tau, tracking = e.decimation.filtered(final.motion.tau.T).T, joint_tracking_percent(e, final.motion)
-    measured = observed.tau - known_torque_rows(problem)  # of the drives, as the simulated one is
     return tuple(
         DirectModelError(
-            name=joint.name,
-            position_error_percent=tracking[j],
-            torque_error_percent=relative_error_percent(measured[:, j], measured[:, j] - tau[:, j]),
+            name=joint[0].name,
+            position_error_percent=_largest([d.position_error_percent for d in joint]),
+            torque_error_percent=_largest([d.torque_error_percent for d in joint]),
         )
-        for j, joint in enumerate(problem.signals.robot.joints)
+        for joint in zip(*(one.direct for one in replicas), strict=True)
     )
+
+
+def _largest(percents: list[float | None]) -> float | None:
+    """The largest of those that there are: a joint may stand in one recording, or have no torque."""
+    return max((x for x in percents if x is not None), default=None)
 
 
 def _status(
@@ -197,22 +203,23 @@ def _unconfirmed(
     return None
 
 
-def _iv_warnings(e: Experiment, tests: InstrumentTests) -> tuple[str, ...]:
+def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple[str, ...]:
     warnings = []
-    if e.reference_kind == "surrogate":
+    if any(one.reference_kind == "surrogate" for one in replicas):
         warnings.append(
             "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
             "strictly exogenous"
         )
-    if e.loop is None:
-        warnings.append(f"surrogate controller: none is described, a PD of {e.bandwidth_hz:g} Hz stands in")
-    if not e.J_known and e.loop is not None:
+    if without := [one.bandwidth_hz for one in replicas if not one.described]:
+        warnings.append(f"surrogate controller: none is described, a PD of {without[0]:g} Hz stands in")
+    if unknown := [one.bandwidth_hz for one in replicas if one.described and not one.J_known]:
         warnings.append(
             "least squares gives no positive inertias: those that the described gains suit at "
-            f"{e.bandwidth_hz:g} Hz stand in for the gain update"
+            f"{unknown[0]:g} Hz stand in for the gain update"
         )
-    if e.saturated_percent is not None and e.saturated_percent > SATURATED_PERCENT:
-        warnings.append(f"a drive is saturated in {e.saturated_percent:.1f} % of the samples")
+    saturated = _largest([one.saturated_percent for one in replicas])
+    if saturated is not None and saturated > SATURATED_PERCENT:
+        warnings.append(f"a drive is saturated in {saturated:.1f} % of the samples")
     if tests.first_stage_F < WEAK_INSTRUMENTS_F:
         warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
     return tuple(warnings)

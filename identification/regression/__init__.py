@@ -1,8 +1,9 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .low_speed import fast_rows, lowest_nearby, measured_slip, slip_cutoff_hz
+from .low_speed import fast_rows, lowest_nearby, measured_slip, refuse_slow_joints, slip_cutoff_hz
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
+from .own import OwnParameters, base_name, own_parameters
 from .problem import Problem, make_problem
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
@@ -16,9 +17,11 @@ from .settings import (
 from .system import (
     Regression,
     decimated_regressor,
+    is_long,
     known_torque_rows,
     predicted_torque,
     regression_of_recording,
+    stacked,
     torque_of_recording,
     torque_rate,
 )
@@ -29,26 +32,32 @@ __all__ = [
     "FilteredMotion",
     "Motion",
     "Overrides",
+    "OwnParameters",
     "Problem",
     "Regression",
     "Settings",
     "Span",
+    "base_name",
     "decimated_regressor",
     "decimation_rule",
     "differentiate",
     "fast_rows",
     "forward_backward_3db_hz",
+    "is_long",
     "known_torque_rows",
     "lowest_nearby",
     "make_problem",
     "make_settings",
     "measured_slip",
     "motion_between",
+    "own_parameters",
     "predicted_torque",
+    "refuse_slow_joints",
     "regression_of_recording",
     "rule_cutoff_hz",
     "sampled_at",
     "slip_cutoff_hz",
+    "stacked",
     "torque_of_recording",
     "torque_rate",
 ]

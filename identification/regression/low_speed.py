@@ -81,11 +81,15 @@ def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
     slip, noise = measured_slip(problem, directions)
     slip_noise = noise @ np.abs(directions.T)
     fast = fast_rows(slip, slip_noise, directions, problem.settings.low_speed.ls)
-    for j, joint in enumerate(problem.signals.robot.joints):
+    return fast, slip_noise
+
+
+def refuse_slow_joints(fast: NDArray[np.bool_], joints: tuple[str, ...], place: str) -> None:
+    """Every joint of these names must have rows (rows, n) that count; `place` names the recordings."""
+    for j, name in enumerate(joints):
         if not fast[:, j].any():
             raise IdentificationError(
-                f"joint {joint.name} is never faster than the noise of its speed",
-                place=problem.signals.recording,
+                f"joint {name} is never faster than the noise of its speed",
+                place=place,
                 expected="a lower --cutoff-hz, or --low-speed-percent",
             )
-    return fast, slip_noise

@@ -28,6 +28,13 @@ class Problem:
     base: BaseParameters
     motion: FilteredMotion
 
+    def without_samples(self) -> "Problem":
+        """The same for those who need its settings and model alone."""
+        s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
+        none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
+        signals = replace(s, **none, health={}, extras={})
+        return replace(self, signals=signals, motion=FilteredMotion(signals))
+
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     """Set up the identification of a robot from a recording.

@@ -1,6 +1,6 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..estimation import System, TimeBlocks
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation, decimation_reach
-from .low_speed import measured_fast_rows
+from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
 from .problem import Problem
 
@@ -18,6 +18,7 @@ _SERIES_BLOCK = (
     12_000_000  # numbers of a block's regressor: 96 MB; a shorter block spends more on what reaches beyond it
 )
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
+_NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
@@ -31,7 +32,8 @@ class Regression:
         tau: (rows, n) decimated torques; never reduced.
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
-        time_blocks: of a system that is held reduced, what the residual's scores follow from; None of others.
+        parts: numbers of decimated samples of the recordings, which stand one after the other.
+        time_blocks: of a system that is held reduced, what the residual's scores follow from, by recording; empty of others.
 
     The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
     count for least squares, which have the same normal equations.
@@ -42,7 +44,8 @@ class Regression:
     tau: Array
     speed: Array
     slip_noise: Array
-    time_blocks: TimeBlocks | None = None
+    parts: tuple[int, ...]
+    time_blocks: tuple[TimeBlocks, ...] = ()
 
     @property
     def reduced(self) -> bool:
@@ -50,13 +53,21 @@ class Regression:
         return self.tau.size != len(self.system.Y)
 
 
-def regression_of_recording(problem: Problem, say: Callable[[str], None] = lambda text: None) -> Regression:
-    """W and Y of a recording, block by block, so that the whole undecimated W is never held."""
+def regression_of_recording(
+    problem: Problem, say: Callable[[str], None] = lambda text: None, *, share: int = 1
+) -> Regression:
+    """W and Y of a recording, block by block, so that the whole undecimated W is never held.
+
+    `share` is the number of recordings that share the memory for rows that are not reduced.
+    """
     blocks: list[_Block] = []
     reduced: Regression | None = None
     (fast, slip_noise), done_rows = measured_fast_rows(problem), 0
+    if share == 1:  # another recording may move a joint that stands in this one
+        names = tuple(joint.name for joint in problem.signals.robot.joints)
+        refuse_slow_joints(fast, names, problem.signals.recording)
     rows, n = fast.shape
-    long = rows * n * problem.base.b > _NUMBERS_IN_MEMORY
+    long = is_long(rows, problem, share)
     time_blocks = TimeBlocks.none_yet(rows, n, problem.base.names) if long else None
     for motion, inside, done in motion_blocks(problem):
         here = slice(done_rows, done_rows + inside.stop - inside.start)
@@ -65,16 +76,57 @@ def regression_of_recording(problem: Problem, say: Callable[[str], None] = lambd
         if time_blocks is not None:
             time_blocks.add(here.start, blocks[-1].W, blocks[-1].Y, fast[here])
         say(f"regressor: {done:.0%}")
-        if sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
+        if long and sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
             reduced = _reduce(_stacked(blocks, problem.base, slip_noise), reduced)
             blocks = []
     if blocks:
         last = _stacked(blocks, problem.base, slip_noise)
-        if reduced is None:
+        if time_blocks is None:
             return last
         reduced = _reduce(last, reduced)
     assert reduced is not None
-    return replace(reduced, time_blocks=time_blocks)
+    assert time_blocks is not None
+    return replace(reduced, parts=(rows,), time_blocks=(time_blocks,))
+
+
+def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
+    """Whether so many decimated samples are too many to be held as rows; `share` as in `regression_of_recording`."""
+    most = min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
+    return rows * problem.signals.robot.n * problem.base.b > most
+
+
+def stacked(regressions: Sequence[Regression]) -> Regression:
+    """The system of several recordings: rows stacked joint by joint, in the order given; reduced if one of them is.
+
+    All must be reduced, or none.
+    """
+    if len(regressions) == 1:
+        return regressions[0]
+    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
+    rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
+
+    def by_joint(name: str) -> Array:
+        values = [getattr(s, name) for s in systems]
+        return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
+
+    system = replace(
+        systems[0],
+        W=by_joint("W"),
+        Y=by_joint("Y"),
+        joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
+        used=by_joint("used"),
+        rows=np.sum([s.rows for s in systems], axis=0),
+    )
+    whole = Regression(
+        system=system,
+        fast=np.concatenate([part.fast for part in regressions]),
+        tau=np.concatenate([part.tau for part in regressions]),
+        speed=np.concatenate([part.speed for part in regressions]),
+        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
+        parts=tuple(rows for part in regressions for rows in part.parts),
+        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
+    )
+    return replace(_reduce(whole, None), parts=whole.parts, time_blocks=whole.time_blocks) if whole.reduced else whole
 
 
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
@@ -192,6 +244,7 @@ def _stacked(blocks: list[_Block], base: BaseParameters, slip_noise: Array) -> R
         tau=Y.T,
         speed=np.concatenate([block.speed for block in blocks]),
         slip_noise=slip_noise,
+        parts=(rows,),
     )
 
 
@@ -216,4 +269,5 @@ def _reduce(new: Regression, before: Regression | None) -> Regression:
         tau=np.concatenate([part.tau for part in parts]),
         speed=np.concatenate([part.speed for part in parts]),
         slip_noise=new.slip_noise,
+        parts=new.parts,
     )

@@ -14,7 +14,7 @@ from .comparison import (
 from .document import Cell, Document, Number, Section, Table, columns, write_json
 from .fit_files import fit_file, fit_schema, validation_file
 from .fit_report import fit_document, trust_document
-from .recording_report import recording_document, validation_document
+from .recording_report import Validated, recording_document, validation_document
 from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report
 from .stored_fit import StoredFit, doubts, frame_lines, read_fit
 from .study_report import base_document, base_file, study_document, study_file, truth_document
@@ -28,6 +28,7 @@ __all__ = [
     "Section",
     "StoredFit",
     "Table",
+    "Validated",
     "base_document",
     "base_file",
     "check_report_file",

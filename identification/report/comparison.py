@@ -11,6 +11,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals
 from ..methods import Fit
 from ..model import BaseParameters
+from ..regression import base_name
 from .document import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
 
 PER_INTERVAL = 1.96  # deviations in half a 95 % interval
@@ -95,8 +96,8 @@ def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array, intervals: I
                 value=float(value),
                 low=float(low),
                 high=float(high),
-                unit=known[name][0],
-                expression=known[name][1],
+                unit=known[base_name(name)][0],
+                expression=known[base_name(name)][1],
                 sigma=float(sigma),
                 sigma_hac=float(hac) if math.isfinite(hac) else None,
                 essential=name in essential,

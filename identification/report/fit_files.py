@@ -2,7 +2,8 @@
 
 import math
 import platform
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from typing import Annotated, Any
 
@@ -13,12 +14,23 @@ from acquisition.robot import Edges, LowSpeed
 
 from ..data import Signals
 from ..estimation import TorqueError
-from ..methods import DirectModelError, Fit, InstrumentEvidence, InstrumentKind, Method, Status
-from ..regression import Settings, Span, forward_backward_3db_hz
+from ..methods import Fit, InstrumentEvidence, Method, OwnTest, Status
+from ..regression import Span, forward_backward_3db_hz
+from ..replica import DirectModelError, InstrumentKind
 from ..trust import Level, Verdict
 from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
-from .stored_fit import ConsistentFile, Covariance, Doubt, LeftOut, StandardParameter, consistent_keys
+from .recording_report import Validated
+from .stored_fit import (
+    ConsistentFile,
+    Covariance,
+    Doubt,
+    LeftOut,
+    RecordingOfFit,
+    StandardParameter,
+    consistent_keys,
+    recording_of_fit,
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +69,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
     span_rule: Span
     samples: tuple[int, int]
     provenance: Provenance
+    recordings: list[RecordingOfFit] | UnsetType = UNSET
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
@@ -128,6 +141,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     verdict: Verdict | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
+    own_parameters: OwnTest | UnsetType = UNSET
     reason: str | UnsetType | None = UNSET
     pass_returned: int | UnsetType = UNSET
     start: str | UnsetType = UNSET
@@ -156,7 +170,11 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
     """
     e, reduction = fit.estimate, fit.essential
     return FitFile(
-        **_on_recording(signals, fit.settings, fit.errors, fit.warnings, report),
+        **_on_recording(Validated(signals, fit.settings, fit.errors), fit.warnings, report),
+        own_parameters=fit.own or UNSET,
+        recordings=_several(
+            [recording_of_fit(r.problem.signals, r.problem.settings, r.errors, r.held_out) for r in fit.recordings]
+        ),
         method=fit.method,
         status=fit.status,
         doubts=[
@@ -195,23 +213,20 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
 
 
 def validation_file(
-    signals: Signals,
-    settings: Settings,
+    recordings: Sequence[Validated],
     fit: str,
     errors: tuple[TorqueError, ...],
     report: Document,
     warnings: tuple[str, ...],
 ) -> ValidationFile:
-    """A validation as it goes into its JSON file.
+    """A validation as it goes into its JSON file: recordings, name of the fit's file, errors of all recordings, report."""
+    first = replace(recordings[0], errors=errors)
+    each = _several([recording_of_fit(one.signals, one.settings, one.errors) for one in recordings])
+    return ValidationFile(fit=fit, recordings=each, **_on_recording(first, warnings, report))
 
-    Parameters
-    ----------
-    signals, settings : the recording, and what was done with it.
-    fit : name of the file of the parameters.
-    errors, warnings : as `methods.validate` gives them, and what was noticed.
-    report : as the terminal shows it.
-    """
-    return ValidationFile(fit=fit, **_on_recording(signals, settings, errors, warnings, report))
+
+def _several(recordings: list[RecordingOfFit]) -> list[RecordingOfFit] | UnsetType:
+    return recordings if len(recordings) > 1 else UNSET
 
 
 def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
@@ -244,9 +259,8 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
     }
 
 
-def _on_recording(
-    signals: Signals, settings: Settings, errors: tuple[TorqueError, ...], warnings: tuple[str, ...], report: Document
-) -> dict[str, Any]:
+def _on_recording(first: Validated, warnings: tuple[str, ...], report: Document) -> dict[str, Any]:
+    signals, settings, errors = first.signals, first.settings, first.errors
     whole, units = errors[-1], signals.robot.effort_units
     packages = ("robot-idim", "numpy", "scipy", "pin")
     return {

@@ -4,8 +4,9 @@ import math
 
 from ..data import Signals
 from ..methods import Fit, InstrumentEvidence
+from ..regression import base_name
 from .document import Document, Number, Row, Section, Table, columns, value_form
-from .recording_report import error_line, errors_section, headline, recording_lines, settings_lines
+from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
 
 
 def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
@@ -13,20 +14,21 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
 
     Parameters
     ----------
-    signals : the recording that was fitted.
+    signals : the recording that was fitted, the first of several.
     fit : of either method.
     everything : show all parameters and what the regrouped ones stand for, not the essential ones alone.
     """
     settings = Section(
         title="settings and tests",
         lines=(
-            *settings_lines(signals, fit.settings, used="fitted"),
+            *(settings_lines(signals, fit.settings, used="fitted") if len(fit.recordings) == 1 else ()),
             f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
             f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
             *(_iv_lines(fit.iv) if fit.iv else ()),
-            *recording_lines(signals),
+            *(recording_lines(signals) if len(fit.recordings) == 1 else ()),
         ),
     )
+    several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     return Document(
         title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {fit.trust.verdict}, {headline(fit.errors)}",
         sections=(
@@ -36,6 +38,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
             *_consistent(fit),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
+            *several,
             settings,
             *(_expressions(fit) if everything else ()),
         ),
@@ -63,7 +66,7 @@ def _trust_section(fit: Fit) -> Section:
 def _essential_line(fit: Fit) -> str:
     reduction = fit.essential
     by = " (by least squares)" if fit.iv else ""
-    line = f"essential{by}: {len(reduction.estimate.names)} of {len(fit.base.names)} parameters"
+    line = f"essential{by}: {len(reduction.estimate.names)} of {len(fit.least_squares.full.names)} parameters"
     if not math.isfinite(reduction.F):
         return line
     return (
@@ -81,7 +84,13 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
             value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
             form = value_form(sigma)
             percent = 100 * half / abs(value) if value else math.inf
-            row = (name, Number(value, form), Number(half, form), Number(percent, ".2f", most=1000), units[name])
+            row = (
+                name,
+                Number(value, form),
+                Number(half, form),
+                Number(percent, ".2f", most=1000),
+                units[base_name(name)],
+            )
             deviations = (
                 Number(sigma, form),
                 Number(float(fit.sigma_hac[k]), form),

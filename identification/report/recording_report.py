@@ -1,12 +1,18 @@
 """The reports of a recording: settings and ranges before a fit, the torque errors of a fit on another recording."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
 from ..data import ON_GRID, Signals
 from ..estimation import TorqueError
+from ..methods import FittedRecording, OwnTest
 from ..regression import Settings, forward_backward_3db_hz
-from .document import Document, Number, Section, Table, columns
+from .document import Document, Number, Row, Section, Table, columns
+
+ERROR_COLUMNS = ("all rows", "moving", "standing")
 
 
 def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
@@ -48,28 +54,81 @@ def recording_document(signals: Signals, settings: Settings | None, refusal: str
     )
 
 
+@dataclass(frozen=True)
+class Validated:
+    """A recording, what was done with it, and the torque errors of a fit on it."""
+
+    signals: Signals
+    settings: Settings
+    errors: tuple[TorqueError, ...]
+
+
 def validation_document(
-    signals: Signals, settings: Settings, fit: str, errors: tuple[TorqueError, ...], warnings: tuple[str, ...]
+    recordings: Sequence[Validated], fit: str, errors: tuple[TorqueError, ...], warnings: tuple[str, ...]
 ) -> Document:
-    """The torque errors of a fit on a recording that it was not made from.
+    """The torque errors of a fit on recordings that it was not made from.
 
     Parameters
     ----------
-    signals, settings : the recording, and what was done with it.
+    recordings : one by one.
     fit : name of the file of the parameters.
-    errors, warnings : as `methods.validate` gives them, and what was noticed.
+    errors, warnings : of all recordings together, and what was noticed.
     """
+    names = ", ".join(one.signals.recording for one in recordings)
+    lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
+    lines += [line for one in recordings for line in recording_lines(one.signals)]
+    rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors)) for one in recordings]
+    each = Section(
+        title="recordings", table=Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
+    )
     return Document(
-        title=f"{fit} on {signals.recording}: {headline(errors)}",
+        title=f"{fit} on {names}: {headline(errors)}",
         sections=(
             Section(lines=(error_line(errors),), warnings=warnings),
-            errors_section(errors, signals.robot.effort_units),
-            Section(
-                title="settings",
-                lines=(*settings_lines(signals, settings, used="evaluated on"), *recording_lines(signals)),
-            ),
+            *([each] if len(recordings) > 1 else []),
+            errors_section(errors, recordings[0].signals.robot.effort_units),
+            Section(title="settings", lines=tuple(lines)),
         ),
     )
+
+
+def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | None) -> Section:
+    """The recordings of a fit: the error that it leaves on each, that of the fit of the others, the test of own parameters."""
+    rows: list[Row] = []
+    lines = []
+    for one in recordings:
+        signals, settings, held = one.problem.signals, one.problem.settings, one.held_out
+        span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
+        error = None if held is None else held.error_percent
+        timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
+        rows.append((signals.recording, *timing, *_error_cells(one.errors), Number(error, ".4f")))
+        if held is not None and error is None:
+            why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
+            lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
+    lines.append("held out: predicted by the fit of the other recordings, in the rows that count")
+    if own is not None:
+        lines.append(
+            f"own parameters {', '.join(own.names)} against shared ones: F = {own.F:.2f}, p = {own.p_value:.2g}; with the "
+            f"residual's correlation counted F = {own.F_effective:.2f}, p = {own.p_effective:.2g}"
+        )
+    fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
+    cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
+    lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
+    lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
+    numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
+    table = Table(columns=columns("recording", numbers=numbers), rows=tuple(rows))
+    return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines))
+
+
+def _error_cells(errors: tuple[TorqueError, ...]) -> tuple[Number, ...]:
+    """The cells of `ERROR_COLUMNS`, of all joints together."""
+    whole = errors[-1]
+    percents = (
+        whole.relative_error_percent,
+        whole.moving_relative_error_percent,
+        whole.standing_relative_error_percent,
+    )
+    return tuple(Number(percent, ".4f") for percent in percents)
 
 
 def headline(errors: tuple[TorqueError, ...]) -> str:
@@ -91,7 +150,7 @@ def error_line(errors: tuple[TorqueError, ...]) -> str:
 
 def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
     """Relative torque errors by joint: whole, moving, standing; all joints together last."""
-    numbers = ("all rows", "moving", "standing", "rows moving", "rows standing", "residual lag-1")
+    numbers = (*ERROR_COLUMNS, "rows moving", "rows standing", "residual lag-1")
     return Section(
         title="relative torque error, %",
         table=Table(

@@ -11,11 +11,13 @@ from msgspec import UNSET, UnsetType
 from acquisition.robot import Edges, Robot, robot_from_files
 
 from ..arrays import Array
+from ..data import Signals
 from ..errors import IdentificationError
+from ..estimation import TorqueError
 from ..methods import NO_FIXED_POINT, Fit
 from ..model import BaseParameters
-from ..regression import Overrides, Span
-from ..trust import Verdict
+from ..regression import Overrides, Settings, Span, base_name
+from ..trust import HeldOut, Verdict
 from .comparison import Parameter, ParameterSet
 from .document import FORMAT
 
@@ -78,6 +80,41 @@ class StoredJoint(msgspec.Struct, frozen=True):
         return self.relative_error_percent if moving is None else moving
 
 
+class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
+    """One of several recordings of a fit or a validation.
+
+    Torque errors in percent are of all rows and of moving rows. `held_out_error_percent` is that of the fit of the others; null
+    where these do not determine the parameters `undetermined`, and in a validation.
+    """
+
+    recording: str
+    sha256: str
+    sample_rate_hz: float
+    decimation: int
+    samples: tuple[int, int]
+    relative_error_percent: float | None
+    moving_relative_error_percent: float | None
+    held_out_error_percent: float | None = None
+    undetermined: list[str] = msgspec.field(default_factory=list)
+
+
+def recording_of_fit(
+    signals: Signals, settings: Settings, errors: tuple[TorqueError, ...], held_out: HeldOut | None = None
+) -> RecordingOfFit:
+    """A recording as the JSON file of a fit has it."""
+    return RecordingOfFit(
+        recording=signals.recording,
+        sha256=signals.sha256,
+        sample_rate_hz=signals.sample_rate_hz,
+        decimation=settings.decimation,
+        samples=(settings.start, settings.stop),
+        relative_error_percent=errors[-1].relative_error_percent,
+        moving_relative_error_percent=errors[-1].moving_relative_error_percent,
+        held_out_error_percent=held_out.error_percent if held_out else None,
+        undetermined=list(held_out.undetermined) if held_out else [],
+    )
+
+
 class StoredFit(msgspec.Struct, frozen=True):
     """The JSON file of a fit, or of known values, as far as it is read back."""
 
@@ -119,6 +156,13 @@ class StoredFit(msgspec.Struct, frozen=True):
             robot_from_files({k: v.encode() for k, v in self.description.items()}, place) if self.description else None
         )
 
+    def _values(self) -> dict[str, float]:
+        """Values of base parameters; of those that recordings have for themselves, the mean."""
+        given: dict[str, list[float]] = {}
+        for p in self.parameters:
+            given.setdefault(base_name(p.name), []).append(p.value)
+        return {name: sum(values) / len(values) for name, values in given.items()}
+
     def parameter_set(self, label: str) -> ParameterSet:
         """The parameters under a label, such as the file's name."""
         return ParameterSet(label=label, parameters={p.name: p for p in self.parameters})
@@ -129,12 +173,14 @@ class StoredFit(msgspec.Struct, frozen=True):
         return [
             p.name
             for p in self.parameters
-            if p.name not in known or p.unit != known[p.name][0] or p.expression not in (None, known[p.name][1])
+            if (name := base_name(p.name)) not in known
+            or p.unit != known[name][0]
+            or p.expression not in (None, known[name][1])
         ]
 
     def beta(self, base: BaseParameters, place: str) -> Array:
         """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""
-        values = {p.name: p.value for p in self.parameters}
+        values = self._values()
         foreign = [name for name in values if name not in base.names]
         if foreign or not values:
             raise IdentificationError(
@@ -143,7 +189,7 @@ class StoredFit(msgspec.Struct, frozen=True):
                 value=", ".join(foreign[:5]) or None,
                 expected=f"those of the recording's robot: {', '.join(base.names[:5])}, ...",
             )
-        units = {p.name: p.unit for p in self.parameters}
+        units = {base_name(p.name): p.unit for p in self.parameters}
         for name, unit in zip(base.names, base.units, strict=True):
             if units.get(name, unit) != unit:
                 raise IdentificationError(

@@ -4,11 +4,8 @@ Each run simulates a recording with known parameters and imperfections of the ce
 start and told of a wrong controller, by least squares and by instrumental variables.
 """
 
-import os
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from multiprocessing import get_context
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +14,12 @@ from acquisition.robot import Robot, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from ..trust import inertias, not_positive, poses_of
+from ..work import Work
 from .draws import Draw, Study, draw, simulated_robot, told_robot
 from .synthetic import closed_loop, random_reference, truth
 
@@ -80,13 +79,14 @@ class Run:
     iv: Judged | None = None
 
 
-def run_study(robot: Robot, study: Study) -> Iterator[Run]:
-    """All runs of a study, on all cores.
+def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
+    """All runs of a study.
 
     Parameters
     ----------
     robot : described with `[parameters]`.
     study : what is varied.
+    work : where the runs are made, each a task.
 
     Returns
     -------
@@ -103,18 +103,12 @@ def run_study(robot: Robot, study: Study) -> Iterator[Run]:
             f"cut-off {max(study.cutoffs):g} x bandwidth = {max(study.cutoffs) * bandwidth_hz:g} Hz: expected below "
             f"{fs / 2:g} Hz, half the rate"
         )
-    return _all_runs([(dict(robot.files), study, number) for number in range(study.runs)])
+    return work.run(run_of_files, [(dict(robot.files), study, number) for number in range(study.runs)])
 
 
-def _all_runs(jobs: list[tuple[dict[str, bytes], Study, int]]) -> Iterator[Run]:
-    # One thread of linear algebra per process: the processes are the parallelism.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with ProcessPoolExecutor(max_workers=os.cpu_count(), mp_context=get_context("spawn")) as pool:
-        yield from pool.map(_job, jobs, chunksize=1)
-
-
-def _job(job: tuple[dict[str, bytes], Study, int]) -> Run:
-    files, study, number = job
+@one_thread
+def run_of_files(files: dict[str, bytes], study: Study, number: int) -> Run:
+    """Run `number` of a study of the robot that these files describe."""
     return one_run(robot_from_files(files, "study"), study, number)
 
 

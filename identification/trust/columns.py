@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import cosines, deviations
+from ..estimation import deviations_of_parts
 from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
-from .evidence import Evidence
+from .evidence import Evidence, Part
 from .lines import TrustLine
 
 BEYOND = 5.0  # deviations that chance does not explain
@@ -124,7 +124,7 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     g = z.T @ rows.rho / size
     rho = rows.rho[:, None] - g * (C - rows.W @ (bread @ (Q.T @ C)))  # with the column, and beta solved anew
     scores = (z * rho / size).reshape(n, -1, len(columns)).sum(axis=0)
-    sigma = deviations(scores, cosines(len(scores)))
+    sigma = deviations_of_parts(scores, evidence.observed.parts)
     whole = max(float(rows.rho @ rows.rho), 1e-300)
     taken = 100 * (1 - np.einsum("rk,rk->k", rho, rho) / whole)
     together = {}
@@ -149,25 +149,22 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     )
 
 
-def _motion(evidence: Evidence) -> tuple[Motion, Decimation]:
+def _motion(part: Part, method: str) -> tuple[Motion, Decimation]:
     """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
-    settings = evidence.problem.settings
-    if evidence.method == "iv" and evidence.simulated is not None and evidence.decimation is not None:
-        return evidence.simulated, evidence.decimation
-    return evidence.problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
+    settings = part.problem.settings
+    if method == "iv" and part.simulated is not None and part.decimation is not None:
+        return part.simulated, part.decimation
+    return part.problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
 
 
 def _columns(evidence: Evidence) -> Iterator[_Column]:
     problem = evidence.problem
     robot, idm, base = problem.signals.robot, problem.model, problem.base
-    motion, decimation = _motion(evidence)
     chi = np.zeros(idm.p)
-    chi[base.columns] = evidence.estimate.among(base.names)
+    chi[base.columns] = evidence.estimate.among(evidence.parts[0].parameters)
     n, T = robot.n, len(evidence.observed.tau)
-    time, speed = np.linspace(0.0, 1.0, T), np.abs(motion.dq)
-    slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(speed.max(axis=0), 1e-300))) ** 2))
-    speed, slow = decimation.filtered(speed.T).T, decimation.filtered(slow.T).T
-    position = decimation.kept(motion.q)
+    time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
+    speed, slow, position = (np.concatenate(x) for x in zip(*_speeds(evidence), strict=True))
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
     for j, joint in enumerate(robot.joints):
         only, effort, where = np.eye(n)[j], robot.effort_units[j], f"of joint {joint.name}"
@@ -209,6 +206,16 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
         yield from _gains(evidence)
 
 
+def _speeds(evidence: Evidence) -> Iterator[tuple[Array, Array, Array]]:
+    """Of each recording |dq|, what Stribeck friction has more at low speed, and positions: decimated, (rows, n)."""
+    motions = [_motion(part, evidence.method) for part in evidence.parts]
+    fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
+    for motion, decimation in motions:
+        slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
+        speed, slowly = (decimation.filtered(x.T).T for x in (np.abs(motion.dq), slow))
+        yield speed, slowly, decimation.kept(motion.q)
+
+
 def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
     """Torque per rad that gravity is turned by about the base's x and y; of what the estimate tells of the links alone."""
     robot, idm = evidence.problem.signals.robot, evidence.problem.model
@@ -230,9 +237,9 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
 
 def _gains(evidence: Evidence) -> Iterator[_Column]:
     """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
-    observed, names = evidence.observed, evidence.problem.base.names
+    observed, names = evidence.observed, evidence.observed.system.names
     predicted = (observed.system.W @ evidence.estimate.among(names)).reshape(observed.tau.shape[1], -1).T
-    predicted = predicted - known_torque_rows(evidence.problem)
+    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.parts])
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(
             kind="relative gain",

@@ -7,9 +7,34 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals
+from ..estimation import Estimate, Intervals, System
 from ..regression import Decimation, Motion, Problem, Regression
-from ..simulation import ControlLaw
+from .lines import TrustLine
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """What one recording brings to the evidence.
+
+    Attributes:
+        problem: recording, settings, model. The samples of long recordings may be left out.
+        parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
+        slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
+        poses: (P, n) positions at which the inertia matrix M is looked at.
+        replay: the described control law against the recorded effort.
+        simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
+            `decimation` to the rows; None where there is none.
+        reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
+    """
+
+    problem: Problem
+    parameters: tuple[str, ...]
+    slip_noise: Array
+    poses: Array
+    replay: TrustLine
+    simulated: Motion | None = None
+    decimation: Decimation | None = None
+    reference: Literal["recorded", "surrogate"] | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -17,24 +42,21 @@ class Evidence:
     """An estimate and what it rests on.
 
     Attributes:
-        problem: recording, settings, model.
-        observed: W and Y of all decimated rows; reduced to QR factors for a long recording.
+        parts: the recordings, in the order of the rows.
+        observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
         method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
         unconfirmed: the status and its reason, where the method did not end in a fixed point that a simulation confirms.
         estimate: of the base parameters, fewer where only the essential ones were kept.
         used: (r,) rows of the system that it rests on, 1 and 0.
         intervals: of the estimate's parameters.
-        least_squares: weighted least squares of all base parameters on the same recording.
+        least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
-        simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
-            `decimation` to the rows; None where there is none.
-        reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
-        loop: the described control law, None where none is described.
         first_stage_F: of the instruments, None without.
+        factors: where rows are reduced and recordings several, the reduced system and instruments of each.
     """
 
-    problem: Problem
+    parts: tuple[Part, ...]
     observed: Regression
     method: Literal["ols", "wls", "iv"]
     fixed_point: bool
@@ -43,12 +65,14 @@ class Evidence:
     intervals: Intervals
     least_squares: Estimate
     Z: Array | None = None
-    simulated: Motion | None = None
-    decimation: Decimation | None = None
-    reference: Literal["recorded", "surrogate"] | None = None
-    loop: ControlLaw | None = None
     first_stage_F: float | None = None
     unconfirmed: str | None = None
+    factors: tuple[tuple[System, Array], ...] = ()
+
+    @property
+    def problem(self) -> Problem:
+        """That of the first recording: robot, model and base parameters are those of all."""
+        return self.parts[0].problem
 
     @cached_property
     def rows(self) -> "WeightedRows":

@@ -17,7 +17,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import System, instrumental_variables, intervals, whitened
 from ..regression import Problem, differentiate, fast_rows, torque_rate
-from .evidence import Evidence
+from .evidence import Evidence, Part
 from .lines import Figure, TrustLine
 
 WIDEST = 0.25  # samples: a half-width beyond this does not tell one sample from none
@@ -29,7 +29,7 @@ ORDER = 6  # of the autoregression that whitens: shorter, model error passes for
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lags:
-    """Lags of the torque by joint, (n,) each, in samples of the recording; positive where the torque is late."""
+    """Lags of the torque by joint, (n,) each, in samples of the first recording; positive where the torque is late."""
 
     found: Array
     expected: float
@@ -66,16 +66,17 @@ def lags(evidence: Evidence) -> Lags:
 
     Raises `IdentificationError` where the instruments do not determine them.
     """
-    problem, n, b = evidence.problem, evidence.problem.signals.robot.n, evidence.problem.base.b
+    problem, n, b = evidence.problem, evidence.problem.signals.robot.n, len(evidence.observed.system.names)
     system, Z = _with_lag_columns(evidence)
     first = instrumental_variables(system, Z, evidence.least_squares.weights)
     rho = system.Y - system.W @ first.beta
-    system, Z = whitened(system, Z, rho, ORDER)
+    parts = evidence.observed.parts
+    system, Z = whitened(system, Z, rho, ORDER, parts)
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
     estimate = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
     w = estimate.weights[system.joint_of_row] * system.used
-    within = intervals(estimate, w * (system.Y - system.W @ estimate.beta), n)
+    within = intervals(estimate, w * (system.Y - system.W @ estimate.beta), n, parts)
     return Lags(
         found=estimate.beta[b:] + _samples(problem, problem.settings.torque_lag_s),
         expected=_samples(problem, problem.settings.expected_lag_s),
@@ -86,23 +87,35 @@ def lags(evidence: Evidence) -> Lags:
 
 def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
     """The system and the instruments with the lag columns, in rows that are fast."""
-    problem, simulated, decimation = evidence.problem, evidence.simulated, evidence.decimation
     assert evidence.Z is not None
+    robot = evidence.problem.signals.robot
+    rate, rate_simulated, fast = (
+        np.concatenate(x, axis=1) for x in zip(*(_rates(evidence, part) for part in evidence.parts), strict=True)
+    )
+    system = evidence.observed.system.with_rows(fast.reshape(-1))
+    own = np.eye(robot.n)[system.joint_of_row]  # a column for each joint, in its rows
+    names = (*system.names, *(f"lag {joint.name}" for joint in robot.joints))
+    W, Z = (np.c_[A, -own * r.reshape(-1, 1)] for A, r in ((system.W, rate), (evidence.Z, rate_simulated)))
+    return replace(system, W=W, names=names), Z
+
+
+def _rates(evidence: Evidence, part: Part) -> tuple[Array, Array, Array]:
+    """Of a recording d/dt of the torque predicted and of the simulated one, and which rows are fast, (n, rows) each.
+
+    Rates are per sample of the first recording.
+    """
+    problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
     assert decimation is not None
-    n = problem.signals.robot.n
-    per_sample = 1 / ((simulated.t_s[1] - simulated.t_s[0]) * problem.signals.sample_rate_hz)
-    rate = torque_rate(problem, evidence.estimate.among(problem.base.names))
+    first_hz, own_hz = evidence.problem.signals.sample_rate_hz, problem.signals.sample_rate_hz
+    per_sample = 1 / ((simulated.t_s[1] - simulated.t_s[0]) * first_hz)
+    rate = torque_rate(problem, evidence.estimate.among(part.parameters)) * (own_hz / first_hz)
     rate_simulated = decimation.filtered(differentiate(simulated.tau, per_sample).T)
     directions = problem.model.coulomb_directions
     percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
-    used = fast_rows(slip, evidence.observed.slip_noise, directions, percent).T.astype(float)
-    system = evidence.observed.system.with_rows(used.reshape(-1))
-    own = np.eye(n)[system.joint_of_row]  # a column for each joint, in its rows
-    names = (*system.names, *(f"lag {joint.name}" for joint in problem.signals.robot.joints))
-    W, Z = (np.c_[A, -own * r.reshape(-1, 1)] for A, r in ((system.W, rate.T), (evidence.Z, rate_simulated)))
-    return replace(system, W=W, names=names), Z
+    used = fast_rows(slip, part.slip_noise, directions, percent).T.astype(float)
+    return rate.T, rate_simulated, used
 
 
 def _not_made(evidence: Evidence) -> str | None:
@@ -110,10 +123,13 @@ def _not_made(evidence: Evidence) -> str | None:
         return "the recording is too long for instruments; fit a part of it, or with a larger --decimate"
     if evidence.Z is None:
         return "least squares has no instruments"
-    if evidence.simulated is None:
+    if any(part.simulated is None for part in evidence.parts):
         return "the robot could not be simulated with the estimate"
-    if evidence.reference != "recorded":
-        return "the recording has no reference"
+    if any(part.reference != "recorded" for part in evidence.parts):
+        return "the recording has no reference" if len(evidence.parts) == 1 else "a recording has no reference"
+    corrections = [(p.settings.torque_lag_s, p.settings.expected_lag_s) for p in (x.problem for x in evidence.parts)]
+    if len(set(corrections)) > 1:
+        return "recordings whose torques have different lags by the description"
     return None
 
 

@@ -5,6 +5,7 @@ from typing import Literal
 
 Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
 Verdict = Literal["trust", "caution", "do not use"]
 
 
@@ -38,6 +39,11 @@ class TrustLine:
     caps: bool = False
     figures: tuple[Figure, ...] = ()
     unit: str = ""
+
+
+def not_made(test: str, text: str, caps: bool = False) -> TrustLine:
+    """The line of a test that could not be made, `text` saying why; `caps` as of the line."""
+    return TrustLine(test=test, level="not made", value=None, text=text, caps=caps)
 
 
 @dataclass(frozen=True, kw_only=True)

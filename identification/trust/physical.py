@@ -20,10 +20,11 @@ from ..estimation import (
     Intervals,
     consistent_parameters,
     intervals,
+    intervals_of_blocks,
     weighted_least_squares,
 )
 from ..model import RESISTING, DirectModel, InverseModel, JointTerm, physical_parameters
-from ..regression import Problem
+from ..regression import Problem, base_name
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
 
@@ -90,29 +91,29 @@ def physical_test(evidence: Evidence) -> TrustLine:
 def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
     """Intervals of another least squares estimate of the same rows."""
     observed = evidence.observed
-    if observed.time_blocks is not None:
-        return observed.time_blocks.intervals(estimate)
+    if observed.time_blocks:
+        return intervals_of_blocks(estimate, observed.time_blocks)
     W, Y = observed.system.weighted(estimate.weights)
-    return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1])
+    return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1], observed.parts)
 
 
 def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[_Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
     problem = evidence.problem
-    signals, settings, idm, base = problem.signals, problem.settings, problem.model, problem.base
-    among = np.array([base.names.index(name) for name in estimate.names])
+    signals, idm, base = problem.signals, problem.model, problem.base
+    among = np.array([base.names.index(base_name(name)) for name in estimate.names])
     findings, lowest = _inertia_findings(
-        idm, base.columns[among], estimate.beta, found, poses_of(signals.q[settings.start : settings.stop])
+        idm, base.columns[among], estimate.beta, found, np.concatenate([part.poses for part in evidence.parts])
     )
     below: dict[int, list[tuple[str, float, bool]]] = {}  # by joint: name and value, in half-widths, whether it resists
     half = found.reach * np.sqrt(np.diag(found.covariance))
-    for i, value, width in zip(among, estimate.beta, half, strict=True):
+    for i, name, value, width in zip(among, estimate.names, estimate.beta, half, strict=True):
         terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
         kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
         of_joints = all(isinstance(term, JointTerm) for term in terms) and "offset" not in kinds
         if of_joints and (base.K[i] >= 0).all() and value < -width:
             joint = int("".join(filter(str.isdigit, base.names[i]))) - 1
-            text = f"{base.names[i]} = {value:.4g} ± {width:.2g} {base.units[i]}"
+            text = f"{name} = {value:.4g} ± {width:.2g} {base.units[i]}"
             below.setdefault(joint, []).append((text, -value / width, kinds <= set(RESISTING)))
     for joint, told in sorted(below.items()):
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
@@ -220,10 +221,11 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine(test="consistent", level="not made", value=None, text=text)
-    names = problem.base.names
-    covariance = covariance_of_all(names, estimate, evidence.intervals, evidence.least_squares)
+    all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
+    covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
+    first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
     try:
-        nearest = nearest_consistent(problem, estimate.among(names), covariance)
+        nearest = nearest_consistent(problem, estimate.among(names), covariance[np.ix_(first, first)])
     except IdentificationError as error:
         return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
     most, bound = int(np.abs(nearest.deviations).argmax()), float(chdtri(len(names), FAR_LEVEL))

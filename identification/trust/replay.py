@@ -5,16 +5,18 @@ scales every parameter, and fits as well. Units are those of the recorded effort
 stands on both sides, and is not seen.
 """
 
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
+from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import Problem, differentiate, sampled_at
-from ..simulation import Control, ControlLaw, Reference
+from ..simulation import Control, ControlLaw, Reference, has_controller, recorded_loop
 from .evidence import Evidence
-from .lines import Figure, TrustLine
+from .lines import LEVELS, Figure, TrustLine
 
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
 MOST_LAG = 20  # samples looked at, to start from
@@ -41,8 +43,26 @@ class Replay:
 
 
 def replay_test(evidence: Evidence) -> TrustLine:
-    """Whether the recorded effort is what the described controller gives."""
-    problem, loop = evidence.problem, evidence.loop
+    """Whether the recorded efforts are what the described controllers give: the line of the worst recording."""
+    worst = min(evidence.parts, key=lambda part: _rank(part.replay))
+    if len(evidence.parts) == 1:
+        return worst.replay
+    name, text = worst.problem.signals.recording, worst.replay.text
+    reason = text.removeprefix("not made: ")
+    return replace(worst.replay, text=f"{'not made: ' if reason != text else ''}{name}: {reason}")
+
+
+def _rank(line: TrustLine) -> tuple[int, float]:
+    """What comes first: the worst level, then the gain furthest from one."""
+    return LEVELS.index(line.level), -abs((1.0 if line.value is None else line.value) - 1.0)
+
+
+def replay_line(problem: Problem) -> TrustLine:
+    """Whether the recorded effort is what the described controller gives; needs no estimate."""
+    loop = None
+    if has_controller(problem.signals.robot.controller):
+        with suppress(IdentificationError):  # described in part
+            loop = recorded_loop(problem.signals.robot)
     reason = _not_made(problem, loop)
     if reason is not None or loop is None:
         text = f"not made: {reason}: gain and delay are not verified"

@@ -1,21 +1,34 @@
-"""Tests of how the estimate came about: the fixed point, the instruments, and what parts of the rows say on their own.
+"""Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
 
 Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
 that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated or factorised again.
 """
 
-from itertools import pairwise
+from collections.abc import Callable
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, are_moving, cosines, deviations, f_tail, instrumental_variables, intervals, whitened
+from ..estimation import (
+    Estimate,
+    are_moving,
+    cosines,
+    deviations_of_parts,
+    f_tail,
+    instrumental_variables,
+    intervals,
+    slices,
+    whitened,
+)
+from .columns import added_columns_test
 from .evidence import Evidence
-from .lines import Figure, TrustLine
+from .held_out import held_out_test, part_of
+from .lag import lag_test
+from .lines import REDUCED, Trust, TrustLine, not_made, worst_first
+from .physical import consistent_test, physical_test
+from .replay import replay_test
 
-BLOCKS = 5
-HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
 HALVES_LEVEL = 0.001  # of the Wald test
 ROBUST = 6.0  # deviations, of a row that does not belong to the others
 BAD_END = 30.0  # deviations of a row at an end that spoils an estimate
@@ -25,12 +38,7 @@ CONTRAST = 3.0  # deviations of IV from LS that say that LS is biased
 WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
 ORDER = 12  # of the autoregression that whitens a joint's residual, at most
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
-REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
 NO_INSTRUMENTS = "not made: least squares has no instruments; --trust or --method iv makes this test"
-
-
-def _not_made(test: str, text: str, caps: bool = False) -> TrustLine:
-    return TrustLine(test=test, level="not made", value=None, text=text, caps=caps)
 
 
 def fixed_point_test(evidence: Evidence) -> TrustLine:
@@ -51,7 +59,7 @@ def instruments_test(evidence: Evidence) -> TrustLine:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     F = evidence.first_stage_F
     if F is None:
-        return _not_made("instruments", NO_INSTRUMENTS)
+        return not_made("instruments", NO_INSTRUMENTS)
     if F < WEAK_F:
         text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
         return TrustLine(test="instruments", level="caution", value=F, text=text)
@@ -71,16 +79,17 @@ def contrast_test(evidence: Evidence) -> TrustLine:
         off, sigma = evidence.least_squares.among(estimate.names) - estimate.beta, evidence.intervals.sigma
     elif evidence.Z is None:
         unknown = not evidence.problem.settings.filtered
-        return _not_made(name, REDUCED if evidence.observed.reduced else NO_INSTRUMENTS, caps=unknown)
+        return not_made(name, REDUCED if evidence.observed.reduced else NO_INSTRUMENTS, caps=unknown)
     else:
         system = evidence.observed.system.with_rows(evidence.used)
         kept = np.array([system.names.index(x) for x in estimate.names])
         try:
             iv = instrumental_variables(system.with_columns(kept), evidence.Z[:, kept], estimate.weights)
         except IdentificationError as error:
-            return _not_made(name, f"not made: {error}")
+            return not_made(name, f"not made: {error}")
         rho = evidence.rows.Y - evidence.rows.W @ iv.beta
-        off, sigma = iv.beta - estimate.beta, intervals(iv, rho, evidence.observed.tau.shape[1]).sigma
+        observed = evidence.observed
+        off, sigma = iv.beta - estimate.beta, intervals(iv, rho, observed.tau.shape[1], observed.parts).sigma
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(off) / sigma, nan=0.0)
     worst = int(apart.argmax())
@@ -94,12 +103,15 @@ def contrast_test(evidence: Evidence) -> TrustLine:
 def ends_test(evidence: Evidence) -> TrustLine:
     """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
     if evidence.observed.reduced:
-        return _not_made("ends", REDUCED)
+        return not_made("ends", REDUCED)
     rows, n = evidence.rows, evidence.observed.tau.shape[1]
     rho, used = rows.rho.reshape(n, -1), (evidence.used.reshape(n, -1) > 0) & are_moving(evidence.observed.speed).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
-    ends, middle = np.c_[size[:, :END_ROWS], size[:, -END_ROWS:]].max(axis=1), size[:, END_ROWS:-END_ROWS].max(axis=1)
+    at_end = np.zeros(size.shape[1], dtype=bool)
+    for part in slices(evidence.observed.parts):
+        at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
+    ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
     told = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
     worst = int((ends / np.maximum(middle, ROBUST)).argmax())
     told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
@@ -113,68 +125,33 @@ def ends_test(evidence: Evidence) -> TrustLine:
     return TrustLine(test="ends", level="ok", value=value, text=told)
 
 
-def _parts(x: Array, n: int, part: slice) -> Array:
-    """Rows of a part of the time, of all joints: x (r, ...) -> (n T_k, ...)."""
-    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
-
-
-def _slices(T: int, count: int) -> list[slice]:
-    edges = np.linspace(0, T, count + 1).round().astype(int)
-    return [slice(a, b) for a, b in pairwise(edges)]
-
-
-def held_out_test(evidence: Evidence) -> TrustLine:
-    """Five blocks of time, each predicted by the fit of the others, beside the error of the fit itself; in percent."""
-    name = "held-out blocks"
-    if evidence.observed.reduced:
-        return _not_made(name, REDUCED)
-    rows, Q, (T, n) = evidence.rows, evidence.estimate.Q, evidence.observed.tau.shape
-    d = np.linalg.norm(rows.W, axis=0)
-    W, A, c = rows.W / d, Q.T @ (rows.W / d), Q.T @ rows.Y
-    least = int(evidence.used.sum()) - max(int(_parts(evidence.used, n, part).sum()) for part in _slices(T, BLOCKS))
-    if least <= len(d):
-        return _not_made(name, f"not made: {least} rows outside a block for {len(d)} parameters; record longer")
-    trained, held, size, figures = 0.0, 0.0, 0.0, []
-    for number, part in enumerate(_slices(T, BLOCKS), 1):
-        Qk, Wk, Yk, weight = (_parts(x, n, part) for x in (Q, W, rows.Y, rows.weight))
-        beta = np.linalg.lstsq(A - Qk.T @ Wk, c - Qk.T @ Yk, rcond=1e-12)[0]
-        per = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 0.0)
-        own = float(np.sum(((Yk - Wk @ (d * evidence.estimate.beta)) * per) ** 2))
-        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((Yk * per) ** 2))
-        trained, held, size = trained + own, held + other, size + torque
-        if torque > 0:
-            percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
-            figures.append(Figure(name=f"block {number}", value=float(percents[0]), expected=float(percents[1])))
-    if not size > 0:
-        return _not_made(name, "not made: no torque")
-    error, training = 100 * float(np.sqrt(held / size)), 100 * float(np.sqrt(trained / size))
-    told = f"error {error:.3g} % held out, {training:.3g} % trained"
-    if error > HELD_OUT_FACTOR * training:
-        text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
-        return TrustLine(test=name, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
-    return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
-
-
 def halves_test(evidence: Evidence) -> TrustLine:
     """Whether the two halves of the recording give the same parameters, by a Wald test.
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
     if evidence.observed.reduced:
-        return _not_made("halves", REDUCED)
-    T, n = evidence.observed.tau.shape
-    solved = [_part_solved(evidence, part, n) for part in _slices(T, 2)]
+        return not_made("halves", REDUCED)
+    T, parts = len(evidence.observed.tau), evidence.observed.parts
+    if len(parts) > 1:  # cut between recordings
+        cut = int(np.abs(np.cumsum(parts)[:-1] - T / 2).argmin()) + 1
+        halves = (parts[:cut], parts[cut:])
+    else:
+        halves = ((round(T / 2),), (T - round(T / 2),))
+    solved = [
+        _part_solved(evidence, part, own) for part, own in zip(slices([sum(x) for x in halves]), halves, strict=True)
+    ]
     if any(half is None for half in solved):
-        return _not_made("halves", "not made: a half alone does not determine the parameters; record longer")
+        return not_made("halves", "not made: a half alone does not determine the parameters; record longer")
     (beta_1, C_1), (beta_2, C_2) = (half for half in solved if half is not None)
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
     if not (sigma > 0).all():
-        return _not_made("halves", "not made: the fit is exact")
+        return not_made("halves", "not made: the fit is exact")
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
-    p, worst = f_tail(wald / b, b, 2 * cosines(T // 2)), int(np.abs(u).argmax())
+    p, worst = f_tail(wald / b, b, sum(cosines(rows) for half in halves for rows in half)), int(np.abs(u).argmax())
     told = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
@@ -183,10 +160,13 @@ def halves_test(evidence: Evidence) -> TrustLine:
     return TrustLine(test="halves", level="ok", value=wald, text=told)
 
 
-def _part_solved(evidence: Evidence, part: slice, n: int) -> tuple[Array, Array] | None:
-    """Parameters (b,) of a part of the time and their covariance D R D (b, b); None where it does not determine them."""
-    rows = evidence.rows
-    Q, W, Y, used = (_parts(x, n, part) for x in (evidence.estimate.Q, rows.W, rows.Y, evidence.used))
+def _part_solved(evidence: Evidence, part: slice, recordings: tuple[int, ...]) -> tuple[Array, Array] | None:
+    """Parameters (b,) of a part of the time and their covariance D R D (b, b); None where it does not determine them.
+
+    `recordings` are the numbers of instants of those that make the part up.
+    """
+    rows, n = evidence.rows, evidence.observed.tau.shape[1]
+    Q, W, Y, used = (part_of(x, n, part) for x in (evidence.estimate.Q, rows.W, rows.Y, evidence.used))
     d, count = np.linalg.norm(W, axis=0), int(used.sum())
     b = len(d)
     if not (d > 0).all() or count <= 2 * b:
@@ -197,7 +177,7 @@ def _part_solved(evidence: Evidence, part: slice, n: int) -> tuple[Array, Array]
     inverse = np.linalg.inv(A) / d[:, None]
     beta = inverse @ (Q.T @ Y)
     scores = (Q * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse.T
-    sigma = deviations(scores, cosines(len(scores))) * np.sqrt(count / (count - b))
+    sigma = deviations_of_parts(scores, recordings) * np.sqrt(count / (count - b))
     C = inverse @ (Q.T @ Q) @ inverse.T
     formula = np.sqrt(np.diag(C))
     return beta, C * np.outer(sigma / formula, sigma / formula)
@@ -207,10 +187,10 @@ def prewhitened_test(evidence: Evidence) -> TrustLine:
     """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
     name = "prewhitened"
     if evidence.Z is None or evidence.method != "iv":
-        return _not_made(name, NO_INSTRUMENTS)
+        return not_made(name, NO_INSTRUMENTS)
     estimate = _whitened(evidence)
     if isinstance(estimate, str):
-        return _not_made(name, estimate)
+        return not_made(name, estimate)
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
@@ -228,10 +208,31 @@ def _whitened(evidence: Evidence) -> Estimate | str:
     kept = np.array([evidence.observed.system.names.index(name) for name in names])
     system = evidence.observed.system.with_columns(kept).with_rows(evidence.used)
     order = min(ORDER, len(evidence.observed.tau) // 20)
-    system, Z = whitened(system, evidence.Z[:, kept], evidence.rows.rho, order)
+    system, Z = whitened(system, evidence.Z[:, kept], evidence.rows.rho, order, evidence.observed.parts)
     if system.used.sum() <= 4 * len(names):
         return f"not made: {int(system.used.sum())} rows in a row are fast for {len(names)} parameters; record longer"
     try:
         return instrumental_variables(system, Z, evidence.estimate.weights)
     except IdentificationError as error:
         return f"not made: {error}"
+
+
+TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
+    fixed_point_test,
+    physical_test,
+    consistent_test,
+    lag_test,
+    replay_test,
+    added_columns_test,
+    held_out_test,
+    halves_test,
+    ends_test,
+    contrast_test,
+    instruments_test,
+    prewhitened_test,
+)
+
+
+def trust_in(evidence: Evidence) -> Trust:
+    """All tests of an estimate, worst first."""
+    return worst_first([test(evidence) for test in TESTS])

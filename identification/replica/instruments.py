@@ -1,6 +1,7 @@
 """Instruments: the robot simulated with an estimate in the recorded experiment, and the regressor along its motion."""
 
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -8,11 +9,12 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import relative_error_percent
 from ..model import direct_model
-from ..regression import Motion, decimated_regressor, lowest_nearby, slip_cutoff_hz
+from ..regression import Decimation, Motion, decimated_regressor, lowest_nearby, slip_cutoff_hz
 from ..simulation import simulate, surrogate_loop
 from ..trust import inertias, nearest_consistent, not_positive
 from .experiment import LOST, Experiment
-from .fit import InstrumentKind
+
+InstrumentKind = Literal["simulated", "consistent", "reference"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,15 +35,18 @@ class SimulatedMotion:
 class Instruments:
     """Instruments Z (r, b), rows as those of W.
 
-    `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in `Pass`.
+    `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in
+    `methods.Pass`.
     `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction, the lowest
-    near the rows' instants.
+    near the rows' instants. `decimation` and `reference_kind` are those of the experiment.
     """
 
     beta: Array
     motion: Motion | None
     Z: Array
     slip: Array
+    decimation: Decimation
+    reference_kind: Literal["recorded", "surrogate"]
     kind: InstrumentKind
     reason: str | None
     gains: Array
@@ -68,6 +73,8 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
         motion=s.motion,
         Z=np.ascontiguousarray(Z.transpose(0, 2, 1)).reshape(-1, e.problem.base.b),
         slip=_slip(e, motion),
+        decimation=e.decimation,
+        reference_kind=e.reference_kind,
         kind="reference" if s.motion is None else "simulated" if reason is None else "consistent",
         reason=s.reason or reason,
         gains=s.gains,

@@ -1,0 +1,25 @@
+"""The recorded experiment, simulated: recordings laid out for it, the robot in closed loop, instruments along its motion."""
+
+from .bench import Bench, DirectModelError, Place, Replica
+from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment, make_experiment
+from .instruments import InstrumentKind, Instruments, simulate_instruments, simulated_motion
+from .lab import Lab, PassInstruments, told, worst
+
+__all__ = [
+    "EARLY_RATE_PER_BANDWIDTH",
+    "RATE_PER_BANDWIDTH",
+    "Bench",
+    "DirectModelError",
+    "Experiment",
+    "InstrumentKind",
+    "Instruments",
+    "Lab",
+    "PassInstruments",
+    "Place",
+    "Replica",
+    "make_experiment",
+    "simulate_instruments",
+    "simulated_motion",
+    "told",
+    "worst",
+]

@@ -1,0 +1,171 @@
+"""Parts of the rows predicted by the fit of the others: blocks of time of one recording, or each of several recordings.
+
+With the factors at hand, A = QᵀW, the rows of a block add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so that the estimate of the
+others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Recordings are few, and may leave parameters undetermined: the others are
+factored anew.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..estimation import slices, undetermined_parameters
+from .evidence import Evidence
+from .lines import REDUCED, Figure, TrustLine, not_made
+
+BLOCKS = 5
+HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
+
+
+@dataclass(frozen=True, kw_only=True)
+class HeldOut:
+    """A recording predicted by the fit of the others, in the rows that count.
+
+    Attributes:
+        error_percent: its torque error, in percent of its torque; None where the others do not determine the parameters.
+        trained_percent: the same of the fit of all.
+        undetermined: names of the parameters that the others do not determine.
+        torque: norm of its torque.
+    """
+
+    error_percent: float | None
+    trained_percent: float | None
+    undetermined: tuple[str, ...]
+    torque: float
+
+
+def held_out_test(evidence: Evidence) -> TrustLine:
+    """Five blocks of time, each predicted by the fit of the others, beside the error of the fit itself; in percent.
+
+    Several recordings are themselves the blocks.
+    """
+    name = "held-out blocks"
+    if len(evidence.parts) > 1:
+        return _recordings_line(evidence, held_out_recordings(evidence))
+    if evidence.observed.reduced:
+        return not_made(name, REDUCED)
+    rows, Q, (T, n) = evidence.rows, evidence.estimate.Q, evidence.observed.tau.shape
+    d = np.linalg.norm(rows.W, axis=0)
+    W, A, c = rows.W / d, Q.T @ (rows.W / d), Q.T @ rows.Y
+    least = int(evidence.used.sum()) - max(int(part_of(evidence.used, n, part).sum()) for part in _blocks(T, BLOCKS))
+    if least <= len(d):
+        return not_made(name, f"not made: {least} rows outside a block for {len(d)} parameters; record longer")
+    trained, held, size, figures = 0.0, 0.0, 0.0, []
+    for number, part in enumerate(_blocks(T, BLOCKS), 1):
+        Qk, Wk, Yk, weight = (part_of(x, n, part) for x in (Q, W, rows.Y, rows.weight))
+        beta = np.linalg.lstsq(A - Qk.T @ Wk, c - Qk.T @ Yk, rcond=1e-12)[0]
+        per = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 0.0)
+        own = float(np.sum(((Yk - Wk @ (d * evidence.estimate.beta)) * per) ** 2))
+        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((Yk * per) ** 2))
+        trained, held, size = trained + own, held + other, size + torque
+        if torque > 0:
+            percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
+            figures.append(Figure(name=f"block {number}", value=float(percents[0]), expected=float(percents[1])))
+    if not size > 0:
+        return not_made(name, "not made: no torque")
+    error, training = 100 * float(np.sqrt(held / size)), 100 * float(np.sqrt(trained / size))
+    told = f"error {error:.3g} % held out, {training:.3g} % trained"
+    if error > HELD_OUT_FACTOR * training:
+        text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
+        return TrustLine(test=name, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
+    return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
+
+
+def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
+    """Each of several recordings predicted by the fit of the others; None of a single one.
+
+    Parameters that it has for itself are fitted to the recording: the others know nothing of them.
+    """
+    if len(evidence.parts) == 1:
+        return (None,)
+    names, weights = evidence.estimate.names, evidence.estimate.weights
+    rows = [_rows_of(evidence, k) for k in range(len(evidence.parts))]
+    factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
+    found = []
+    for k, (_, W, Y, _) in enumerate(rows):
+        own = np.array(["@" in name and name in evidence.parts[k].parameters for name in names])
+        kept, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
+        beta, undetermined = _solved(
+            np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
+        )
+        torque, trained = float(np.linalg.norm(Y)), float(np.linalg.norm(Y - W @ evidence.estimate.beta))
+        error = None
+        if beta is not None:
+            rho = Y - W[:, ~own] @ beta
+            error = float(np.linalg.norm(rho - W[:, own] @ np.linalg.lstsq(W[:, own], rho)[0] if own.any() else rho))
+        found.append(
+            HeldOut(
+                error_percent=100 * error / torque if error is not None and torque > 0 else None,
+                trained_percent=100 * trained / torque if torque > 0 else None,
+                undetermined=tuple(undetermined),
+                torque=torque,
+            )
+        )
+    return tuple(found)
+
+
+def _rows_of(evidence: Evidence, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the parameters estimated; zero where rows do not count."""
+    observed, n = evidence.observed, evidence.observed.tau.shape[1]
+    among = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
+    if observed.reduced:
+        system, Z = evidence.factors[k]
+        return Z[:, among], system.W[:, among], system.Y, system.joint_of_row
+    part, system = slices(observed.parts)[k], observed.system
+    instruments = system.W if evidence.Z is None else evidence.Z
+    W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
+    joints = np.repeat(np.arange(n), part.stop - part.start)
+    return Z[:, among] * used[:, None], W[:, among] * used[:, None], Y * used, joints
+
+
+def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
+    """Parameters (b,) from weighted rows [Z W Y], or the names of those that they do not determine."""
+    b = len(names)
+    Z, W, Y = R[:, :b], R[:, b:-1], R[:, -1]
+    undetermined = undetermined_parameters(Z, names)
+    if undetermined:
+        return None, undetermined
+    Q = np.linalg.qr(Z / np.linalg.norm(Z, axis=0))[0]
+    A, d = Q.T @ W, np.linalg.norm(W, axis=0)
+    undetermined = undetermined_parameters(A, names)
+    if undetermined:
+        return None, undetermined
+    return np.linalg.solve(A / d, Q.T @ Y) / d, []
+
+
+def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> TrustLine:
+    """The line of several recordings: their errors held out, and those that the others cannot predict."""
+    test, held, trained, figures, without = "held-out blocks", 0.0, 0.0, [], []
+    for part, one in zip(evidence.parts, found, strict=True):
+        assert one is not None
+        name = part.problem.signals.recording
+        if one.error_percent is None or one.trained_percent is None:
+            why = f"{', '.join(one.undetermined[:8])} undetermined" if one.undetermined else "it has no torque"
+            without.append(f"{name} cannot be predicted by the others: {why}")
+            continue
+        held, trained = (
+            x + (p * one.torque) ** 2 for x, p in ((held, one.error_percent), (trained, one.trained_percent))
+        )
+        figures.append(Figure(name=name, value=one.error_percent, expected=one.trained_percent))
+    if not figures:
+        return TrustLine(test=test, level="cannot tell", value=None, text="; ".join(without))
+    torque = sum(one.torque**2 for one in found if one is not None and one.error_percent is not None)
+    error, training = float(np.sqrt(held / torque)), float(np.sqrt(trained / torque))
+    text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
+    if error > HELD_OUT_FACTOR * training:
+        text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
+        return TrustLine(test=test, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
+    return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
+
+
+def part_of(x: Array, n: int, part: slice) -> Array:
+    """Rows of a part of the time, of all joints: x (r, ...) -> (n T_k, ...)."""
+    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
+
+
+def _blocks(T: int, count: int) -> list[slice]:
+    edges = np.linspace(0, T, count + 1).round().astype(int)
+    return [slice(a, b) for a, b in pairwise(edges)]

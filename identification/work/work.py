@@ -1,0 +1,131 @@
+"""Tasks on an executor: functions of a module and of positional arguments, each run again elsewhere if its worker dies.
+
+Results come in the order of the tasks, whatever the order in which they are done: sums over them are the same to the last bit
+with any number of workers.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import active_children, get_context
+from multiprocessing.process import BaseProcess
+from typing import Any, Protocol
+
+from ..errors import IdentificationError
+
+LOST_WORKERS = 2  # times that tasks are given to new workers
+LOOK_S = 1.0  # between looks at whether workers live
+Task = tuple[Any, ...]  # positional arguments of a task
+
+
+class Work(Protocol):
+    """Runs a function of a module for each tuple of positional arguments."""
+
+    @property
+    def remote(self) -> bool:
+        """Whether tasks run in other processes: arguments and results are then sent."""
+
+    def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
+        """Results in the order of the tasks. An error of a task is raised where its result stands."""
+
+
+class Serial:
+    """Runs tasks one after the other in this process."""
+
+    remote = False
+
+    def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
+        """Results in the order of the tasks."""
+        return (function(*task) for task in tasks)
+
+
+class Pool:
+    """Runs tasks on an executor that `open_executor` gives; a new one where its workers died, twice at most."""
+
+    remote = True
+
+    def __init__(
+        self, open_executor: Callable[[], Executor], lost: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    ) -> None:
+        """`lost` are the errors by which a task says that its worker died."""
+        self._others: list[BaseProcess] = active_children()  # that are not workers
+        self._workers: list[BaseProcess] = []
+        self._open, self._executor, self._lost = open_executor, open_executor(), lost
+
+    def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
+        """Results in the order of the tasks; all of them are submitted at once.
+
+        Raises
+        ------
+        IdentificationError : where workers died with the same task three times.
+        """
+        futures = [self._executor.submit(function, *task) for task in tasks]
+        self._look_for_workers()
+        lost = 0
+        for k in range(len(tasks)):
+            while not self._is_done(futures[k]):
+                lost += 1
+                if lost > LOST_WORKERS:
+                    raise IdentificationError(
+                        f"workers ended {lost} times before task {k + 1} of {len(tasks)} was done: out of memory?",
+                        expected="fewer --workers, or a larger --decimate",
+                    )
+                self._renew(function, tasks, futures, k)
+            result = futures[k].result()
+            futures[k] = Future()  # its result is not held twice
+            yield result
+
+    def _is_done(self, future: "Future[Any]") -> bool:
+        """Wait for a task; False if its worker died.
+
+        The pool of the standard library overlooks a worker that dies while it starts, and waits for ever.
+        """
+        while True:
+            finished, _ = wait([future], timeout=LOOK_S)
+            if finished:
+                return future.cancelled() or not isinstance(future.exception(), self._lost)
+            if any(not worker.is_alive() for worker in self._workers):
+                return False
+
+    def _look_for_workers(self) -> None:
+        self._workers = [child for child in active_children() if child not in self._others]
+
+    def _renew(self, function: Callable[..., Any], tasks: Sequence[Task], futures: list["Future[Any]"], k: int) -> None:
+        """A pool breaks whole: open a new one and submit what is not done from task k on."""
+        for worker in self._workers:
+            worker.kill()
+        self._executor.shutdown(wait=False, cancel_futures=True)
+        self._others = active_children()
+        self._executor = self._open()
+        for i in range(k, len(tasks)):
+            done = futures[i].done() and not futures[i].cancelled() and futures[i].exception() is None
+            if not done:
+                futures[i] = self._executor.submit(function, *tasks[i])
+        self._look_for_workers()
+
+    def close(self) -> None:
+        """End the workers; tasks that have not begun are dropped."""
+        self._executor.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def processes(workers: int) -> Iterator[Work]:
+    """So many worker processes of this machine, or this process alone for one.
+
+    Processes are spawned, with one thread of linear algebra each: the processes are the parallelism.
+    """
+    if workers == 1:
+        yield Serial()
+        return
+    pool = Pool(lambda: _spawned(workers))
+    try:
+        yield pool
+    finally:
+        pool.close()
+
+
+def _spawned(workers: int) -> Executor:
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    return ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn"))
