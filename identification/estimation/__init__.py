@@ -1,6 +1,15 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
-from .confidence import Intervals, cosines, deviations, deviations_of_parts, intervals, slices
+from .confidence import (
+    Intervals,
+    TimeBlocks,
+    cosines,
+    deviations,
+    deviations_of_parts,
+    intervals,
+    intervals_of_blocks,
+    slices,
+)
 from .consistency import (
     GAMMA,
     Consistent,
@@ -32,7 +41,6 @@ from .estimators import (
 from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
 from .system import System, undetermined_parameters
-from .time_blocks import TimeBlocks, intervals_of_blocks
 from .whitening import whitened
 
 __all__ = [
