@@ -14,6 +14,7 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
     study        robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies
     report       one report of a fit as a document; terminal, Markdown, HTML and JSON show it
     export       a fit as URDF, MJCF and robot.toml
+    fleet        one fit per recording of many, the table of them, their drift
     view         pictures for Rerun
     commands     the command line
     notebook     the names below, and how a notebook shows a fit

@@ -5,6 +5,7 @@ import math
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,8 @@ from ..robot import Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
 from .schema import FRAMES_TOPIC, SCHEMA_VERSION, Header, metadata_crc, sample_layouts
+
+FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
 
 class _EventText(msgspec.Struct):
@@ -66,6 +69,21 @@ class Recording:
     sample_rate_hz: float
     cut: bool
     sha256: str
+
+    @property
+    def began(self) -> datetime | None:
+        """When it began: by its first stamp where stamps are dates, as those of ROS, else when its file was begun.
+
+        None where nothing says so.
+        """
+        first_ns = 0 if self.samples is None or len(self.samples) == 0 else int(self.samples["stamp_ns"][0])
+        if first_ns >= FIRST_DATE_NS:
+            return datetime.fromtimestamp(first_ns // 1000 / 1e6, UTC)
+        try:
+            created = datetime.fromisoformat(self.metadata.get("created", ""))
+        except ValueError:
+            return None
+        return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
 
     @property
     def header(self) -> Header:

@@ -11,12 +11,12 @@ from acquisition.commands import Commands, Progress, from_options
 from ..errors import IdentificationError
 from .options import (
     above_zero,
+    add_method,
     add_recording,
     add_settings,
     add_work,
     positive,
     refuse_outputs,
-    share,
     sources,
     work_of,
 )
@@ -32,18 +32,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("fit", help="base parameters from a recording, or from several")
     add_recording(parser)
     settings = add_settings(parser)
-    settings.add_argument(
-        "--method",
-        choices=["ols", "wls", "iv"],
-        default="wls",
-        help="least squares, ordinary or weighted joint by joint (default); or instrumental variables",
-    )
-    settings.add_argument(
-        "--low-speed-percent",
-        type=share,
-        metavar="P",
-        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
-    )
+    add_method(settings)
     settings.add_argument(
         "--essential", action="store_true", help="keep only the parameters the recording determines well"
     )

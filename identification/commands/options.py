@@ -122,6 +122,22 @@ def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
     return group
 
 
+def add_method(settings: "argparse._ArgumentGroup") -> None:
+    """How parameters are estimated, and from which rows."""
+    settings.add_argument(
+        "--method",
+        choices=["ols", "wls", "iv"],
+        default="wls",
+        help="least squares, ordinary or weighted joint by joint (default); or instrumental variables",
+    )
+    settings.add_argument(
+        "--low-speed-percent",
+        type=share,
+        metavar="P",
+        help="leave out rows slower than P %% of the peak speed (default: 4, or 4 deviations of the speed's noise)",
+    )
+
+
 def load(options: argparse.Namespace) -> list["Signals"]:
     """The recordings of `add_recording`, by the description given in place of their own."""
     return [source.load() for source in sources(options)]

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from datetime import datetime
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
@@ -53,6 +54,7 @@ class Signals:
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) torques on the joints that are known and not of the drives, N m or N, or None.
         feedforward: (N, n) what was added to the controller's output, by motor in the unit of the recorded effort, or None.
+        began: when the recording began, None where nothing says so.
         off_grid: how far a sample's own time was off the grid at most, in periods; interpolated beyond `ON_GRID`.
     """
 
@@ -72,6 +74,7 @@ class Signals:
     velocity: Array | None = None
     known_torque: Array | None = None
     feedforward: Array | None = None
+    began: datetime | None = None
     off_grid: float = 0.0
 
     def __post_init__(self) -> None:
@@ -183,6 +186,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         health=_health(recording, int(stamps[0])),
         extras=_extras(samples, recording.robot),
         effort_timing=_effort_timing(recording.metadata),
+        began=recording.began,
         off_grid=off_grid,
         **optional,
     )

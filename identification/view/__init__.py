@@ -1,5 +1,19 @@
-"""Rerun files of recordings and fits. The only room that imports rerun."""
+"""Rerun files of recordings, fits and fleets. The only room that imports rerun."""
 
-from .viewer import write_comparison_rrd, write_excitation_rrd, write_fit_rrd, write_recording_rrd, write_study_rrd
+from .viewer import (
+    write_comparison_rrd,
+    write_excitation_rrd,
+    write_fit_rrd,
+    write_fleet_rrd,
+    write_recording_rrd,
+    write_study_rrd,
+)
 
-__all__ = ["write_comparison_rrd", "write_excitation_rrd", "write_fit_rrd", "write_recording_rrd", "write_study_rrd"]
+__all__ = [
+    "write_comparison_rrd",
+    "write_excitation_rrd",
+    "write_fit_rrd",
+    "write_fleet_rrd",
+    "write_recording_rrd",
+    "write_study_rrd",
+]

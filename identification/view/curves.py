@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Signals
 from ..estimation import are_moving
+from ..fleet import Chart, Drift
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
@@ -198,6 +199,26 @@ def motion_plots(signals: Signals, fit: Fit | None, seen: Observed, j: int) -> l
         title = f"{quantity} {joint.name} [{joint.position_unit}{per}]"
         plots.append(Plot(path=(quantity, joint.name), title=title, curves=tuple(curves)))
     return plots
+
+
+def drift_plots(drift: Drift) -> list[Plot]:
+    """A plot per number of a fleet's fits with its interval and control limits; those with something beyond them first."""
+    charts = sorted((c for c in drift.charts if len(c.x)), key=lambda chart: not chart.outside)
+    return [_drift_plot(drift.name, chart, legend=k == 0) for k, chart in enumerate(charts)]
+
+
+def _drift_plot(name: str, chart: Chart, *, legend: bool) -> Plot:
+    curves = [Curve(key="value", color=SIMULATED, line=(chart.t_s, chart.x), width=2.0)]
+    if not np.isnan(chart.low).any():
+        interval = (("interval_low", "95 % interval", chart.low), ("interval_high", "95 % interval", chart.high))
+        curves += [Curve(key=key, name=text, color=MEASURED, line=(chart.t_s, x)) for key, text, x in interval]
+    keys = ("centre", "limit_low", "limit_high")
+    ends = chart.t_s[[0, -1]]
+    for key, color, limit in zip(keys, (REFERENCE, RESIDUAL, RESIDUAL), chart.limits or (), strict=False):
+        curves.append(Curve(key=key, name=key.replace("_", " "), color=color, line=(ends, np.full(2, limit))))
+    beyond = f", {len(chart.outside)} beyond" if chart.outside else ""
+    title = f"{chart.name} [{chart.unit}]{beyond}"
+    return Plot(path=("drift", name, chart.name), title=title, curves=tuple(curves), legend=legend)
 
 
 def readable_unit(peak: float, unit: str) -> tuple[float, str]:

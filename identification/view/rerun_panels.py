@@ -1,9 +1,11 @@
 """Panels as Rerun shows them: `show` writes one's data as entities and returns the view of them."""
 
+import hashlib
+import re
 import tempfile
 import unicodedata
 import xml.etree.ElementTree as ET
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,8 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.urdf import UrdfTree
 
+from acquisition.files import atomic_write
+
 from ..arrays import Array
 from .panels import GREY, RESIDUAL, SKY, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
 
@@ -19,7 +23,35 @@ _SOLID_COLORS = {"base": (95, 100, 110), "link": (215, 218, 224), "joint": (70, 
 _GHOST, _HALO = (*SKY, 70), 1.07  # a ghost's color, and its size, so that it shows around the robot it covers
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
 _CROSS = 3.2  # half a cross's width, in pixels of its sheet
+Show = Callable[[Panel], Any]  # writes a panel, and gives the view of it
 _DIAGONALS = np.array([[[-1.0, -1.0], [1.0, 1.0]], [[-1.0, 1.0], [1.0, -1.0]]])
+
+
+def write_pages(path: Path, application: str, identity: str, name: str, pages: Callable[[Show], list[Any]]) -> None:
+    """Write the pages that `pages` builds of the panels it shows as a Rerun file with its own layout.
+
+    A viewer holds one layout per application, and a layout is of its data: `identity` makes an application of each file.
+    Raises `AcquisitionError` where the file cannot be written.
+    """
+    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # Rerun renames an application of another name, and warns
+    recording = rr.RecordingStream(f"{named} {hashlib.sha256(identity.encode()).hexdigest()[:8]}")
+    stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
+    try:
+        recording.send_recording_name(shown_text(name))
+        tabs = pages(lambda panel: show(recording, panel))
+        blueprint = rrb.Blueprint(
+            rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
+            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all"),
+            collapse_panels=True,
+            auto_views=False,
+            auto_layout=False,
+        )
+        recording.send_blueprint(blueprint)
+    finally:
+        content = stream.read()  # after a failure too: rerun warns of what it drops
+        recording.disconnect()
+    with atomic_write(path) as file:
+        file.write_bytes(content)
 
 
 def shown_text(text: str) -> str:

@@ -4,21 +4,17 @@ What is shown is plain data of `panels`. `show` writes one of these into the fil
 and the layout is built of such views only: none can be without data.
 """
 
-import hashlib
-import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import rerun as rr
 import rerun.blueprint as rrb
-
-from acquisition.files import atomic_write
 
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..excitation import Excitation
+from ..fleet import Drift
 from ..methods import Fit
 from ..regression import Overrides, Settings, make_settings
 from ..report import (
@@ -36,10 +32,10 @@ from ..report import (
 )
 from ..study import Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
-from .curves import motion_plots, observed, position_plots, torque_plots
+from .curves import drift_plots, motion_plots, observed, position_plots, torque_plots
 from .excitation_panels import excitation_plots, intervals_drawing
-from .panels import Drawing, Note, Panel, Plot
-from .rerun_panels import show, shown_text
+from .panels import Drawing, Note, Plot
+from .rerun_panels import Show, shown_text, write_pages
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import (
     event_log,
@@ -79,7 +75,7 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     compared = truth.tobytes() if truth is not None else b""
     identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
-    _write(path, signals.robot.name, identity, name, lambda show: _fit_pages(show, signals, fit, truth))
+    write_pages(path, signals.robot.name, identity, name, lambda show: _fit_pages(show, signals, fit, truth))
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
@@ -102,7 +98,7 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
         settings = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = str(error)
-    _write(
+    write_pages(
         path,
         signals.robot.name,
         f"{signals.sha256} {settings}",
@@ -121,7 +117,7 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
     """
     document, name = comparison_document(own, other), f"{own.label} and {other.label}"
     drawing = deviation_drawing(own, [other])
-    _write(
+    write_pages(
         path, name, repr((own, other)), name, lambda show: _drawing_page(show, drawing, document, "parameters", (3, 1))
     )
 
@@ -142,7 +138,7 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
     AcquisitionError : where the file cannot be written.
     """
     drawing, identity = study_drawing(runs, true), repr([(run.number, run.error_iv, run.error_ls) for run in runs])
-    _write(
+    write_pages(
         path,
         f"{robot} study",
         identity,
@@ -169,35 +165,42 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
     """
     robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
     name = f"{robot}, excitation"
-    _write(path, f"{robot} excitation", identity, name, lambda show: _excitation_page(show, excitation, document))
+    write_pages(path, f"{robot} excitation", identity, name, lambda show: _excitation_page(show, excitation, document))
 
 
-_Show = Callable[[Panel], Any]
+def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> None:
+    """Write the drift of a fleet as a Rerun file, a page per robot: entities `drift/<robot>/<number>`, and `report`.
+
+    Times are those from the first recording charted, on the timeline `time`.
+
+    Parameters
+    ----------
+    path : of the file; it is written whole or not at all.
+    series : of the fits that can be charted; without any there is the report alone.
+    document : the report.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
+    """
+    names = ", ".join(drift.name for drift in series)
+    identity = repr([(row.sha256, row.parameters) for drift in series for row in drift.rows])
+    write_pages(path, f"fleet {names}", identity, "fleet", lambda show: _fleet_pages(show, series, document))
 
 
-def _write(path: Path, application: str, identity: str, name: str, pages: Callable[[_Show], list[Any]]) -> None:
-    named = re.sub(r"[^A-Za-z0-9 _-]+", "-", application)  # Rerun renames an application of another name, and warns
-    recording = rr.RecordingStream(f"{named} {hashlib.sha256(identity.encode()).hexdigest()[:8]}")
-    stream = recording.binary_stream()  # in memory: a failing disk then shows as an OSError where the file is written
-    try:
-        recording.send_recording_name(shown_text(name))
-        tabs = pages(lambda panel: show(recording, panel))
-        blueprint = rrb.Blueprint(
-            rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
-            rrb.TimePanel(state="collapsed", timeline="time", loop_mode="all"),
-            collapse_panels=True,
-            auto_views=False,
-            auto_layout=False,
-        )
-        recording.send_blueprint(blueprint)
-    finally:
-        content = stream.read()  # after a failure too: rerun warns of what it drops
-        recording.disconnect()
-    with atomic_write(path) as file:
-        file.write_bytes(content)
+def _fleet_pages(show: Show, series: Sequence[Drift], document: Document) -> list[Any]:
+    """By robot: charts in tabs, those with something beyond the limits first; beside them the report."""
+    report, pages = show(_note(document)), []
+    for drift in series:
+        views = [show(plot) for plot in drift_plots(drift)]
+        starts = range(0, len(views), 16)
+        tabs = [rrb.Grid(*views[k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
+        charts = rrb.Tabs(*tabs, active_tab=0)
+        pages.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
+    return pages or [rrb.Horizontal(report, name="report")]
 
 
-def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
+def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
     n, seen = signals.robot.n, observed(signals, fit.settings, fit)
     own = fitted_parameters(fit)
@@ -228,7 +231,7 @@ def _fit_pages(show: _Show, signals: Signals, fit: Fit, truth: Array | None) -> 
     ]
 
 
-def _recording_pages(show: _Show, signals: Signals, settings: Settings | None, refusal: str | None) -> list[Any]:
+def _recording_pages(show: Show, signals: Signals, settings: Settings | None, refusal: str | None) -> list[Any]:
     n, seen = signals.robot.n, observed(signals, settings, None)
     sections = numbers_of_plots(signals, None, seen), recording_legend(signals, settings)
     report = _note(recording_document(signals, settings, refusal).followed_by(*sections))
@@ -240,12 +243,12 @@ def _recording_pages(show: _Show, signals: Signals, settings: Settings | None, r
     ]
 
 
-def _drawing_page(show: _Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
+def _drawing_page(show: Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
     """One page: a drawing and its report."""
     return [rrb.Horizontal(show(drawing), show(_note(document)), column_shares=list(shares), name=name)]
 
 
-def _excitation_page(show: _Show, excitation: Excitation, document: Document) -> list[Any]:
+def _excitation_page(show: Show, excitation: Excitation, document: Document) -> list[Any]:
     """One page: the reference joint by joint with its limits, the robot that moves along it, the expected intervals."""
     motion = [rrb.Vertical(*map(show, plots)) for plots in excitation_plots(excitation)]
     side = rrb.Vertical(show(intervals_drawing(excitation)), show(_note(document)), row_shares=[3, 2])
@@ -258,7 +261,7 @@ def _note(document: Document) -> Note:
 
 
 def _answer(
-    show: _Show, signals: Signals, fit: Fit | None, tracking: Sequence[Plot], torque: Sequence[Plot], side: Any
+    show: Show, signals: Signals, fit: Fit | None, tracking: Sequence[Plot], torque: Sequence[Plot], side: Any
 ) -> Any:
     """The first page: did the robot follow, beside it the robot; is the torque explained; at the side what came out."""
     n = signals.robot.n
@@ -273,7 +276,7 @@ def _answer(
     return rrb.Horizontal(rrb.Vertical(follow, explained, row_shares=[4, 5]), side, column_shares=[5, 2], name=name)
 
 
-def _signal_pages(show: _Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
+def _signal_pages(show: Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
     """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; extra objects of drives."""
     spectra = [show(drawing) for drawing in spectrum_drawings(signals, settings)]
     lanes = span_lanes(signals, settings, fitted=fitted)

@@ -1,0 +1,86 @@
+"""`robot-identify fleet`: one fit per recording of many, a table of them, and their drift."""
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from acquisition.commands import Commands, Progress, from_options
+
+from .options import add_method, add_settings, add_work, make_folder, refuse_outputs, work_of
+from .results import print_results, untrusted
+
+if TYPE_CHECKING:
+    from ..fleet import FleetSettings
+
+
+def add(commands: Commands) -> None:
+    """Declare the command; its settings have the names of the fields of `Overrides`."""
+    parser = commands.add_parser("fleet", help="one fit per recording of folders: a table, and drift over time")
+    inputs = parser.add_argument_group("inputs")
+    inputs.add_argument(
+        "folders",
+        type=Path,
+        nargs="+",
+        metavar="FOLDER",
+        help="every *.mcap in it and below; control limits are those of a folder",
+    )
+    inputs.add_argument(
+        "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recordings' own"
+    )
+    add_method(add_settings(parser))
+    add_work(parser)
+    outputs = parser.add_argument_group("outputs")
+    outputs.add_argument(
+        "-o",
+        "--out",
+        type=Path,
+        required=True,
+        metavar="FLEET.parquet",
+        help="the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again",
+    )
+    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="draw the drift with control limits as a Rerun file")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Fit every recording that is not kept, write the table, print it; 3 where none could be fitted."""
+    refuse_outputs([options.robot], options.out, picture=options.rrd)
+    with Progress("reading") as progress:
+        from ..fleet import drifts, fleet_document, found_recordings, run_fleet, write_table
+
+        settings, recordings = _settings(options), found_recordings(options.folders)
+        refuse_outputs([path for _, path in recordings], options.out, options.rrd)
+        kept = options.out.with_name(f"{options.out.name}.rows")
+        make_folder(kept)
+        rows = run_fleet(
+            recordings,
+            settings,
+            kept,
+            lambda tasks: work_of(options, tasks),
+            lambda done, file: progress.say(f"{done} of {len(recordings)}: {file}"),
+        )
+    write_table(options.out, rows)
+    document, series = fleet_document(rows), drifts(rows)
+    try:
+        if options.rrd:
+            with Progress("writing the Rerun file"):
+                from ..view import write_fleet_rrd
+
+                write_fleet_rrd(options.rrd, series, document)
+    finally:  # print the table of a long run even if a file cannot be written
+        print_results(document)
+    return untrusted([] if any(row.is_fitted for row in rows) else [f"no recording could be fitted: {rows[0].reason}"])
+
+
+def _settings(options: argparse.Namespace) -> "FleetSettings":
+    from acquisition.robot import load_robot
+
+    from ..fleet import FleetSettings
+    from ..regression import Overrides
+
+    robot = load_robot(options.robot) if options.robot else None
+    return FleetSettings(
+        method=options.method,
+        overrides=from_options(Overrides, options),
+        description=None if robot is None else tuple(robot.files.items()),
+    )

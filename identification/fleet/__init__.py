@@ -1,0 +1,21 @@
+"""One fit per recording of a fleet: rows that survive the end of a run, the table of them, drift with control limits."""
+
+from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
+from .rows import FleetSettings, Row, Value, fit_row
+from .run import Kept, found_recordings, run_fleet
+
+__all__ = [
+    "Chart",
+    "Drift",
+    "FleetSettings",
+    "Kept",
+    "Row",
+    "Value",
+    "control_limits",
+    "drifts",
+    "fit_row",
+    "fleet_document",
+    "found_recordings",
+    "run_fleet",
+    "write_table",
+]

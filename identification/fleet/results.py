@@ -1,0 +1,220 @@
+"""What the rows of a fleet show: the table as a Parquet file, drift against control limits, the report."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from acquisition.files import atomic_write
+
+from ..arrays import Array
+from ..report import Document, Number, Section, Table, columns
+from .rows import Row, Value
+
+FEWEST = 5  # fits for control limits
+PER_RANGE = 3 / 1.128  # 3 deviations, d2 = 1.128: the mean moving range of two normal values in deviations
+ERROR = "moving error"
+_TEXTS = ("folder", "file", "sha256", "robot", "method", "status", "verdict", "reason")
+_ERRORS = ("error_percent", "moving_error_percent", "standing_error_percent")
+
+
+def write_table(path: Path, rows: Sequence[Row]) -> None:
+    """Write the rows as a Parquet file, whole or not at all.
+
+    Columns: `folder`, `file`, `sha256`, `start` (UTC), `robot`, `method`, `status`, `verdict`, `reason`; `error_percent`,
+    `moving_error_percent`, `standing_error_percent`; per parameter its name, name_low and name_high, with the `unit` in the
+    metadata of the column. What a row does not have is null.
+
+    Parameters
+    ----------
+    path : of the file.
+    rows : of the fleet.
+
+    Raises
+    ------
+    AcquisitionError : where the file cannot be written.
+    """
+    import pyarrow
+    import pyarrow.parquet
+
+    stamp = pyarrow.timestamp("us", tz="UTC")
+    fields = [pyarrow.field(name, pyarrow.string()) for name in _TEXTS]
+    fields.insert(3, pyarrow.field("start", stamp))
+    fields += [pyarrow.field(name, pyarrow.float64()) for name in _ERRORS]
+    values = [[getattr(row, field.name) for row in rows] for field in fields]
+    units = {name: value.unit for row in rows for name, value in row.parameters.items()}
+    for name, unit in units.items():
+        for end, key in (("", "value"), ("_low", "low"), ("_high", "high")):
+            fields.append(pyarrow.field(f"{name}{end}", pyarrow.float64(), metadata={"unit": unit}))
+            values.append([getattr(row.parameters[name], key) if name in row.parameters else None for row in rows])
+    arrays = [pyarrow.array(column, field.type) for column, field in zip(values, fields, strict=True)]
+    table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields))
+    with atomic_write(path) as partial:
+        pyarrow.parquet.write_table(table, partial)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Chart:
+    """One number of each fit over time.
+
+    Attributes:
+        name, unit: of a parameter, or the error of moving rows in %.
+        files: (k,) recordings.
+        t_s: (k,) seconds from the first fit; `x` (k,) the numbers.
+        low, high: (k,) 95 % intervals; NaN where there are none.
+        limits: centre, lower and upper control limit; None where fits are too few.
+    """
+
+    name: str
+    unit: str
+    files: tuple[str, ...]
+    t_s: Array
+    x: Array
+    low: Array
+    high: Array
+    limits: tuple[float, float, float] | None
+
+    @property
+    def outside(self) -> list[int]:
+        """Which fits are beyond the control limits."""
+        if self.limits is None:
+            return []
+        _, lower, upper = self.limits
+        return [int(k) for k in np.flatnonzero((self.x < lower) | (self.x > upper))]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drift:
+    """The charts of a robot in a folder: the error of moving rows first, then its parameters.
+
+    Attributes:
+        name: of the folder and the robot.
+        rows: (k,) those that are charted: fits whose verdict is not `do not use` and whose start is known.
+        charts: of these.
+    """
+
+    name: str
+    rows: tuple[Row, ...]
+    charts: tuple[Chart, ...]
+
+
+def control_limits(x: Array) -> tuple[float, float, float] | None:
+    """Centre, lower and upper limit of a chart of individual values x (k,), by their mean moving range.
+
+    Mean ± 3 MR / d2, MR the mean of |x[i] - x[i - 1]|, d2 = 1.128 (Shewhart; ISO 7870-2:2013, charts for individuals): the
+    moving range of neighbours widens little where the mean drifts. None for fewer than `FEWEST` values.
+    """
+    if len(x) < FEWEST:
+        return None
+    centre, half = float(x.mean()), PER_RANGE * float(np.abs(np.diff(x)).mean())
+    return centre, centre - half, centre + half
+
+
+def drifts(rows: Sequence[Row]) -> list[Drift]:
+    """Charts by folder and robot, of the rows in the order of their start; none where no row can be charted."""
+    series: dict[tuple[str, str], list[tuple[datetime, Row]]] = {}
+    for row in rows:
+        if row.is_fitted and row.verdict != "do not use" and row.start is not None:
+            series.setdefault((row.folder, row.robot), []).append((row.start, row))
+    found = []
+    for (folder, robot), fits in series.items():
+        fits.sort(key=lambda fit: (fit[0], fit[1].file))
+        t_s = np.array([(start - fits[0][0]).total_seconds() for start, _ in fits])
+        charted = tuple(row for _, row in fits)
+        charts = [_error_chart(t_s, charted), *_parameter_charts(t_s, charted)]
+        found.append(Drift(name=f"{robot}, {folder}", rows=charted, charts=tuple(charts)))
+    return found
+
+
+def _error_chart(t_s: Array, rows: Sequence[Row]) -> Chart:
+    unknown = float("nan")
+    values = {
+        k: Value(value=row.moving_error_percent, low=unknown, high=unknown, unit="%")
+        for k, row in enumerate(rows)
+        if row.moving_error_percent is not None
+    }
+    return _chart(ERROR, values, t_s, rows)
+
+
+def _parameter_charts(t_s: Array, rows: Sequence[Row]) -> list[Chart]:
+    names = dict.fromkeys(name for row in rows for name in row.parameters)
+    return [
+        _chart(name, {k: row.parameters[name] for k, row in enumerate(rows) if name in row.parameters}, t_s, rows)
+        for name in names
+    ]
+
+
+def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Row]) -> Chart:
+    """The chart of a number that the rows of these places have."""
+    x, low, high = (
+        np.array([getattr(v, key) for v in values.values()], dtype=np.float64) for key in ("value", "low", "high")
+    )
+    return Chart(
+        name=name,
+        unit=next((value.unit for value in values.values()), ""),
+        files=tuple(rows[k].file for k in values),
+        t_s=t_s[list(values)],
+        x=x,
+        low=low,
+        high=high,
+        limits=control_limits(x),
+    )
+
+
+def fleet_document(rows: Sequence[Row]) -> Document:
+    """The report: a line per recording, and what is beyond its control limits.
+
+    Parameters
+    ----------
+    rows : of the fleet, in the order in which they are shown.
+    """
+    shown = tuple(
+        (
+            row.start.strftime("%Y-%m-%d %H:%M") if row.start else "-",
+            row.file,
+            row.status,
+            row.verdict or "-",
+            Number(row.moving_error_percent, ".3g"),
+            Number(row.error_percent, ".3g"),
+        )
+        for row in rows
+    )
+    head = columns("start, UTC", "recording", "status", "verdict", numbers=("moving error %", "error %"))
+    reasons = tuple(f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason)
+    fitted = sum(row.is_fitted for row in rows)
+    series = drifts(rows)
+    return Document(
+        title=f"{len(rows)} recordings, {fitted} fitted",
+        sections=(
+            Section(table=Table(columns=head, rows=shown), warnings=reasons),
+            *(_drift_section(drift) for drift in series),
+        ),
+    )
+
+
+def _drift_section(drift: Drift) -> Section:
+    title = f"drift: {drift.name}"
+    if len(drift.rows) < FEWEST:
+        return Section(
+            title=title, lines=(f"{len(drift.rows)} fits that can be charted; control limits need {FEWEST}",)
+        )
+    rows = tuple(
+        (
+            chart.name,
+            Path(chart.files[k]).name,
+            Number(float(chart.x[k]), ".5g"),
+            Number(chart.limits[1], ".5g"),
+            Number(chart.limits[2], ".5g"),
+            chart.unit,
+        )
+        for chart in drift.charts
+        if chart.limits is not None
+        for k in chart.outside
+    )
+    text = f"{len(drift.charts)} charts of {len(drift.rows)} fits; mean ± 3 deviations, these by the mean moving range"
+    if not rows:
+        return Section(title=title, lines=(text, "nothing is beyond its control limits"))
+    head = columns("of", "recording", numbers=("value", "lower", "upper")) + columns("unit")
+    return Section(title=title, table=Table(columns=head, rows=rows), lines=(text,))

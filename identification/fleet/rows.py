@@ -1,0 +1,135 @@
+"""A recording of a fleet and its fit as one row, and the task that makes it."""
+
+import hashlib
+from dataclasses import dataclass, field
+from datetime import datetime
+from importlib.metadata import version
+
+import msgspec
+
+from acquisition.errors import AcquisitionError
+
+from ..data import RecordingFile, Signals
+from ..errors import IdentificationError
+from ..methods import Fit, Iteration, Method, identify_iv, identify_ls
+from ..regression import Overrides
+from ..report import fitted_parameters
+
+PACKAGES = ("robot-idim", "numpy", "scipy", "pin")  # whose versions a fit depends on
+
+
+@dataclass(frozen=True, kw_only=True)
+class FleetSettings:
+    """What all recordings of a fleet are fitted with.
+
+    Attributes:
+        method: of the fits.
+        overrides: settings in place of those of the descriptions.
+        description: content of the files of a description in place of the recordings' own, by name; None for their own.
+    """
+
+    method: Method = "wls"
+    overrides: Overrides = field(default_factory=Overrides)
+    description: tuple[tuple[str, bytes], ...] | None = None
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the settings and of the versions: rows made with others are made anew."""
+        versions = [version(package) for package in PACKAGES]
+        return hashlib.sha256(repr((self.method, self.overrides, self.description, versions)).encode()).hexdigest()
+
+
+class Value(msgspec.Struct, frozen=True, kw_only=True):
+    """A base parameter with the ends of its 95 % interval, SI."""
+
+    value: float
+    low: float | None
+    high: float | None
+    unit: str
+
+
+class Row(msgspec.Struct, frozen=True, kw_only=True):
+    """A recording and its fit.
+
+    Attributes:
+        folder: of the fleet that the recording was found under; `file` its path.
+        sha256: of the file, empty where it cannot be read.
+        start: when the recording began, None where nothing says so.
+        robot: its name, empty where the recording cannot be read.
+        status: of the fit, `failed` or `copy`; `reason` says why there is no fit.
+        verdict: of the fit, empty without one.
+        error_percent, moving_error_percent, standing_error_percent: relative torque errors of all rows, of those of moving
+            joints and of the others.
+        parameters: by name, empty without a fit.
+    """
+
+    folder: str
+    file: str
+    sha256: str = ""
+    start: datetime | None = None
+    robot: str = ""
+    method: Method
+    status: str
+    verdict: str = ""
+    reason: str = ""
+    error_percent: float | None = None
+    moving_error_percent: float | None = None
+    standing_error_percent: float | None = None
+    parameters: dict[str, Value] = {}
+
+    @property
+    def is_fitted(self) -> bool:
+        """Whether the row has an estimate."""
+        return bool(self.parameters)
+
+
+def fit_row(source: RecordingFile, settings: FleetSettings, row: Row) -> Row | None:
+    """Fit a recording.
+
+    Parameters
+    ----------
+    source : the recording.
+    settings : of the fleet.
+    row : what is known of the recording before it is read.
+
+    Returns
+    -------
+    The row of the fit, or the reason why there is none; None where this process does not find the file.
+    """
+    if not source.found:
+        return None
+    signals = None
+    try:
+        signals = source.load()
+        return _fitted(row, signals, _fit(signals, settings))
+    except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:
+        reason = str(error) or type(error).__name__
+    except Exception as error:  # one recording that shows a mistake of this program must not end a run of days
+        reason = f"unexpected {type(error).__name__}: {error}"
+    known = {} if signals is None else {"robot": signals.robot.name, "start": signals.began}
+    return msgspec.structs.replace(row, **known, status="failed", reason=reason.replace("\n", " "))
+
+
+def _fit(signals: Signals, settings: FleetSettings) -> Fit:
+    if settings.method == "iv":
+        return identify_iv(signals, settings.overrides, Iteration())
+    return identify_ls(signals, settings.overrides, method=settings.method)
+
+
+def _fitted(row: Row, signals: Signals, fit: Fit) -> Row:
+    whole = fit.errors[-1]
+    return msgspec.structs.replace(
+        row,
+        start=signals.began,
+        robot=signals.robot.name,
+        status=fit.status,
+        verdict=fit.trust.verdict,
+        reason=(fit.iv.reason or "") if fit.iv else "",
+        error_percent=whole.relative_error_percent,
+        moving_error_percent=whole.moving_relative_error_percent,
+        standing_error_percent=whole.standing_relative_error_percent,
+        parameters={
+            name: Value(value=p.value, low=p.low, high=p.high, unit=p.unit)
+            for name, p in fitted_parameters(fit).parameters.items()
+        },
+    )

@@ -1,0 +1,164 @@
+"""The run over a fleet: which recordings there are, which rows are kept from earlier runs, and the fits of the others."""
+
+import hashlib
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+
+from acquisition.files import atomic_write
+
+from ..data import RecordingFile
+from ..errors import IdentificationError
+from ..work import Work
+from .rows import FleetSettings, Row, fit_row
+
+Say = Callable[[int, str], None]
+OpenWork = Callable[[int], AbstractContextManager[Work]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kept:
+    """Rows kept as one file per recording in a folder, by the digests of the recording and of the settings."""
+
+    folder: Path
+    settings: str
+
+    def _path(self, sha256: str) -> Path:
+        return self.folder / f"{sha256[:32]}-{self.settings[:16]}.json"
+
+    def row(self, recording: Row) -> Row | None:
+        """The row of a recording that was fitted with the same settings, wherever it lay; None where there is none."""
+        try:
+            row = msgspec.json.decode(self._path(recording.sha256).read_bytes(), type=Row)
+        except (OSError, msgspec.DecodeError):  # a file of another version, or a damaged one: fitted again
+            return None
+        if row.sha256 != recording.sha256:
+            return None
+        return msgspec.structs.replace(row, folder=recording.folder, file=recording.file)
+
+    def keep(self, row: Row) -> None:
+        """Keep a row. Raises `AcquisitionError` where its file cannot be written."""
+        with atomic_write(self._path(row.sha256)) as partial:
+            partial.write_bytes(msgspec.json.format(msgspec.json.encode(row), indent=1))
+
+
+def found_recordings(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
+    """Every `*.mcap` under the folders, with its folder, by name; a file under two of them stands under the first.
+
+    Raises
+    ------
+    IdentificationError : where one is not a folder, or none holds a recording.
+    """
+    found: dict[Path, tuple[Path, Path]] = {}
+    for folder in folders:
+        if not folder.is_dir():
+            raise IdentificationError("is no folder", place=str(folder), expected="a folder of recordings, *.mcap")
+        for path in sorted(folder.rglob("*.mcap")):
+            if path.is_file() and not path.name.startswith("."):  # others are being written
+                found.setdefault(path.resolve(), (folder, path))
+    if not found:
+        raise IdentificationError(
+            "no recordings", place=", ".join(map(str, folders)), expected="files *.mcap in the folders or below them"
+        )
+    return list(found.values())
+
+
+def run_fleet(
+    recordings: Sequence[tuple[Path, Path]], settings: FleetSettings, kept: Path, open_work: OpenWork, say: Say
+) -> list[Row]:
+    """One fit per recording.
+
+    Parameters
+    ----------
+    recordings : folders and paths, as of `found_recordings`.
+    settings : of all fits.
+    kept : folder of the rows that earlier runs made; each row is kept there as soon as it is made.
+    open_work : where so many tasks are done; called again after workers were lost.
+    say : called with the number of rows that are there, and the file of the last.
+
+    Returns
+    -------
+    A row per recording, in the order of their start; those without one last. A recording that cannot be fitted has a row
+    with the reason, and so has one with the same content as another.
+
+    Raises
+    ------
+    AcquisitionError : where a row cannot be kept.
+    """
+    store = Kept(folder=kept, settings=settings.digest)
+    rows: list[Row] = []
+    first: dict[str, str] = {}  # file with that digest
+    to_fit: list[Row] = []
+    for folder, path in recordings:
+        row = _begun(folder, path, settings)
+        if row.sha256 in first:
+            row = msgspec.structs.replace(row, status="copy", reason=f"holds the same as {first[row.sha256]}")
+        elif row.sha256:
+            first[row.sha256] = row.file
+            earlier = store.row(row)
+            if earlier is None:
+                to_fit.append(row)
+                continue
+            row = earlier
+        rows.append(row)
+    say(len(rows), "kept from earlier runs")
+    for row, lasting in _fits(to_fit, settings, open_work):
+        if lasting:
+            store.keep(row)
+        rows.append(row)
+        say(len(rows), row.file)
+    return sorted(rows, key=lambda row: (row.start is None, row.start.timestamp() if row.start else 0.0, row.file))
+
+
+def _begun(folder: Path, path: Path, settings: FleetSettings) -> Row:
+    """What is known of a recording from its bytes; a file that cannot be read has failed."""
+    row = Row(folder=str(folder), file=str(path), method=settings.method, status="open")
+    try:
+        with path.open("rb") as file:
+            return msgspec.structs.replace(row, sha256=hashlib.file_digest(file, "sha256").hexdigest())
+    except OSError as error:
+        reason = f"{path}: cannot be read: {error.strerror or error}"
+        return msgspec.structs.replace(row, status="failed", reason=reason)
+
+
+def _fits(rows: Sequence[Row], settings: FleetSettings, open_work: OpenWork) -> Iterator[tuple[Row, bool]]:
+    """The rows of the fits, and whether each is what the recording gives: not where its workers died.
+
+    Where workers are lost, the first task that was not done is tried again alone, and the others go on with new workers.
+    """
+    tasks = [
+        (RecordingFile(path=str(Path(row.file).absolute()), description=settings.description), settings, row)
+        for row in rows
+    ]
+    while tasks:
+        with open_work(len(tasks)) as work:
+            results, done = work.run(fit_row, tasks), 0
+            try:
+                for result in results:
+                    yield result or _sent(work, *tasks[done]), True
+                    done += 1
+            except IdentificationError:
+                pass  # tasks do not raise: workers are lost
+        if done < len(tasks):
+            yield _alone(tasks[done], open_work)
+            done += 1
+        tasks = tasks[done:]
+
+
+def _sent(work: Work, source: RecordingFile, settings: FleetSettings, row: Row) -> Row:
+    """The row of a recording that the worker did not find: its content is sent."""
+    (result,) = work.run(fit_row, [(source.with_content(), settings, row)])
+    assert isinstance(result, Row)
+    return result
+
+
+def _alone(task: tuple[RecordingFile, FleetSettings, Row], open_work: OpenWork) -> tuple[Row, bool]:
+    with open_work(2) as work:  # not in this process, which would end with the worker
+        try:
+            (result,) = work.run(fit_row, [task])
+            return result or _sent(work, *task), True
+        except IdentificationError as error:
+            return msgspec.structs.replace(task[2], status="failed", reason=str(error)), False
