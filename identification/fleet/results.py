@@ -186,7 +186,7 @@ def fleet_document(rows: Sequence[Row]) -> Document:
     fitted = sum(row.is_fitted for row in rows)
     series = drifts(rows)
     return Document(
-        title=f"{len(rows)} recordings, {fitted} fitted",
+        title=f"recordings: {len(rows)}, fitted: {fitted}",
         sections=(
             Section(table=Table(columns=head, rows=shown), warnings=reasons),
             *(_drift_section(drift) for drift in series),
@@ -198,7 +198,7 @@ def _drift_section(drift: Drift) -> Section:
     title = f"drift: {drift.name}"
     if len(drift.rows) < FEWEST:
         return Section(
-            title=title, lines=(f"{len(drift.rows)} fits that can be charted; control limits need {FEWEST}",)
+            title=title, lines=(f"fits that can be charted: {len(drift.rows)}; control limits need {FEWEST}",)
         )
     rows = tuple(
         (

@@ -3,7 +3,6 @@
 import hashlib
 from dataclasses import dataclass, field
 from datetime import datetime
-from importlib.metadata import version
 
 import msgspec
 
@@ -14,8 +13,7 @@ from ..errors import IdentificationError
 from ..methods import Fit, Iteration, Method, identify_iv, identify_ls
 from ..regression import Overrides
 from ..report import fitted_parameters
-
-PACKAGES = ("robot-idim", "numpy", "scipy", "pin")  # whose versions a fit depends on
+from ..work import versions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,8 +33,8 @@ class FleetSettings:
     @property
     def digest(self) -> str:
         """SHA-256 of the settings and of the versions: rows made with others are made anew."""
-        versions = [version(package) for package in PACKAGES]
-        return hashlib.sha256(repr((self.method, self.overrides, self.description, versions)).encode()).hexdigest()
+        made_with = (self.method, self.overrides, self.description, sorted(versions().items()))
+        return hashlib.sha256(repr(made_with).encode()).hexdigest()
 
 
 class Value(msgspec.Struct, frozen=True, kw_only=True):

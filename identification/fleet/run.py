@@ -134,7 +134,7 @@ def _fits(rows: Sequence[Row], settings: FleetSettings, open_work: OpenWork) -> 
         for row in rows
     ]
     while tasks:
-        with open_work(len(tasks)) as work:
+        with open_work(max(2, len(tasks))) as work:  # one alone is not done in this process, which would end with it
             results, done = work.run(fit_row, tasks), 0
             try:
                 for result in results:
@@ -156,7 +156,7 @@ def _sent(work: Work, source: RecordingFile, settings: FleetSettings, row: Row) 
 
 
 def _alone(task: tuple[RecordingFile, FleetSettings, Row], open_work: OpenWork) -> tuple[Row, bool]:
-    with open_work(2) as work:  # not in this process, which would end with the worker
+    with open_work(2) as work:
         try:
             (result,) = work.run(fit_row, [task])
             return result or _sent(work, *task), True

@@ -1,6 +1,6 @@
 """Where tasks run: in this process, in processes of this machine, on a Dask cluster. The only room that imports distributed."""
 
-from .dask_cluster import cluster
+from .dask_cluster import cluster, versions
 from .work import Pool, Serial, Work, processes
 
-__all__ = ["Pool", "Serial", "Work", "cluster", "processes"]
+__all__ = ["Pool", "Serial", "Work", "cluster", "processes", "versions"]
