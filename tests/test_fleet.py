@@ -4,6 +4,7 @@ import shutil
 from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -14,6 +15,7 @@ from test_viewer import Written
 from acquisition.robot.robot import robot_from_files
 from identification.commands.program import main
 from identification.data.signals import load_signals
+from identification.data.sources import Recordings
 from identification.errors import IdentificationError
 from identification.fleet import rows as rows_module
 from identification.fleet.results import control_limits, drifts
@@ -201,6 +203,52 @@ def test_rows_of_other_settings_content_or_versions_are_made_again(fleet, tmp_pa
     assert len(fits) == 9, "damaged rows are made again"
 
 
+def test_recordings_of_a_folder_are_fitted_together(fleet, tmp_path):
+    for name, members in {"monday": "12", "tuesday": "34", "cut": "5"}.items():
+        (tmp_path / "arm" / name).mkdir(parents=True)
+        for member in members:
+            shutil.copy(fleet / "2026" / f"{member}.mcap", tmp_path / "arm" / name)
+    (tmp_path / "arm" / "cut" / "7.mcap").write_bytes((fleet / "2026" / "6.mcap").read_bytes()[:50_000])
+    kept = tmp_path / "kept"
+    kept.mkdir()
+
+    def rows():
+        found = found_recordings([tmp_path / "arm"], by_folder=True)
+        return {Path(r.file).name: r for r in run_fleet(found, FleetSettings(), kept, in_this_process, lambda *_: None)}
+
+    first = rows()
+    assert list(first) == ["tuesday", "monday", "cut"], "by the first of their recordings"
+    assert first["cut"].status == "failed"
+    assert "7.mcap: is cut" in first["cut"].reason
+    members = tuple(load_signals(fleet / "2026" / f"{member}.mcap") for member in "43")
+    fit = identify_ls(Recordings(sources=members), Overrides())
+    assert first["tuesday"].start == members[0].began
+    assert first["tuesday"].error_percent == fit.errors[-1].relative_error_percent
+    assert [value.value for value in first["tuesday"].parameters.values()] == fit.estimate.beta.tolist()
+    shutil.copy(fleet / "2026" / "6.mcap", tmp_path / "arm" / "monday")
+    second = rows()
+    assert second["monday"].parameters != first["monday"].parameters, "fitted again with the new recording"
+    assert second["tuesday"] == first["tuesday"]
+    assert len(list(kept.iterdir())) == 4
+
+
+def test_a_recording_that_changes_while_the_fleet_is_fitted_is_not_kept_as_another(fleet, tmp_path):
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    shutil.copy(fleet / "2026" / "1.mcap", folder)
+
+    @contextmanager
+    def late(tasks):
+        shutil.copy(fleet / "2026" / "2.mcap", folder / "1.mcap")
+        yield Serial()
+
+    (row,) = run(folder, tmp_path / "kept", open_work=late)
+    assert row.status == "failed"
+    assert "has changed since the run began" in row.reason
+    (row,) = run(folder, tmp_path / "kept")
+    assert row.is_fitted
+
+
 class Deadly:
     """Two workers: the one that gets `deadly` dies, and takes the task of the other with it."""
 
@@ -211,7 +259,7 @@ class Deadly:
 
     def run(self, function, tasks):
         for k, task in enumerate(tasks):
-            if any(self.deadly in other[0].path for other in tasks[k : k + 2]):
+            if any(self.deadly in other[0][0].path for other in tasks[k : k + 2]):
                 raise IdentificationError("workers ended 3 times")
             yield function(*task)
 
@@ -236,7 +284,7 @@ def test_a_worker_that_does_not_find_the_file_gets_its_content(fleet, tmp_path):
         remote = True
 
         def run(self, function, tasks):
-            elsewhere = [(replace(t[0], path=f"/nowhere/{t[0].path.rsplit('/', 1)[1]}"), *t[1:]) for t in tasks]
+            elsewhere = [(tuple(replace(x, path=f"/nowhere/{Path(x.path).name}") for x in t[0]), *t[1:]) for t in tasks]
             return super().run(function, elsewhere)
 
     @contextmanager
@@ -288,6 +336,10 @@ def test_the_command_by_iv_with_its_report(tmp_path, capsys):
     (row,) = pyarrow.parquet.read_table(out).to_pylist()
     assert (row["method"], row["status"], row["robot"]) == ("iv", "converged", "SCARA")
     assert row["start"] == datetime(2026, 11, 22, 2, 9, 56, tzinfo=UTC), "its stamps are no dates: when it was made"
+    assert main([*arguments, "--cutoff-hz", "20", "--workers", "1"]) == 0
+    (row,) = pyarrow.parquet.read_table(out).to_pylist()
+    fit = identify_ls(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(cutoff_hz=20.0))
+    assert row["error_percent"] == fit.errors[-1].relative_error_percent, "with the settings of the command line"
 
 
 def test_bad_input_is_one_line(tmp_path, capsys):

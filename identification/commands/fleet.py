@@ -25,6 +25,9 @@ def add(commands: Commands) -> None:
         help="every *.mcap in it and below; control limits are those of a folder",
     )
     inputs.add_argument(
+        "--by-folder", action="store_true", help="fit recordings that lie in one folder together: a row per folder"
+    )
+    inputs.add_argument(
         "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recordings' own"
     )
     add_method(add_settings(parser))
@@ -48,7 +51,7 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         from ..fleet import drifts, fleet_document, found_recordings, run_fleet, write_table
 
-        settings, recordings = _settings(options), found_recordings(options.folders)
+        settings, recordings = _settings(options), found_recordings(options.folders, by_folder=options.by_folder)
         refuse_outputs([path for _, path in recordings], options.out, options.rrd)
         kept = options.out.with_name(f"{options.out.name}.rows")
         make_folder(kept)

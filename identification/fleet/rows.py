@@ -1,6 +1,7 @@
-"""A recording of a fleet and its fit as one row, and the task that makes it."""
+"""A recording of a fleet, or those of a folder, and their fit as one row, and the task that makes it."""
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 
@@ -8,7 +9,7 @@ import msgspec
 
 from acquisition.errors import AcquisitionError
 
-from ..data import RecordingFile, Signals
+from ..data import RecordingFile, Recordings, Signals
 from ..errors import IdentificationError
 from ..methods import Fit, Iteration, Method, identify_iv, identify_ls
 from ..regression import Overrides
@@ -47,11 +48,11 @@ class Value(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Row(msgspec.Struct, frozen=True, kw_only=True):
-    """A recording and its fit.
+    """A recording and its fit, or recordings that are fitted together.
 
     Attributes:
-        folder: of the fleet that the recording was found under; `file` its path.
-        sha256: of the file, empty where it cannot be read.
+        folder: of the fleet that the recording was found under; `file` its path, or the folder of several.
+        sha256: `digest_of` the files, empty where one cannot be read.
         start: when the recording began, None where nothing says so.
         robot: its name, empty where the recording cannot be read.
         status: of the fit, `failed` or `copy`; `reason` says why there is no fit.
@@ -81,45 +82,52 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
         return bool(self.parameters)
 
 
-def fit_row(source: RecordingFile, settings: FleetSettings, row: Row) -> Row | None:
-    """Fit a recording.
+def digest_of(digests: Sequence[str]) -> str:
+    """The digest of a recording, or one of several recordings in whatever order."""
+    return digests[0] if len(digests) == 1 else hashlib.sha256(" ".join(sorted(digests)).encode()).hexdigest()
+
+
+def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Row) -> Row | None:
+    """Fit a recording, or several of one robot together.
 
     Parameters
     ----------
-    source : the recording.
+    sources : the recordings.
     settings : of the fleet.
     row : what is known of the recording before it is read.
 
     Returns
     -------
-    The row of the fit, or the reason why there is none; None where this process does not find the file.
+    The row of the fit, or the reason why there is none; None where this process does not find a file.
     """
-    if not source.found:
+    if not all(source.found for source in sources):
         return None
-    signals = None
     try:
-        signals = source.load()
-        return _fitted(row, signals, _fit(signals, settings))
+        loaded = tuple(source.load() for source in sources)
+        began = [signals.began for signals in loaded if signals.began is not None]
+        row = msgspec.structs.replace(row, robot=loaded[0].robot.name, start=min(began, default=None))
+        if digest_of([signals.sha256 for signals in loaded]) != row.sha256:
+            raise IdentificationError(
+                "has changed since the run began", place=row.file, expected="a finished recording"
+            )
+        return _fitted(row, _fit(loaded[0] if len(loaded) == 1 else Recordings(sources=loaded), settings))
     except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:
         reason = str(error) or type(error).__name__
     except Exception as error:  # one recording that shows a mistake of this program must not end a run of days
         reason = f"unexpected {type(error).__name__}: {error}"
-    known = {} if signals is None else {"robot": signals.robot.name, "start": signals.began}
-    return msgspec.structs.replace(row, **known, status="failed", reason=reason.replace("\n", " "))
+    return msgspec.structs.replace(row, status="failed", reason=reason.replace("\n", " "))
 
 
-def _fit(signals: Signals, settings: FleetSettings) -> Fit:
+def _fit(signals: Signals | Recordings, settings: FleetSettings) -> Fit:
     if settings.method == "iv":
         return identify_iv(signals, settings.overrides, Iteration())
     return identify_ls(signals, settings.overrides, method=settings.method)
 
 
-def _fitted(row: Row, signals: Signals, fit: Fit) -> Row:
+def _fitted(row: Row, fit: Fit) -> Row:
     whole = fit.errors[-1]
     return msgspec.structs.replace(
         row,
-        start=signals.began,
-        robot=signals.robot.name,
         status=fit.status,
         verdict=fit.trust.verdict,
         reason=(fit.iv.reason or "") if fit.iv else "",

@@ -13,9 +13,10 @@ from acquisition.files import atomic_write
 from ..data import RecordingFile
 from ..errors import IdentificationError
 from ..work import Work
-from .rows import FleetSettings, Row, fit_row
+from .rows import FleetSettings, Row, digest_of, fit_row
 
 Say = Callable[[int, str], None]
+Task = tuple[tuple[RecordingFile, ...], FleetSettings, Row]
 OpenWork = Callable[[int], AbstractContextManager[Work]]
 
 
@@ -45,8 +46,17 @@ class Kept:
             partial.write_bytes(msgspec.json.format(msgspec.json.encode(row), indent=1))
 
 
-def found_recordings(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
-    """Every `*.mcap` under the folders, with its folder, by name; a file under two of them stands under the first.
+def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> list[tuple[Path, Path]]:
+    """What is fitted, by name, with the one of `folders` that it was first found under.
+
+    Parameters
+    ----------
+    folders : of a fleet.
+    by_folder : recordings that lie in one folder make one fit.
+
+    Returns
+    -------
+    Every `*.mcap` under the folders, or every folder that has some.
 
     Raises
     ------
@@ -56,9 +66,9 @@ def found_recordings(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
     for folder in folders:
         if not folder.is_dir():
             raise IdentificationError("is no folder", place=str(folder), expected="a folder of recordings, *.mcap")
-        for path in sorted(folder.rglob("*.mcap")):
-            if path.is_file() and not path.name.startswith("."):  # others are being written
-                found.setdefault(path.resolve(), (folder, path))
+        for path in sorted(path for path in folder.rglob("*.mcap") if _is_recording(path)):
+            fitted = path.parent if by_folder else path
+            found.setdefault(fitted.resolve(), (folder, fitted))
     if not found:
         raise IdentificationError(
             "no recordings", place=", ".join(map(str, folders)), expected="files *.mcap in the folders or below them"
@@ -66,14 +76,18 @@ def found_recordings(folders: Sequence[Path]) -> list[tuple[Path, Path]]:
     return list(found.values())
 
 
+def _is_recording(path: Path) -> bool:
+    return path.is_file() and not path.name.startswith(".")  # those are being written
+
+
 def run_fleet(
     recordings: Sequence[tuple[Path, Path]], settings: FleetSettings, kept: Path, open_work: OpenWork, say: Say
 ) -> list[Row]:
-    """One fit per recording.
+    """One fit per recording, or per folder of recordings.
 
     Parameters
     ----------
-    recordings : folders and paths, as of `found_recordings`.
+    recordings : folders of the fleet and paths, as of `found_recordings`.
     settings : of all fits.
     kept : folder of the rows that earlier runs made; each row is kept there as soon as it is made.
     open_work : where so many tasks are done; called again after workers were lost.
@@ -81,7 +95,7 @@ def run_fleet(
 
     Returns
     -------
-    A row per recording, in the order of their start; those without one last. A recording that cannot be fitted has a row
+    A row per path, in the order of their start; those without one last. A recording that cannot be fitted has a row
     with the reason, and so has one with the same content as another.
 
     Raises
@@ -91,21 +105,23 @@ def run_fleet(
     store = Kept(folder=kept, settings=settings.digest)
     rows: list[Row] = []
     first: dict[str, str] = {}  # file with that digest
-    to_fit: list[Row] = []
+    tasks: list[Task] = []
     for folder, path in recordings:
-        row = _begun(folder, path, settings)
+        files = sorted(filter(_is_recording, path.glob("*.mcap"))) if path.is_dir() else [path]
+        row = _begun(Row(folder=str(folder), file=str(path), method=settings.method, status="open"), files)
         if row.sha256 in first:
             row = msgspec.structs.replace(row, status="copy", reason=f"holds the same as {first[row.sha256]}")
         elif row.sha256:
             first[row.sha256] = row.file
             earlier = store.row(row)
             if earlier is None:
-                to_fit.append(row)
+                sources = (RecordingFile(path=str(file.absolute()), description=settings.description) for file in files)
+                tasks.append((tuple(sources), settings, row))
                 continue
             row = earlier
         rows.append(row)
     say(len(rows), "kept from earlier runs")
-    for row, lasting in _fits(to_fit, settings, open_work):
+    for row, lasting in _fits(tasks, open_work):
         if lasting:
             store.keep(row)
         rows.append(row)
@@ -113,26 +129,24 @@ def run_fleet(
     return sorted(rows, key=lambda row: (row.start is None, row.start.timestamp() if row.start else 0.0, row.file))
 
 
-def _begun(folder: Path, path: Path, settings: FleetSettings) -> Row:
-    """What is known of a recording from its bytes; a file that cannot be read has failed."""
-    row = Row(folder=str(folder), file=str(path), method=settings.method, status="open")
-    try:
-        with path.open("rb") as file:
-            return msgspec.structs.replace(row, sha256=hashlib.file_digest(file, "sha256").hexdigest())
-    except OSError as error:
-        reason = f"{path}: cannot be read: {error.strerror or error}"
-        return msgspec.structs.replace(row, status="failed", reason=reason)
+def _begun(row: Row, files: Sequence[Path]) -> Row:
+    """What is known of recordings from their bytes; one that cannot be read has failed."""
+    digests = []
+    for path in files:
+        try:
+            with path.open("rb") as file:
+                digests.append(hashlib.file_digest(file, "sha256").hexdigest())
+        except OSError as error:
+            reason = f"{path}: cannot be read: {error.strerror or error}"
+            return msgspec.structs.replace(row, status="failed", reason=reason)
+    return msgspec.structs.replace(row, sha256=digest_of(digests))
 
 
-def _fits(rows: Sequence[Row], settings: FleetSettings, open_work: OpenWork) -> Iterator[tuple[Row, bool]]:
+def _fits(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, bool]]:
     """The rows of the fits, and whether each is what the recording gives: not where its workers died.
 
     Where workers are lost, the first task that was not done is tried again alone, and the others go on with new workers.
     """
-    tasks = [
-        (RecordingFile(path=str(Path(row.file).absolute()), description=settings.description), settings, row)
-        for row in rows
-    ]
     while tasks:
         with open_work(max(2, len(tasks))) as work:  # one alone is not done in this process, which would end with it
             results, done = work.run(fit_row, tasks), 0
@@ -148,14 +162,14 @@ def _fits(rows: Sequence[Row], settings: FleetSettings, open_work: OpenWork) -> 
         tasks = tasks[done:]
 
 
-def _sent(work: Work, source: RecordingFile, settings: FleetSettings, row: Row) -> Row:
+def _sent(work: Work, sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Row) -> Row:
     """The row of a recording that the worker did not find: its content is sent."""
-    (result,) = work.run(fit_row, [(source.with_content(), settings, row)])
+    (result,) = work.run(fit_row, [(tuple(source.with_content() for source in sources), settings, row)])
     assert isinstance(result, Row)
     return result
 
 
-def _alone(task: tuple[RecordingFile, FleetSettings, Row], open_work: OpenWork) -> tuple[Row, bool]:
+def _alone(task: Task, open_work: OpenWork) -> tuple[Row, bool]:
     with open_work(2) as work:
         try:
             (result,) = work.run(fit_row, [task])
