@@ -228,28 +228,6 @@ def test_intervals_of_several_recordings_by_hand():
     np.testing.assert_allclose(found.half, stats.t.ppf(0.975, freedom) * np.sqrt(variance), rtol=1e-6)
 
 
-def test_time_blocks_with_instruments_are_sums_over_their_rows():
-    """The same of instruments, of two recordings, joints weighted: intervals of the rows."""
-    T, n, b, rng = 128, 2, 3, np.random.default_rng(6)
-    W, Y, counts = rng.normal(size=(2, n, b, T)), rng.normal(size=(2, n, T)), rng.uniform(size=(2, T, n)) > 0.3
-    Z = W + 0.3 * rng.normal(size=W.shape)
-
-    def stacked(x):  # (2, n, ..., T) -> rows joint by joint, recording by recording
-        return np.moveaxis(x, -1, 2).swapaxes(0, 1).reshape(n * 2 * T, *x.shape[2:-1])
-
-    system = System.whole(stacked(W), stacked(Y), np.repeat([0, 1], 2 * T), tuple("abc"))
-    system = system.with_rows(stacked(counts.transpose(0, 2, 1)).astype(float))
-    fit = instrumental_variables(system, stacked(Z), np.array([1.0, 0.2]))
-    each = []
-    for k in range(2):
-        each.append(TimeBlocks.none_yet(T, n, tuple("abc"), instruments=True))
-        for a, z in ((0, 77), (77, T)):
-            each[k].add(a, W[k][..., a:z], Y[k][:, a:z], counts[k][a:z], Z[k][..., a:z])
-    W_w, Y_w = system.weighted(fit.weights)
-    by_rows = intervals(fit, Y_w - W_w @ fit.beta, n, (T, T))
-    np.testing.assert_allclose(intervals_of_blocks(fit, each).sigma, by_rows.sigma, rtol=1e-9)
-
-
 def test_time_blocks_are_equal():
     """1000 instants in 128 blocks of 7 or 8, brought in pieces that end within a block."""
     blocks = TimeBlocks.none_yet(1000, 1, ("a",))
