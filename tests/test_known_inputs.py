@@ -6,6 +6,7 @@ EMPS-like records of the independent simulator: pulses are added to the controll
 from dataclasses import dataclass, replace
 from functools import cache
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -15,6 +16,7 @@ from independent_simulator import Imperfections, described_controller, designed_
 from acquisition.commands import main as acquire
 from acquisition.robot.robot import load_robot
 from identification.commands import main as identify
+from identification.data import Recordings
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
@@ -285,4 +287,10 @@ def test_a_robot_of_vertical_axes_has_no_weight_to_miss():
     signals = flat_arm()
     assert "gravity" not in line(identify_ls(signals, Overrides()), "physical").text
     upright = replace(signals.robot, gravity=np.array([0.0, -9.81, 0.0]))  # a description that lays it on its side
-    assert "without gravity better" in line(identify_ls(replace(signals, robot=upright), Overrides()), "physical").text
+    laid = replace(signals, robot=upright)
+    found = line(identify_ls(laid, Overrides()), "physical").text
+    assert "without gravity better" in found
+    own = msgspec.structs.replace(upright.identification, own=["Fv"])
+    twice = [replace(laid, robot=replace(upright, identification=own), recording=x, sha256=x) for x in ("a", "b")]
+    both = line(identify_ls(Recordings(sources=tuple(twice)), Overrides()), "physical").text
+    assert "without gravity better" in both  # rows of both recordings, whose friction has columns of its own

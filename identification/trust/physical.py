@@ -172,14 +172,16 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
-    settings = problem.settings
-    q = settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
+    q = np.concatenate([_positions(part.problem) for part in evidence.parts])
     of_links = np.array([idm.is_link_parameter(c) for c in columns])
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
         return []
-    G = at_rest.transpose(1, 0, 2).reshape(-1, len(columns))
     system, weight = evidence.observed.system, evidence.rows.weight
+    G = np.zeros_like(system.W)  # a recording's own parameters have columns too
+    for name, column in zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True):
+        if name in system.names:
+            G[:, system.names.index(name)] = column.ravel()
     left = []
     for W in (system.W, system.W - G):
         A = W * weight[:, None]
@@ -192,6 +194,12 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
     text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
     return [_Finding(level="caution", text=text)]
+
+
+def _positions(problem: Problem) -> Array:
+    """Low-passed positions (rows, n) at the instants of a recording's rows."""
+    settings = problem.settings
+    return settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
 
 
 def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
