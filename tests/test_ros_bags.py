@@ -161,6 +161,14 @@ def test_without_header_stamps_receptions_are_the_time(tmp_path, capsys):
     assert "warning: headers have no stamps: times are those of reception" in capsys.readouterr().out
 
 
+def test_a_clock_that_begins_at_zero_stamps_the_first_header_with_it(tmp_path):
+    """As a recording of simulated time has it."""
+    path = bag(tmp_path / "a", (message(k, stamp_ns=k * 10_000_000) for k in range(N)))
+    status, out = imported(path, out=tmp_path / "out.mcap")
+    assert status == 0
+    np.testing.assert_array_equal(read_recording(out).samples["stamp_ns"], np.arange(N) * 10_000_000)
+
+
 def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, capsys):
     """3 N m/A at motors of ratios 2 and 5 are 6 and 15 N m at the joints for an ampere; N m is of the joints."""
     text = TOML.read_text()

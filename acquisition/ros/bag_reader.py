@@ -156,8 +156,8 @@ class _Parts:
             )
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
-        if not received and not stamps.all():
-            row = int(np.argmin(stamps != 0))
+        if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
+            row = 1 + int(np.argmin(stamps[1:] != 0))
             raise AcquisitionError(
                 "a header without a stamp",
                 place=f"{self._place}: state {row + 1}",
