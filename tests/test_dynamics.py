@@ -1,7 +1,5 @@
 """The model against physics: pinocchio's Newton-Euler, closed forms, power, and the field's base parameters."""
 
-import dataclasses
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -10,9 +8,7 @@ from conftest import REPLAY, robot_named
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.errors import IdentificationError
 from identification.model.base import base_parameters
-from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
-from identification.model.joint_terms import JointTerm
 from identification.study.synthetic import known_parameters
 
 RNG = np.random.default_rng(3)
@@ -201,26 +197,3 @@ def test_a_priori_values_must_be_standard_parameters_of_the_robot():
     dynamics = InverseModel(robot_from_files({"robot.toml": text.encode()}, "scara.toml"))
     with pytest.raises(IdentificationError, match=r"parameters\.ZZ7 = 0\.061: not a standard parameter"):
         known_parameters(dynamics)
-
-
-class Quadratic(JointTerm):
-    """A term of a kind that the direct model does not know: dq |dq| at its joint."""
-
-    def entry(self, j, dq, ddq):
-        return self.matrix[j] @ (dq * np.abs(dq)).T
-
-
-def test_a_term_of_a_new_kind_acts_in_the_direct_model_by_its_regressor():
-    dynamics = InverseModel(robot_named("scara"))
-    plain = direct_model(dynamics, known_parameters(dynamics))
-    second = np.diag([0.0, 1.0])
-    none = np.zeros(2)
-    of = {"name": "Fq2", "joint": 1, "unit": "N m s²/rad²", "kind": "quadratic"}
-    term = Quadratic(**of, matrix=second, direction=none, given_away=none)
-    model = dataclasses.replace(plain, others=((0.6, term),))
-    q, dq, ddq = np.random.default_rng(0).uniform(-2, 2, (3, 50, 2))
-    expected = np.c_[np.zeros(50), 0.6 * dq[:, 1] * np.abs(dq[:, 1])]
-    np.testing.assert_allclose(model.torque(q, dq, ddq) - plain.torque(q, dq, ddq), expected, atol=1e-12)
-    for k in range(5):
-        bias, without = (m.inertia_and_bias(q[k], dq[k])[1].copy() for m in (model, plain))
-        np.testing.assert_allclose(bias - without, expected[k], atol=1e-12)

@@ -25,7 +25,7 @@ from identification.model.derivatives import regressor_gradient, smooth_torque
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, truth, write_signals
-from identification.view.excitation_panels import excitation_plots, intervals_drawing
+from identification.view.design_panels import excitation_plots, intervals_drawing
 from identification.view.panels import GREY, ORANGE
 from identification.view.robot_drawing import excitation_scene
 from identification.view.viewer import write_excitation_rrd

@@ -205,7 +205,7 @@ def test_blocks_give_what_one_pass_gives(monkeypatch):
     signals = synthetic_signals()
     problem = make_problem(signals, Overrides(decimation=5))
     whole = regression_of_recording(problem)
-    monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 1)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(list(regression_module.motion_blocks(problem))) > 3
     parts = regression_of_recording(problem)
     for part, full in ((parts.system.W, whole.system.W), (parts.system.Y, whole.system.Y)):
@@ -216,7 +216,7 @@ def test_blocks_give_what_one_pass_gives(monkeypatch):
 def test_reduced_rows_give_the_same_fit(monkeypatch):
     signals, finely = synthetic_signals(), Overrides(decimation=5)
     whole = identify_ls(signals, finely)
-    monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 1)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     monkeypatch.setattr(regression_module, "_NUMBERS_IN_MEMORY", 1000)
     reduced = identify_ls(signals, finely)
     np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)

@@ -167,7 +167,7 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
     """A recording fitted as it is, and held reduced, in blocks that share no boundary with those of time."""
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
     whole = identify_ls(signals, Overrides(decimation=5), **kwargs)
-    monkeypatch.setattr(regression_module, "_SERIES_BLOCK", 300_000)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 300_000)
     monkeypatch.setattr(regression_module, "_NUMBERS_IN_MEMORY", 100_000)
     return whole, identify_ls(signals, Overrides(decimation=5), **kwargs)
 

@@ -3,8 +3,7 @@
 import pytest
 from conftest import REPLAY
 
-import identification.methods.idim as idim
-import identification.methods.iteration as iteration
+import identification.passes.settled as settled
 import identification.regression.motion as motion
 from identification.commands import main
 from identification.model.inverse import InverseModel
@@ -31,8 +30,7 @@ def test_a_fit_with_all_its_files(tmp_path, monkeypatch, options, filters, solut
 
     monkeypatch.setattr(InverseModel, "__init__", counted("model", InverseModel.__init__))
     monkeypatch.setattr(motion, "lowpass", counted("filter", motion.lowpass))
-    for module in (idim, iteration):
-        monkeypatch.setattr(module, "weighted_least_squares", counted("least squares", module.weighted_least_squares))
+    monkeypatch.setattr(settled, "weighted_least_squares", counted("least squares", settled.weighted_least_squares))
     files = ["--json", str(tmp_path / "fit.json"), "--rrd", str(tmp_path / "fit.rrd")]
     recording = REPLAY / "scara" / "session.mcap"
     assert main(["fit", str(recording), "--method", "iv", *files, *options]) == 0

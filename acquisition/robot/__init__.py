@@ -1,7 +1,7 @@
 """The robot's description: joints, motors, limits, the bus and its drives, resolved."""
 
 from .bus import BusFile, DriveFile, parse_homed
-from .description import DH, Capsule, Controller, Edges, Joint, LowSpeed, RobotFile, low_speed_by_method
+from .description import DH, Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
 from .limits import EffortLimits, check_recorded_positions, effort_limits
@@ -21,6 +21,7 @@ __all__ = [
     "Edges",
     "EffortLimits",
     "ExtraColumn",
+    "FrictionTerm",
     "Joint",
     "LowSpeed",
     "Positive",

@@ -5,6 +5,7 @@ Angles are degrees here.
 """
 
 import math
+from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -25,6 +26,8 @@ Edges = Literal["smooth", "matlab"]
 EffortUnit = Literal["A", "V", "N m", "N"]
 
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
+
+FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
 
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
@@ -54,10 +57,12 @@ class Joint(TomlTable, frozen=True):
     dh: DH | None = None
     zero_deg: float | None = None
     zero_m: float | None = None
-    viscous: bool = True
-    coulomb: bool = True
-    offset: bool = False
-    friction: Literal["symmetric", "asymmetric"] = "symmetric"
+    viscous: bool | None = None
+    coulomb: bool | None = None
+    offset: bool | None = None
+    friction: Literal["symmetric", "asymmetric"] | tuple[FrictionTerm, ...] = "symmetric"
+    stribeck_speed_deg_s: Positive | None = None
+    stribeck_speed_m_s: Positive | None = None
     rotor_inertia: bool = True
     position_deg: tuple[float, float] | None = None
     position_m: tuple[float, float] | None = None
@@ -76,14 +81,28 @@ class Joint(TomlTable, frozen=True):
         """`rad` or `m`."""
         return "rad" if self.type == "revolute" else "m"
 
-    def si(self, quantity: str) -> Any:
-        """`zero`, `position`, `speed`, `acceleration`, `following_error` in rad or m (per s, s²), `effort` in N m or N.
+    @property
+    def one_sided(self) -> bool:
+        """Whether viscous and Coulomb friction are two for the two directions: the word `friction = "asymmetric"`."""
+        return self.friction == "asymmetric"
 
-        `None` where it is not stated.
+    @property
+    def terms(self) -> tuple[FrictionTerm, ...]:
+        """Friction terms: those of the list `friction`, or else by the keys `viscous`, `coulomb`, `offset`."""
+        if isinstance(self.friction, tuple):
+            return self.friction
+        stated: tuple[tuple[FrictionTerm, bool | None], ...]
+        stated = (("viscous", self.viscous), ("coulomb", self.coulomb), ("offset", self.offset or False))
+        return tuple(term for term, has in stated if has is not False)
+
+    def si(self, quantity: str) -> Any:
+        """`zero`, `position`, `speed`, `acceleration`, `following_error`, `stribeck_speed` in rad or m (per s, s²).
+
+        `effort` in N m or N. `None` where it is not stated.
         """
         if quantity == "effort":
             return self.effort_nm if self.type == "revolute" else self.effort_n
-        tail = {"speed": "_s", "acceleration": "_s2"}.get(quantity, "")
+        tail = {"speed": "_s", "stribeck_speed": "_s", "acceleration": "_s2"}.get(quantity, "")
         if self.type == "prismatic":
             return getattr(self, f"{quantity}_m{tail}")
         value = getattr(self, f"{quantity}_deg{tail}")
@@ -211,6 +230,7 @@ def check_description(f: RobotFile, place: str) -> None:
         if limits is not None and not limits[0] < limits[1]:
             unit = "deg" if other == "m" else "m"
             refuse(f"{key}.position_{unit}", getattr(joint, f"position_{unit}"), "[lowest, highest]")
+        _check_friction(joint, key, refuse)
     for i, motor in enumerate(f.motor):
         key = f"motor[{i}]"
         if (motor.drive_gain is None) != (motor.drive_gain_unit is None):
@@ -242,3 +262,20 @@ def check_description(f: RobotFile, place: str) -> None:
             refuse(f"controller.{name}", list(gains), "positive numbers")
     if f.bus is not None:
         check_bus(f.bus, tuple(m.recorded_unit for m in f.motor), place)
+
+
+def _check_friction(joint: Joint, key: str, refuse: Callable[[str, object, str], None]) -> None:
+    """A list of friction terms has each once, and takes the place of the keys; Stribeck friction has its speed."""
+    if isinstance(joint.friction, tuple):
+        for term in joint.friction:
+            if joint.friction.count(term) > 1:
+                refuse(f"{key}.friction", term, "each term once")
+        for name in ("viscous", "coulomb", "offset"):
+            if getattr(joint, name) is not None:
+                refuse(f"{key}.{name}", getattr(joint, name), "no such key beside a list of terms in friction")
+    speed_key = f"{key}.stribeck_speed_{'deg' if joint.type == 'revolute' else 'm'}_s"
+    speed = joint.si("stribeck_speed")
+    if "stribeck" in joint.terms and speed is None:
+        refuse(speed_key, None, "the speed at which Stribeck friction has fallen to 37 %")
+    if "stribeck" not in joint.terms and speed is not None:
+        refuse(speed_key, speed, 'the term "stribeck" in friction with it')

@@ -55,13 +55,16 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
     """The words that `kind` allows at `path`."""
     at = msgspec.inspect.type_info(kind)
-    for step in re.findall(r"\w+", re.sub(r"\[[^]]*\]", "", path)):
-        if isinstance(at, msgspec.inspect.StructType):
-            at = next(field.type for field in at.fields if field.encode_name == step)
-        if isinstance(at, msgspec.inspect.UnionType):
-            at = next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
+    for step in re.findall(r"\w+|\[[^]]*\]", path):
+        if isinstance(at, msgspec.inspect.UnionType):  # a list, if an item of it is meant; else the first
+            lists = [t for t in at.types if isinstance(t, msgspec.inspect.VarTupleType) and step.startswith("[")]
+            at = lists[0] if lists else next(t for t in at.types if not isinstance(t, msgspec.inspect.NoneType))
         if isinstance(at, msgspec.inspect.VarTupleType):
             at = at.item_type
+        elif isinstance(at, msgspec.inspect.StructType):
+            at = next(field.type for field in at.fields if field.encode_name == step)
+    if isinstance(at, msgspec.inspect.UnionType):
+        at = next((t for t in at.types if isinstance(t, msgspec.inspect.LiteralType)), at)
     return at.values if isinstance(at, msgspec.inspect.LiteralType) else ()
 
 

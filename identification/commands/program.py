@@ -4,12 +4,15 @@ from acquisition.commands import Program
 from acquisition.errors import AcquisitionError
 
 from ..errors import IdentificationError
-from . import base, compare, demo, excite, export, fit, fleet, init, schema, simulate, study, validate, view
+from . import base, compare, demo, excite, export, fit, fleet, friction, init, schema, simulate, study, validate, view
 
 PROGRAM = Program(
     name="robot-identify",
     description="Identify the dynamic parameters of a robot from a recording.",
-    commands=(fit, fleet, view, compare, validate, init, export, base, excite, simulate, study, demo, schema),
+    commands=(
+        *(fit, friction, fleet, view, compare, validate, init, export),
+        *(base, excite, simulate, study, demo, schema),
+    ),
     errors=(AcquisitionError, IdentificationError),
 )
 main = PROGRAM.main

@@ -14,7 +14,7 @@ from acquisition.trajectory import HARMONICS, LIMIT_SHARE, FourierReference, fou
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model, obstacles_of
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
 from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, MARGIN_M, Limits, limits_of
@@ -125,8 +125,9 @@ def excite(
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)
-    base = base_parameters(model)
-    direct = None if knowledge.beta is None else direct_model(model, base.standard_parameters(knowledge.beta))
+    every = base_parameters(model)
+    direct = None if knowledge.beta is None else direct_model(model, every.standard_parameters(knowledge.beta))
+    base = every.without(load_parameters(every))
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)

@@ -1,7 +1,7 @@
 """What is known of a robot before the motion: its parameters, the noise of its torque, earlier recordings."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, InverseModel, base_parameters
+from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, load_parameters
 from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
 from ..report import doubts, read_fit
 from ..study import truth
@@ -134,7 +134,8 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
-        known = (problem.base.names, problem.base.units, problem.base.expressions)
+        linear = problem.base.without(load_parameters(problem.base))
+        known = (linear.names, linear.units, linear.expressions)
         if known != (base.names, base.units, base.expressions):
             raise IdentificationError(
                 place=signals.recording,
@@ -142,6 +143,6 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
                 value=signals.robot.name,
                 expected="a recording of the described robot: its base parameters are others",
             )
-        W, _ = regression_of_recording(problem).system.weighted(1 / noise)
+        W, _ = regression_of_recording(replace(problem, base=linear)).system.weighted(1 / noise)
         M += W.T @ W
     return M

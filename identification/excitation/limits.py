@@ -28,7 +28,7 @@ class Limits:
         most: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
         model: with the parameters that the torque is computed by; None where there are none.
         effort: the limits of the efforts.
-        coulomb: (m,) what Coulomb friction takes of each.
+        coulomb: (m,) what friction with a sign takes of each at most: of Coulomb, of Stribeck, by the root of speed.
         share: of all limits that may be used.
         obstacles: pairs of shapes that keep a margin; their share is 1 at the margin, and less with more distance.
     """
@@ -127,7 +127,10 @@ def limits_of(
     limits = effort_limits(robot, place)
     coulomb = np.zeros(len(limits.limits))
     if model is not None:
-        coulomb = np.abs(limits.directions @ model.directions.T) @ np.maximum(np.abs(model.up), np.abs(model.down))
+        fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
+        root, stribeck = model.shapes.root * np.sqrt(fastest), model.shapes.stribeck
+        sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + np.maximum(root, 0) + np.maximum(stribeck, 0)
+        coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
             raise IdentificationError(

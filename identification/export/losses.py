@@ -10,7 +10,8 @@ import numpy as np
 from acquisition.robot import Joint
 
 from ..arrays import Array
-from ..model import JointTerm
+from ..model import JointTerm, base_parameters, direct_model
+from ..regression import load_friction
 from .mechanism import Mechanism
 
 COUNT, SEED = 1000, 11  # random states
@@ -46,7 +47,19 @@ def random_states(m: Mechanism) -> States:
         return np.asarray(low + (high - low) * rng.random((COUNT, len(joints))))
 
     q, dq, ddq = within("position", POSITION), within("speed", SPEED), within("acceleration", ACCELERATION)
-    return States(q=q, dq=dq, ddq=ddq, tau=m.model.regressor(q, dq, ddq) @ m.chi)
+    return States(q=q, dq=dq, ddq=ddq, tau=_regressor(m, q, dq, ddq) @ m.chi)
+
+
+def _regressor(m: Mechanism, q: Array, dq: Array, ddq: Array) -> Array:
+    """The regressor (N, n, p), its columns of load friction for the links' torque of these parameters."""
+    W, base = m.model.regressor(q, dq, ddq), base_parameters(m.model)
+    load = load_friction(m.model, base)
+    if load:
+        links = direct_model(m.model, base.standard_parameters(np.where(base.links, base.K @ m.chi, 0.0)))
+        friction = np.abs(links.torque(q, dq, ddq)) * np.sign(dq)
+        for j, place in zip(load.joints, load.places, strict=True):
+            W[:, j, base.columns[place]] = friction[:, j]
+    return W
 
 
 def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> tuple[Mechanism, tuple[Loss, ...]]:
@@ -64,7 +77,7 @@ def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> t
     where the format has none; offsets always.
     """
     losses: list[Loss] = []
-    W = m.model.regressor(states.q, states.dq, states.ddq)
+    W = _regressor(m, states.q, states.dq, states.ddq)
     terms = {c: source for c, source in enumerate(m.model.sources) if isinstance(source, JointTerm)}
 
     def torque_of(columns: list[int]) -> Array:

@@ -19,9 +19,7 @@ from ..estimation import (
     instrumental_variables,
     lag_one,
     one_thread,
-    ordinary_least_squares,
     torque_errors,
-    weighted_least_squares,
 )
 from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
@@ -79,8 +77,8 @@ def identify_ls(
     IdentificationError : where a recording is too short, all together excite too little, or they are not of one robot.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    observed = observe_all(signals, overrides, say)
-    ls = solve_least_squares(observed, method, essential=essential)
+    observed, full = observe_all(signals, overrides, say).settled(method)
+    ls = solve_least_squares(observed, full, essential=essential)
     evidence = evidence_of_ls(observed, method, ls)
     if trust and not observed.regression.reduced:
         say("simulating the robot")
@@ -117,51 +115,53 @@ def identify_iv(
     ------
     IdentificationError : as `identify_ls`, or where the recording is too long, or the first pass gives no estimate.
     """
-    observed = observe_all(signals, overrides, say)  # (2), (5), (6)
-    problem, rows = observed.problem, observed.regression
-    if rows.reduced:
-        raise IdentificationError(
-            "too long for instruments", place=problem.signals.recording, expected="a larger --decimate"
-        )
-    ls, system = solve_least_squares(observed, "wls", essential=essential), rows.system
-    kept = ls.essential.kept if essential else np.arange(len(system.names))
+    given = observe_all(signals, overrides, say)  # (2), (5), (6)
+    if given.regression.reduced:
+        place = given.problem.signals.recording
+        raise IdentificationError("too long for instruments", place=place, expected="a larger --decimate")
+    observed, full = given.settled()
+    problem, names = observed.problem, observed.regression.system.names
+    ls = solve_least_squares(observed, full, essential=essential)
+    kept = ls.essential.kept if essential else np.arange(len(names))
     lab = observed.lab(inertia_prior(observed, ls), gain_update=iteration.gain_update)
 
     def solve(z: PassInstruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
-        return instrumental_variables(system.with_rows(used).with_columns(kept), z.Z[:, kept], ls.full.weights)
+        columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
+        system = observed.at(z.beta).regression.system.with_rows(used).with_columns(columns)
+        return instrumental_variables(system, z.Z[:, columns], ls.full.weights)
 
-    def spread(estimate: Estimate, used: Array) -> Array:  # C = D R D
-        found = intervals_of(rows, estimate, observed.predicted(estimate), used)
-        return covariance_of_all(system.names, estimate, found, ls.full)
+    def spread(about: Observed, estimate: Estimate, used: Array) -> Array:  # C = D R D
+        found = intervals_of(about.regression, estimate, about.predicted(estimate), used)
+        return covariance_of_all(names, estimate, found, ls.full)
 
     trials: list[Trial] = []
     beta, covariance = start_values(observed, iteration, ls), None
     if iteration.start != "regular":
-        covariance = spread(ls.full, system.used)
+        covariance = spread(observed, ls.full, observed.regression.system.used)
     failure: str | None = None
     while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
         coarse = is_coarse(problem, iteration, trials)
         z = lab.instruments(beta, covariance, coarse=coarse)  # Z = IDM(q_sim, dq_sim, ddq_sim)
-        used = rows_of_pass(observed, z, trials)
+        used, observed = rows_of_pass(observed, z, trials), observed.at(z.beta)
         try:
             estimate = solve(z, used)
         except IdentificationError as error:
             failure = f"pass {len(trials) + 1}, {100 * used.mean():.0f} % of the rows fast enough: {error}"
             failure += f"; {z.reason}" if z.reason else ""
             break
-        covariance = spread(estimate, used)
-        evidence = assess_pass(estimate, z, system.with_rows(used), iteration.tolerance_percent)
+        covariance = spread(observed, estimate, used)
+        system = observed.regression.system.with_rows(used)
+        evidence = assess_pass(estimate, z, system, iteration.tolerance_percent)
         trials.append(Trial(z=z, estimate=estimate, covariance=covariance, used=used, evidence=evidence, coarse=coarse))
-        beta = next_values(trials, system.names)
-    return assess_iv(observed, ls, conclude(lab, iteration, trials, failure, solve))
+        beta = next_values(trials, names)
+    result = conclude(lab, iteration, trials, failure, solve)
+    return assess_iv(observed.at(result.z.beta), ls, result)
 
 
-def solve_least_squares(observed: Observed, method: Literal["ols", "wls"], *, essential: bool) -> LeastSquares:
-    """Least squares of a regression, and its reduction to the essential parameters, which `essential` asks for."""
-    solve, rows = weighted_least_squares if method == "wls" else ordinary_least_squares, observed.regression
-    full = solve(rows.system)
-    predicted = observed.predicted(full)
+def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:
+    """Least squares of all parameters, `full`, and its reduction to the essential ones, which `essential` asks for."""
+    rows, predicted = observed.regression, observed.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.fast
     reduction = essential_parameters(rows.system, full, correlation=lag_one(rho) or 0.0)
     estimate = full

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, weighted_least_squares
+from ..estimation import Estimate
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem, fast_rows, rule_cutoff_hz
 from ..replica import Lab, PassInstruments, Replica
@@ -179,7 +179,8 @@ def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:
     signals = [one.problem.signals for one in observed.observations]
     cutoff_hz = min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals)
     try:
-        return weighted_least_squares(observed.at_cutoff(cutoff_hz).system).beta
+        _, full = observed.at_cutoff(cutoff_hz).settled()
+        return full.among(observed.regression.system.names)
     except IdentificationError:
         return ls.full.beta
 

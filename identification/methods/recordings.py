@@ -1,99 +1,32 @@
-"""What each recording brings to a fit, found by tasks of their own, and the system that all of them make together."""
+"""The recordings of a fit, and the system that all of them make together."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..estimation import Estimate, one_thread, slices
+from ..errors import IdentificationError
+from ..estimation import Estimate, ordinary_least_squares, slices, weighted_least_squares
+from ..passes import LinearisedRecording, settled_least_squares, untold_terms, without
 from ..regression import (
     Overrides,
     OwnParameters,
     Problem,
     Regression,
     make_problem,
-    make_settings,
     own_parameters,
     refuse_slow_joints,
-    regression_of_recording,
     stacked,
-    torque_of_recording,
 )
 from ..replica import Bench, Lab, Place
-from ..trust import Part, TrustLine, poses_of, replay_line
+from ..trust import Part
+from .observation import Observation, Say, observation_of, observe, predict, regression_at
 
 ALL_REDUCED = 10**9  # so many share the memory for rows that all are reduced
-Say = Callable[[str], None]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Observation:
-    """A recording as a fit sees it.
-
-    Attributes:
-        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
-        regression: its W and Y.
-        poses: (P, n) positions at which M is looked at.
-        replay: its described control law against the recorded effort.
-        t_s: (rows,) instants of its decimated rows, s.
-    """
-
-    problem: Problem
-    regression: Regression
-    poses: Array
-    replay: TrustLine
-    t_s: Array
-
-    def part(self, parameters: tuple[str, ...]) -> Part:
-        """What it brings to the evidence before anything is simulated; its base parameters have these names."""
-        return Part(
-            problem=self.problem,
-            parameters=parameters,
-            slip_noise=self.regression.slip_noise,
-            poses=self.poses,
-            replay=self.replay,
-        )
-
-
-@one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation | None:
-    """W and Y of a recording and what else is known without an estimate; None where the file is not found here.
-
-    `share` is the number of recordings of the fit.
-    """
-    if isinstance(source, RecordingFile):
-        if not source.found:
-            return None
-        source = source.load()
-    return _observation(make_problem(source, overrides), share)
-
-
-def _observation(problem: Problem, share: int, say: Say = lambda text: None) -> Observation:
-    settings, signals = problem.settings, problem.signals
-    regression = regression_of_recording(problem, say, share=share)
-    # Decimation keeps the last sample and every n_d-th before it.
-    kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
-    poses, replay = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
-    t_s = signals.t_s[kept]
-    if share > 1 and regression.reduced:
-        problem = problem.without_samples()
-    return Observation(problem=problem, regression=regression, poses=np.array(poses), replay=replay, t_s=t_s)
-
-
-@one_thread
-def regression_at(place: Place, overrides: Overrides, share: int) -> Regression:
-    """W and Y of a recording with other settings."""
-    problem = place.problem()
-    settings = make_settings(problem.signals, overrides, problem.motion)
-    return regression_of_recording(replace(problem, settings=settings), share=share)
-
-
-@one_thread
-def predict(place: Place, beta: Array) -> Array:
-    """Decimated torque (rows, n) that beta (b,) predicts for a recording."""
-    return torque_of_recording(place.problem(), beta)[1]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,6 +39,8 @@ class Observed:
         regression: the system that they make together.
         order: places of the recordings as the user gave them.
         parameters: those that the recordings share, and those of each.
+        linearised: W and Y about any parameters, of one recording; None of several, and before least squares has settled.
+        left_out: friction terms of the description that several recordings cannot tell.
     """
 
     recordings: Recordings
@@ -114,6 +49,8 @@ class Observed:
     regression: Regression
     order: tuple[int, ...]
     parameters: OwnParameters
+    linearised: LinearisedRecording | None = None
+    left_out: tuple[str, ...] = ()
 
     @property
     def problem(self) -> Problem:
@@ -137,7 +74,8 @@ class Observed:
             without_samples = not len(one.problem.signals.q)
             in_file = isinstance(source, RecordingFile) and self.recordings.work.remote
             at_hand = None if in_file or without_samples else one.problem
-            found.append(Place(source=source, overrides=self.settings_of(one), at_hand=at_hand))
+            settings = self.settings_of(one)
+            found.append(Place(source=source, overrides=settings, at_hand=at_hand, left_out=self.left_out))
         return found
 
     def lab(self, prior: Array, *, gain_update: bool) -> Lab:
@@ -152,13 +90,60 @@ class Observed:
             work=self.recordings.work,
         )
 
-    def at_cutoff(self, cutoff_hz: float) -> Regression:
+    @property
+    def load_places(self) -> NDArray[np.intp]:
+        """Where the parameters of load friction are among those of the system."""
+        return np.array([], dtype=np.intp) if self.linearised is None else self.linearised.load.places
+
+    def at(self, beta: Array) -> "Observed":
+        """The same with W and Y about values of all parameters, by which load friction goes; the same without any."""
+        if self.linearised is None or not self.linearised.load:
+            return self
+        return replace(self, regression=self.linearised.at(beta))
+
+    def settled(self, method: Literal["ols", "wls"] = "wls") -> tuple["Observed", Estimate]:
+        """Least squares of all parameters, and the same without the friction terms that are not told, W and Y about them.
+
+        Raises `IdentificationError` as of the estimators.
+        """
+        if len(self.observations) == 1:
+            (one,) = self.observations
+            found = settled_least_squares(one.problem, one.regression, method)
+            observed = self._of([(found.problem, found.recording.plain)], found.observed)
+            return replace(observed, linearised=found.recording), found.full
+        observed, solve = self, weighted_least_squares if method == "wls" else ordinary_least_squares
+        if untold := untold_terms(self.problem, self.regression.system):
+            each = [without(one.problem, one.regression, untold) for one in self.observations]
+            observed = self._of(each, without(self.problem, self.regression, untold)[1])
+            observed = replace(observed, left_out=tuple(untold))
+        return observed, solve(observed.regression.system)
+
+    def _of(self, each: Sequence[tuple[Problem, Regression]], regression: Regression) -> "Observed":
+        """The same recordings as other problems and regressions, and the system that they make together."""
+        return replace(
+            self,
+            observations=tuple(
+                replace(one, problem=problem, regression=own)
+                for one, (problem, own) in zip(self.observations, each, strict=True)
+            ),
+            regression=regression,
+            parameters=own_parameters([problem for problem, _ in each]),
+            linearised=None,
+        )
+
+    def at_cutoff(self, cutoff_hz: float) -> "Observed":
         """The same recordings behind another low-pass."""
         tasks = [
             (place, replace(place.overrides, cutoff_hz=cutoff_hz), len(self.observations)) for place in self.places()
         ]
-        each = self.recordings.work.run(regression_at, tasks)
-        return stacked([self.parameters.widened(one, k) for k, one in enumerate(each)])
+        each = list(self.recordings.work.run(regression_at, tasks))
+        return self._of(
+            [
+                (replace(one.problem, settings=settings), own)
+                for one, (settings, own) in zip(self.observations, each, strict=True)
+            ],
+            stacked([self.parameters.widened(own, k) for k, (_, own) in enumerate(each)]),
+        )
 
     def settings_of(self, observation: Observation) -> Overrides:
         """What a recording was observed with: the options, and the cut-off and decimation that are common to all."""
@@ -167,12 +152,11 @@ class Observed:
 
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
-        observed, system = self.regression, self.regression.system
+        observed = self.regression
         if observed.reduced:
             beta = estimate.among(self.problem.base.names)
             return np.concatenate(list(self.recordings.work.run(predict, [(place, beta) for place in self.places()])))
-        columns = system.W[:, [system.names.index(name) for name in estimate.names]]
-        return np.asarray((columns @ estimate.beta).reshape(observed.tau.shape[1], -1).T)
+        return observed.predicted(estimate.among(observed.system.names))
 
 
 def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> Observed:
@@ -180,14 +164,15 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
 
     Cut-off and decimation are common, the lowest cut-off and the lowest rate of rows that the rules give.
 
-    Raises `IdentificationError` where the recordings are not of one robot, or as `make_problem`.
+    Raises `IdentificationError` where the recordings are not of one robot, or several with load friction, or as
+    `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
     if len(given.sources) == 1:
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
-        one = _observation(make_problem(signals, overrides), 1, say)
+        one = observation_of(make_problem(signals, overrides), 1, say)
         return Observed(
             recordings=Recordings(sources=(signals,)),
             overrides=overrides,
@@ -199,6 +184,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
     say(f"reading {len(given.sources)} recordings")
     given, found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
+    _refuse_load(found[0].problem.signals)
     found = _alike(given, found, overrides)
     by_digest = sorted(
         range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
@@ -216,6 +202,19 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         order=tuple(by_digest.index(k) for k in range(len(found))),
         parameters=parameters,
     )
+
+
+def _refuse_load(signals: Signals) -> None:
+    """Refuse load friction of several recordings: its W and Y are about an estimate, and these are made of one recording."""
+    for joint in signals.robot.joints:
+        if "load" in joint.terms:
+            raise IdentificationError(
+                "load friction is fitted of one recording",
+                place=f"robot {signals.robot.name}",
+                key=f"joint {joint.name}: friction",
+                value="load",
+                expected="its list without load where several recordings are fitted together, or one recording",
+            )
 
 
 def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:

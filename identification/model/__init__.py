@@ -1,27 +1,41 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
-from .base import BaseParameters, base_parameters
+from .base import BaseParameters, base_parameters, load_parameters
 from .derivatives import regressor_gradient, smooth_torque
-from .direct import DirectModel, direct_model
+from .direct import DirectModel, Shapes, direct_model
 from .inverse import LINK, InverseModel
-from .joint_terms import JointTerm
+from .joint_terms import SHAPES, JointTerm
 from .obstacles import Obstacles, obstacles_of
-from .physical import RESISTING, ExpectedLinks, expected_links, is_a_body, link_columns, physical_parameters
+from .physical import (
+    DISSIPATING,
+    RESISTING,
+    ExpectedLinks,
+    expected_links,
+    friction_alone,
+    is_a_body,
+    link_columns,
+    physical_parameters,
+)
 
 __all__ = [
+    "DISSIPATING",
     "LINK",
     "RESISTING",
+    "SHAPES",
     "BaseParameters",
     "DirectModel",
     "ExpectedLinks",
     "InverseModel",
     "JointTerm",
     "Obstacles",
+    "Shapes",
     "base_parameters",
     "direct_model",
     "expected_links",
+    "friction_alone",
     "is_a_body",
     "link_columns",
+    "load_parameters",
     "obstacles_of",
     "physical_parameters",
     "regressor_gradient",

@@ -4,13 +4,15 @@ The regressor at random states shows which columns are zero and which are combin
 tried from the base outwards, so the names are the field's own: ZZ1R, XX2R, ...; R marks a regrouped parameter.
 """
 
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 from .inverse import InverseModel
+from .joint_terms import SHAPES, JointTerm
 
 STATES = 200  # random states; 200 n rows are several times the number of columns
 TOLERANCE = 1e-9  # of a column's norm: what is left of a dependent column is rounding
@@ -28,6 +30,7 @@ class BaseParameters:
         columns: (b,) their columns in the regressor: W_base = W_standard[:, columns].
         K: (b, p) regrouping matrix.
         masses: (n,) columns of the links' masses M1 ... Mn.
+        links: (b,) whether its own parameter is a link's; the rotor inertia regrouped with it, as in ZZ1R, is in it.
     """
 
     names: tuple[str, ...]
@@ -37,6 +40,7 @@ class BaseParameters:
     K: Array
 
     masses: NDArray[np.intp]
+    links: NDArray[np.bool_]
 
     @property
     def b(self) -> int:
@@ -55,6 +59,24 @@ class BaseParameters:
         chi[self.columns] = beta - self.K @ chi
         return chi
 
+    def without(self, names: Collection[str]) -> "BaseParameters":
+        """The others, for a model that lacks these: friction terms that are regrouped with nothing."""
+        kept = np.array([name not in names for name in self.names])
+        return replace(
+            self,
+            names=tuple(x for x, keep in zip(self.names, kept, strict=True) if keep),
+            expressions=tuple(x for x, keep in zip(self.expressions, kept, strict=True) if keep),
+            units=tuple(x for x, keep in zip(self.units, kept, strict=True) if keep),
+            columns=self.columns[kept],
+            K=self.K[kept],
+            links=self.links[kept],
+        )
+
+
+def load_parameters(base: BaseParameters) -> tuple[str, ...]:
+    """Names of the parameters of load friction, mu1 and so on, in which the model is not linear."""
+    return tuple(name for name in base.names if name.startswith("mu"))
+
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:
     """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991).
@@ -71,7 +93,8 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
-    present = [c for c in _order(dynamics) if norms[c] > TOLERANCE * norms.max()]
+    apart = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
+    present = [c for c in _order(dynamics) if norms[c] > TOLERANCE * norms.max() and c not in apart]
     scaled = W[:, present] / norms[present]
     R = np.linalg.qr(scaled, mode="r")
     diagonal = np.abs(np.diag(R))
@@ -81,9 +104,11 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     independent, dependent = np.array(present)[keep], np.array(present, dtype=np.intp)[~keep]
     C = C * norms[dependent] / norms[independent][:, None]
     C[np.abs(C) < 1e-8] = 0.0
-    K = np.zeros((len(independent), dynamics.p))
+    regrouping = np.zeros((len(independent), dynamics.p))
+    regrouping[:, dependent] = C
+    independent = np.r_[independent, np.array(apart, dtype=np.intp)]  # of a shape of their own: regrouped with nothing
+    K = np.r_[regrouping, np.zeros((len(apart), dynamics.p))]
     K[np.arange(len(independent)), independent] = 1.0
-    K[:, dependent] = C
     link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
     by_column = np.argsort(independent)
     K, columns = K[by_column], independent[by_column]
@@ -95,6 +120,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
         columns=columns,
         K=K,
         masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
+        links=np.array([dynamics.is_link_parameter(int(c)) for c in columns]),
     )
 
 

@@ -12,6 +12,31 @@ from .joint_terms import JointTerm
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Shapes:
+    """Friction along c directions beside Coulomb's, each (c,); it resists where it is positive.
+
+    Attributes:
+        root: factor of sqrt(abs(u)) at the speed u.
+        stribeck: friction at rest that falls by exp(-(u/speed)²); `speed` infinite where there is none.
+        load: factor of the links' torque along the direction; of joints' own directions only.
+    """
+
+    root: Array
+    stribeck: Array
+    speed: Array
+    load: Array
+
+    def any(self) -> bool:
+        """Whether there is any."""
+        return bool(self.root.any() or self.stribeck.any() or self.load.any())
+
+    def friction(self, u: Array, rigid: Array) -> Array:
+        """Magnitude (..., c) at the speeds u (..., c), where the links' torques along the directions are `rigid` (..., c)."""
+        falling = self.stribeck * np.exp(-((u / self.speed) ** 2))
+        return np.asarray(self.root * np.sqrt(np.abs(u)) + falling + self.load * np.abs(rigid))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class DirectModel:
     """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
 
@@ -19,10 +44,10 @@ class DirectModel:
         rigid: pinocchio's model with the links' inertias, and its `data`.
         rotor: (n, n) what the rotors add to M.
         viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
-        directions: (c, n) directions r that Coulomb friction acts along, its speed being r·dq.
-        up, down: (c,) friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
+        directions: (c, n) directions r that friction with a sign acts along, its speed being r·dq.
+        up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
+        shapes: what else acts along the directions.
         offset: (n,) constant torque.
-        others: terms of any other kind and their values; they act by their regressor, explicitly, by the speed alone.
     """
 
     rigid: Any
@@ -34,8 +59,8 @@ class DirectModel:
     directions: Array
     up: Array
     down: Array
+    shapes: Shapes
     offset: Array
-    others: tuple[tuple[float, JointTerm], ...] = ()
 
     def inertia(self, q: Array) -> Array:
         """Inertia matrices (N, n, n) at the positions q (N, n)."""
@@ -49,9 +74,11 @@ class DirectModel:
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
         """Upper triangle of the links' part of M (n, n), without rotors, and h (n,) without friction, at one state."""
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
-        for value, term in self.others:
-            bias = bias + value * term.torque(dq)
         return pin.crba(self.rigid, self.data, q), bias
+
+    def of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """tau_rigid (n,), the torque of the links alone at one state."""
+        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq))
 
     def gravity(self, q: Array, along: Array | None = None) -> Array:
         """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside.
@@ -69,23 +96,26 @@ class DirectModel:
 
     def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
         """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
-        return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq) + self._of_joints(dq, ddq, dq_sign))
+        rigid = self.of_links(q, dq, ddq)
+        return rigid + self._of_joints(dq, ddq, dq_sign, rigid)
 
     def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque (N, n) along a motion q, dq, ddq (N, n)."""
         tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
         for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
             tau[k] = compute(model, data, *state)
-        tau += self._of_joints(dq, ddq, dq)
-        return tau
+        return tau + self._of_joints(dq, ddq, dq, tau)
 
-    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array) -> Array:
-        """What rotors and friction add (..., n)."""
+    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array, rigid: Array) -> Array:
+        """What rotors and friction add (..., n) to the torque of the links `rigid` (..., n)."""
         u = dq_sign @ self.directions.T
-        coulomb = (self.up * (u > 0) - self.down * (u < 0)) @ self.directions
+        sliding = self.up * (u > 0) - self.down * (u < 0)
+        if self.shapes.any():
+            sliding = sliding + np.sign(u) * self.shapes.friction(u, rigid @ self.directions.T)
         one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
-        others = sum((value * term.torque(dq) for value, term in self.others), start=0.0)
-        return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + coulomb + self.offset + others)
+        return np.asarray(
+            ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + sliding @ self.directions + self.offset
+        )
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
@@ -94,13 +124,13 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     Parameters
     ----------
     dynamics : the inverse dynamic model.
-    chi : (p,) its standard parameters, SI.
+    chi : (p,) its standard parameters, SI. Load friction goes by the torque of the links of chi: with those of
+        `BaseParameters.standard_parameters`, rotor inertias that are regrouped with links' parameters are in it.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
     rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
-    offset, coulomb = np.zeros(n), dict[tuple[float, ...], Array]()
-    others: list[tuple[float, JointTerm]] = []
+    offset, sliding = np.zeros(n), dict[tuple[float, ...], Array]()
     for source, value in zip(dynamics.sources, chi, strict=True):
         if not isinstance(source, JointTerm):
             values[source[0], FROM_PINOCCHIO[source[1]]] = value
@@ -109,18 +139,26 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         elif source.kind == "viscous":
             target = (viscous, viscous_up, viscous_down)[source.side]
             target += value * source.matrix
-        elif source.kind == "coulomb":
-            levels = coulomb.setdefault(tuple(source.direction), np.zeros(2))
-            levels += value * np.array([source.side >= 0, source.side <= 0])
         elif source.kind == "offset":
             offset += value * source.direction
+        elif source.kind == "asymmetric":  # |v| is v forwards, -v backwards
+            viscous_up += value * np.diag(source.direction)
+            viscous_down -= value * np.diag(source.direction)
         else:
-            others.append((float(value), source))
+            levels = sliding.setdefault(tuple(source.direction), np.array([0.0, 0.0, 0.0, 0.0, np.inf, 0.0]))
+            if source.kind == "coulomb":
+                levels[:2] += value * np.array([source.side >= 0, source.side <= 0])
+            elif source.kind == "root":
+                levels[2] = value
+            elif source.kind == "stribeck":
+                levels[3:5] = value, source.speed
+            else:
+                levels[5] = value
     mass = FROM_PINOCCHIO[LINK.index("M")]
     values[values[:, mass] == 0.0, mass] = 1e-6
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
-    levels = np.array(list(coulomb.values())).reshape(-1, 2)
+    levels = np.array(list(sliding.values())).reshape(-1, 6).T
     return DirectModel(
         rigid=rigid,
         data=rigid.createData(),
@@ -128,9 +166,9 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         viscous=viscous,
         viscous_up=viscous_up,
         viscous_down=viscous_down,
-        directions=np.array(list(coulomb)).reshape(-1, n),
-        up=levels[:, 0],
-        down=levels[:, 1],
+        directions=np.array(list(sliding)).reshape(-1, n),
+        up=levels[0],
+        down=levels[1],
+        shapes=Shapes(root=levels[2], stribeck=levels[3], speed=levels[4], load=levels[5]),
         offset=offset,
-        others=tuple(others),
     )

@@ -3,7 +3,8 @@
 tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
 (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
 friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0.
-What motors and friction add is in `joint_terms`.
+What motors and friction add, these and further terms, is in `joint_terms`; the columns of load friction, which depend on
+parameters, are zero here.
 """
 
 import xml.etree.ElementTree as ET
@@ -17,7 +18,7 @@ from acquisition.robot import DH, Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .joint_terms import JointTerm, joint_terms
+from .joint_terms import SLIDING, JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
@@ -52,8 +53,8 @@ class InverseModel:
 
     @property
     def coulomb_directions(self) -> Array:
-        """Directions r (c, n) that Coulomb friction acts along, its speed being r·dq: of joints, and of coupled motors."""
-        terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind == "coulomb"]
+        """Directions r (c, n) that friction with a sign acts along, its speed being r·dq: of joints, and of coupled motors."""
+        terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING]
         return np.array(list(dict.fromkeys(tuple(term.direction) for term in terms))).reshape(-1, self.robot.n)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:

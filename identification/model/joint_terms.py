@@ -1,5 +1,19 @@
 """What motors and friction add to the joint torques, as columns of the model: rotor inertia, friction, offset.
 
+With v the speed of a joint, u = r·dq that along a direction r of Coulomb friction (a joint's own, or a coupled motor's):
+
+| term | torque per unit of the parameter | along | parameters |
+|---|---|---|---|
+| viscous | v | joint, coupled motor | Fv, Fvm |
+| coulomb | sign(u) | direction | Fc, Fcm |
+| offset | 1 | joint | Off |
+| asymmetric | abs(v) | joint | Fa |
+| root | sqrt(abs(u)) sign(u) | direction | Fr, Frm |
+| stribeck | exp(-(u/u_s)²) sign(u), u_s a stated speed | direction | Fs, Fsm |
+| load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
+
+Load friction depends on the parameters of the links: its column is made where these are known (`regression.load`).
+
 Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
 and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist where a motor turns with several joints. As is
 the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alone belongs to that joint's own Ia and Fv: on
@@ -7,7 +21,7 @@ the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) +
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -17,24 +31,37 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 
+Kind = Literal["rotor", "viscous", "coulomb", "offset", "asymmetric", "root", "stribeck", "load"]
+SLIDING: tuple[Kind, ...] = (
+    "coulomb",
+    "root",
+    "stribeck",
+    "load",
+)  # have the sign of a speed, and jump or are steep at 0
+
+STEEPEST = 1e-3  # rad/s or m/s beside the speed under a root whose slope is asked for
+SHAPES: tuple[Kind, ...] = ("asymmetric", "root", "stribeck", "load")  # what friction has beside the usual terms
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
-    rotor: matrix ddq; viscous: matrix dq; coulomb: r sign(r·dq) with r = `direction`; offset: `direction`. A `side` of
-    +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is what a motor adds to the diagonal of
-    joints whose own parameter counts it, so that `matrix` lacks it. `joint` is the one whose number the name carries, from 0.
+    rotor: matrix ddq; viscous: matrix dq; those with a sign act along r = `direction`, at the speed u = r·dq; offset and
+    asymmetric: `direction`. A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is
+    what a motor adds to the diagonal of joints whose own parameter counts it, so that `matrix` lacks it. `speed` is that at
+    which Stribeck friction has fallen to 37 %; `joint` the one whose number the name carries, from 0.
     """
 
     name: str
     joint: int
     unit: str
-    kind: str  # rotor, viscous, coulomb, offset; any other is a torque that the speed alone gives
+    kind: Kind
     matrix: Array
     direction: Array
     given_away: Array
     side: int = 0
+    speed: float = field(default=float("nan"))
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -51,16 +78,8 @@ class JointTerm:
             return self.direction
         return np.asarray(self.matrix[self.joint] + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint])
 
-    def torque(self, dq: Array) -> Array:
-        """Torque (..., n) per unit of the parameter at the speed dq (..., n), of a kind in which acceleration has no part."""
-        speeds = np.atleast_2d(dq)
-        tau = np.zeros(speeds.shape)
-        for j in self.rows:
-            tau[:, j] = self.entry(int(j), speeds, speeds)
-        return tau.reshape(dq.shape)
-
     def entry(self, j: int, dq: Array, ddq: Array) -> Array | float:
-        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,)."""
+        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,); zero for load friction, which is not linear."""
         if self.kind == "rotor":
             return np.asarray(ddq @ self.matrix[j])
         if self.kind == "offset":
@@ -69,23 +88,49 @@ class JointTerm:
             if self.side:
                 dq = np.maximum(dq, 0.0) if self.side > 0 else np.minimum(dq, 0.0)
             return np.asarray(dq @ self.matrix[j])
+        if self.kind == "load":
+            return 0.0
         u = dq @ self.direction
-        sign = np.sign(u) if self.side == 0 else self.side * (self.side * u > 0)
-        return np.asarray(self.direction[j] * sign)
+        return np.asarray(self.direction[j] * self._along(u))
+
+    def _along(self, u: Array) -> Array:
+        """Friction (N,) along the direction at the speeds u (N,) there."""
+        if self.kind == "asymmetric":
+            return np.abs(u)
+        if self.side:
+            return np.asarray(self.side * (self.side * u > 0), dtype=float)
+        sign = np.sign(u)
+        if self.kind == "root":
+            sign *= np.sqrt(np.abs(u))
+        elif self.kind == "stribeck":
+            sign *= np.exp(-((u / self.speed) ** 2))
+        return sign
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); a jump of Coulomb friction has none."""
+        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); a jump of friction at rest has none.
+
+        The root of speed is infinitely steep at rest: its slope is that of sqrt(abs(u) + STEEPEST).
+        """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
             by_acceleration = self.matrix[j]
         elif self.kind == "viscous":
             acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
             by_speed = acts * self.matrix[j]
+        elif self.kind in ("asymmetric", "root", "stribeck"):
+            u = dq @ self.direction
+            if self.kind == "asymmetric":
+                slope = np.sign(u)
+            elif self.kind == "root":
+                slope = 0.5 / np.sqrt(np.abs(u) + STEEPEST)
+            else:
+                slope = -2 * np.abs(u) / self.speed**2 * np.exp(-((u / self.speed) ** 2))
+            by_speed = self.direction[j] * np.outer(slope, self.direction)
         return by_speed, by_acceleration
 
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
-    """The terms that carry the number of joint j: Ia, Fv, Fc (or Fvp, Fcp, Fvn, Fcn), Off, Fvm, Fcm as described."""
+    """The terms that carry the number of joint j, as described: Ia, friction of the joint, Off, friction of a coupled motor."""
     joint, n = robot.joints[j], robot.n
     motors = _motor_rows(robot)
     r, own = motors[j], np.eye(n)[j]
@@ -112,34 +157,38 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
             side=side,
         )
 
-    def along(name: str, kind: Literal["coulomb", "offset"], direction: Array, side: int = 0) -> JointTerm:
+    def along(name: str, kind: Kind, direction: Array, side: int = 0) -> JointTerm:
+        unit = {"asymmetric": viscous_unit, "root": f"{effort} (s/{length})^½", "load": ""}.get(kind, effort)
         return JointTerm(
             name=f"{name}{j + 1}",
             joint=j,
-            unit=effort,
+            unit=unit,
             kind=kind,
             matrix=nothing,
             direction=direction,
             given_away=none,
             side=side,
+            speed=joint.si("stribeck_speed") if kind == "stribeck" else float("nan"),
         )
 
     terms: list[JointTerm] = []
     if joint.rotor_inertia:
         taken = [i for i in range(n) if i != j and alone[i] and robot.joints[i].rotor_inertia]
         terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", np.outer(r, r), taken))
-    for side, mark in ((0, ""),) if joint.friction == "symmetric" else ((1, "p"), (-1, "n")):
-        if joint.viscous:
+    for side, mark in ((1, "p"), (-1, "n")) if joint.one_sided else ((0, ""),):
+        if "viscous" in joint.terms:
             terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side))
-        if joint.coulomb:
+        if "coulomb" in joint.terms:
             terms.append(along(f"Fc{mark}", "coulomb", own, side))
-    if joint.offset:
+    if "offset" in joint.terms:
         terms.append(along("Off", "offset", own))
-    if coupled and joint.viscous:
-        taken = [i for i in range(n) if robot.joints[i].viscous and robot.joints[i].friction == "symmetric"]
+    shapes: tuple[tuple[str, Kind], ...] = (("Fa", "asymmetric"), ("Fr", "root"), ("Fs", "stribeck"), ("mu", "load"))
+    terms += [along(name, kind, own) for name, kind in shapes if kind in joint.terms]
+    if coupled and "viscous" in joint.terms:
+        taken = [i for i, other in enumerate(robot.joints) if "viscous" in other.terms and not other.one_sided]
         terms.append(through_matrix("Fvm", viscous_unit, "viscous", np.outer(r, r), taken))
-    if coupled and joint.coulomb:
-        terms.append(along("Fcm", "coulomb", r))
+    motor: tuple[tuple[str, Kind], ...] = (("Fcm", "coulomb"), ("Frm", "root"), ("Fsm", "stribeck"))
+    terms += [along(name, kind, r) for name, kind in motor if coupled and kind in joint.terms]
     return terms
 
 

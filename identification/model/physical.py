@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import PhysicalParameters, link_parameters, pseudo_inertia
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import JointTerm
+from .joint_terms import SHAPES, JointTerm
 
 DENSITY = 1000.0  # kg/m³ of a plausible link, motor and hollows included
 SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius: a share of its length, within these
@@ -18,6 +18,7 @@ LEAST_EIGENVALUE = 1e-4  # of a description's pseudo-inertia with a diagonal of 
 ROTOR_SHARE, FRICTION = 0.1, 0.01  # to start from: of the link's ZZ, and N m or N m s
 SAME_FRAMES = 1e-6  # m and parts of a rotation: two descriptions of one robot give their lengths to fewer digits
 POSES, SEED = 4, 11  # at which the frames of two descriptions are compared
+DISSIPATING = ("viscous", "coulomb", *SHAPES)  # what takes energy; constant offsets do not
 RESISTING = ("rotor", "viscous", "coulomb")  # kinds of terms that no robot has below zero
 
 
@@ -58,6 +59,21 @@ def link_columns(idm: InverseModel) -> NDArray[np.intp]:
     """Columns (n, 10) of XX XY XZ YY YZ ZZ MX MY MZ M of each link."""
     place = {source: c for c, source in enumerate(idm.sources) if not isinstance(source, JointTerm)}
     return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
+
+
+def friction_alone(idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array) -> Array:
+    """Friction (k, b) of joint j per unit of the parameters `columns` (b,), offsets apart, where it moves alone.
+
+    `v` (k,) are its speeds, `load` (k,) the sizes of the links' torque at it.
+    """
+    alone, still = np.zeros((len(v), idm.robot.n)), np.zeros((len(v), idm.robot.n))
+    alone[:, j] = v
+    G = np.zeros((len(v), len(columns)))
+    for i, column in enumerate(columns):
+        term = idm.sources[column]
+        if isinstance(term, JointTerm) and term.kind in DISSIPATING and j in term.rows:
+            G[:, i] = np.sign(v) * load if term.kind == "load" else term.entry(j, alone, still)
+    return G
 
 
 def physical_parameters(

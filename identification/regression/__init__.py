@@ -1,10 +1,11 @@
 """From signals to the over-determined system: settings, filters, regressor, the rows that count."""
 
 from .filtering import Decimation, forward_backward_3db_hz
+from .load import LinkSeries, LoadFriction, load_friction
 from .low_speed import fast_rows, lowest_nearby, measured_slip, refuse_slow_joints, slip_cutoff_hz
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .own import OwnParameters, base_name, own_parameters
-from .problem import Problem, make_problem
+from .problem import Problem, make_problem, motion_blocks
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     Overrides,
@@ -30,6 +31,8 @@ __all__ = [
     "CUTOFF_PER_BANDWIDTH",
     "Decimation",
     "FilteredMotion",
+    "LinkSeries",
+    "LoadFriction",
     "Motion",
     "Overrides",
     "OwnParameters",
@@ -45,11 +48,13 @@ __all__ = [
     "forward_backward_3db_hz",
     "is_long",
     "known_torque_rows",
+    "load_friction",
     "lowest_nearby",
     "make_problem",
     "make_settings",
     "measured_slip",
     "motion_between",
+    "motion_blocks",
     "own_parameters",
     "predicted_torque",
     "refuse_slow_joints",

@@ -1,6 +1,6 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,16 +9,17 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import System, TimeBlocks
 from ..model import BaseParameters, InverseModel, direct_model
-from .filtering import Decimation, decimation_reach
+from .filtering import Decimation
+from .load import LinkSeries, load_friction
 from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
-from .problem import Problem
+from .problem import Problem, motion_blocks
 
-_SERIES_BLOCK = (
-    12_000_000  # numbers of a block's regressor: 96 MB; a shorter block spends more on what reaches beyond it
-)
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
+_LINKS_KEPT = (
+    12_000_000  # numbers of the links' columns before decimation, 96 MB; those of a longer recording are made anew
+)
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
@@ -33,6 +34,7 @@ class Regression:
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         parts: numbers of decimated samples of the recordings, which stand one after the other.
+        links: what load friction depends on, block by block; empty where there is too much of it, or none is needed.
         time_blocks: of a system that is held reduced, what the residual's scores follow from, by recording; empty of others.
 
     The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
@@ -45,6 +47,7 @@ class Regression:
     speed: Array
     slip_noise: Array
     parts: tuple[int, ...]
+    links: tuple[LinkSeries, ...] = ()
     time_blocks: tuple[TimeBlocks, ...] = ()
 
     @property
@@ -52,15 +55,21 @@ class Regression:
         """Whether rows are QR factors rather than samples."""
         return self.tau.size != len(self.system.Y)
 
+    def predicted(self, beta: Array) -> Array:
+        """Torque (rows, n) that beta (b,) predicts for rows that are not reduced: tau less the residual Y - W beta."""
+        return np.asarray(self.tau - (self.system.Y - self.system.W @ beta).reshape(self.tau.shape[1], -1).T)
+
 
 def regression_of_recording(
-    problem: Problem, say: Callable[[str], None] = lambda text: None, *, share: int = 1
+    problem: Problem, say: Callable[[str], None] = lambda text: None, *, share: int = 1, beta: Array | None = None
 ) -> Regression:
     """W and Y of a recording, block by block, so that the whole undecimated W is never held.
 
-    `share` is the number of recordings that share the memory for rows that are not reduced.
+    `share` is the number of recordings that share the memory for rows that are not reduced. Columns of load friction are
+    zero, or W and Y are those about the parameters `beta` (b,), as of `load`.
     """
     blocks: list[_Block] = []
+    kept, numbers = list[LinkSeries](), 0
     reduced: Regression | None = None
     (fast, slip_noise), done_rows = measured_fast_rows(problem), 0
     if share == 1:  # another recording may move a joint that stands in this one
@@ -72,7 +81,10 @@ def regression_of_recording(
     for motion, inside, done in motion_blocks(problem):
         here = slice(done_rows, done_rows + inside.stop - inside.start)
         done_rows = here.stop
-        blocks.append(_block(problem, motion, inside, fast[here]))
+        block, links = _block(problem, motion, inside, fast[here], beta)
+        blocks.append(block)
+        numbers += links.series.size
+        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT else []
         if time_blocks is not None:
             time_blocks.add(here.start, blocks[-1].W, blocks[-1].Y, fast[here])
         say(f"regressor: {done:.0%}")
@@ -82,7 +94,7 @@ def regression_of_recording(
     if blocks:
         last = _stacked(blocks, problem.base, slip_noise)
         if time_blocks is None:
-            return last
+            return replace(last, links=tuple(kept))
         reduced = _reduce(last, reduced)
     assert reduced is not None
     assert time_blocks is not None
@@ -171,11 +183,25 @@ def predicted_torque(motion: Motion, dynamics: InverseModel, base: BaseParameter
     return direct_model(dynamics, base.standard_parameters(beta)).torque(motion.q, motion.dq, motion.ddq)
 
 
-def decimated_regressor(motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation) -> Array:
-    """Regressor (n, b, rows) of the base parameters along a motion, every column decimated."""
-    entries = dynamics.entries(base.columns)
+def decimated_regressor(
+    motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation, *, beta: Array | None = None
+) -> Array:
+    """Regressor (n, b, rows) of the base parameters along a motion, every column decimated.
+
+    Columns of load friction are zero. With parameters `beta` (b,) it is the one about them, as of `load`.
+    """
     series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
-    W = np.zeros((motion.q.shape[1], base.b, decimation.rows(len(motion.q))))
+    W, load = _decimated(series, dynamics, base, decimation), load_friction(dynamics, base)
+    if load and beta is not None:
+        rigid = load.torque_of_links(dynamics.entries(base.columns), series, beta)
+        load.linearise(W, None, load.columns(rigid, motion.dq, decimation), beta)
+    return W
+
+
+def _decimated(series: Array, dynamics: InverseModel, base: BaseParameters, decimation: Decimation) -> Array:
+    """Regressor (n, b, rows) from the series (E, N) of its entries."""
+    entries = dynamics.entries(base.columns)
+    W = np.zeros((dynamics.robot.n, base.b, decimation.rows(series.shape[1])))
     size = max(1, _FILTERED // series.shape[1])
     for k in range(0, len(entries), size):
         group = slice(k, k + size)
@@ -183,52 +209,41 @@ def decimated_regressor(motion: Motion, dynamics: InverseModel, base: BaseParame
     return W
 
 
-def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
-    """Cut the span used into blocks: each block's motion, which of its decimated rows count, and the share done.
-
-    A block reaches beyond the rows that count as far as the decimation filter does, so blocks give what one pass
-    would. Blocks are counted from the end, where decimation keeps its last sample.
-    """
-    settings, series = problem.settings, len(problem.model.entries(problem.base.columns))
-    n_d, start, stop = settings.decimation, settings.start, settings.stop
-    margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
-    rows = -(-(stop - start) // n_d)
-    size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
-    for first in range(0, rows, size):
-        last = min(rows, first + size)
-        if rows - last < margin:
-            last = rows  # no block shorter than the filter's reach
-        low, high = max(0, first - margin), min(rows, last + margin)
-        begin, end = start if low == 0 else stop - (rows - low) * n_d, stop - (rows - high) * n_d
-        motion = problem.motion.between(begin, end, settings.cutoff_hz)
-        yield motion, slice(first - low, last - low), last / rows
-        if last == rows:
-            return
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Block:
-    """The decimated rows of a block: W (n, b, rows), Y (n, rows), speed and fast (rows, n)."""
+    """The decimated rows of a block: W (n, b, rows), Y and the torque tau (n, rows), speed and fast (rows, n)."""
 
     W: Array
     Y: Array
+    tau: Array
     speed: Array
     fast: NDArray[np.bool_]
 
 
-def _block(problem: Problem, motion: Motion, inside: slice, fast: NDArray[np.bool_]) -> _Block:
-    decimation = problem.settings.decimator
-    return _Block(
-        W=decimated_regressor(motion, problem.model, problem.base, decimation)[..., inside],
-        Y=decimation.filtered(motion.tau.T)[:, inside],
+def _block(
+    problem: Problem, motion: Motion, inside: slice, fast: NDArray[np.bool_], beta: Array | None
+) -> tuple[_Block, LinkSeries]:
+    """A block, about the parameters `beta` (b,) or its columns of load friction zero; and what these depend on."""
+    decimation, model, base = problem.settings.decimator, problem.model, problem.base
+    series, load = model.series(motion.q, motion.dq, motion.ddq, base.columns), load_friction(model, base)
+    W, tau = _decimated(series, model, base, decimation), decimation.filtered(motion.tau.T)
+    links, Y = load.series_of_links(model.entries(base.columns), series, motion.dq, inside), tau.copy()
+    if load and beta is not None:
+        rigid = load.torque_of_links(links.entries, links.series, beta)
+        load.linearise(W, Y, load.columns(rigid, motion.dq, decimation), beta)
+    block = _Block(
+        W=W[..., inside],
+        Y=Y[:, inside],
+        tau=tau[:, inside],
         speed=decimation.kept(motion.dq)[inside],
         fast=fast,
     )
+    return block, links
 
 
 def _stacked(blocks: list[_Block], base: BaseParameters, slip_noise: Array) -> Regression:
     """Blocks as one system, rows joint by joint."""
-    W, Y = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y"))
+    W, Y, tau = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y", "tau"))
     n, rows = Y.shape
     fast = np.concatenate([block.fast for block in blocks])
     return Regression(
@@ -241,7 +256,7 @@ def _stacked(blocks: list[_Block], base: BaseParameters, slip_noise: Array) -> R
             rows=fast.sum(axis=0),
         ),
         fast=fast,
-        tau=Y.T,
+        tau=tau.T,
         speed=np.concatenate([block.speed for block in blocks]),
         slip_noise=slip_noise,
         parts=(rows,),

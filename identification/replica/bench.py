@@ -1,7 +1,7 @@
 """Recordings where tasks find them, and laid out for simulation: each read, filtered and laid out once per process."""
 
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from ..arrays import Array
@@ -25,16 +25,25 @@ NUMBERS_KEPT = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Place:
-    """Where a task finds a recording: its problem `at_hand`, or its file, read by the process that runs the task."""
+    """Where a task finds a recording: its problem `at_hand`, or its file, read by the process that runs the task.
+
+    `left_out` are friction terms that the fit leaves out of the description.
+    """
 
     source: Signals | RecordingFile
     overrides: Overrides
     at_hand: Problem | None = None
+    left_out: tuple[str, ...] = ()
 
     def problem(self) -> Problem:
         """The problem, as it is at hand in this process."""
         if self.at_hand is not None:
             return self.at_hand
+        problem = self._made()
+        return replace(problem, base=problem.base.without(self.left_out)) if self.left_out else problem
+
+    def _made(self) -> Problem:
+        """The problem with all terms of the description."""
         if isinstance(self.source, Signals):
             return make_problem(self.source, self.overrides)
         key = f"{self.source.key} {self.overrides}"

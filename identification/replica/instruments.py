@@ -37,7 +37,8 @@ class Instruments:
 
     `beta` (b,) are the parameters asked for, to which those simulated are the nearest. `kind` and `reason` are as in
     `methods.Pass`.
-    `motion` is None along the reference. `slip` (rows, c) are the speeds of the c directions of Coulomb friction, the lowest
+    `motion` is None along the reference. `load_unknown` says that beta, a regular start, has nothing of the links' torque that
+    load friction goes by. `slip` (rows, c) are the speeds of the c directions of Coulomb friction, the lowest
     near the rows' instants. `decimation` and `reference_kind` are those of the experiment.
     """
 
@@ -51,6 +52,7 @@ class Instruments:
     reason: str | None
     gains: Array
     tracking_percent: float | None
+    load_unknown: bool = False
 
 
 def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -> Instruments:
@@ -60,14 +62,15 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
     estimate itself moves a light wrist wildly long before its inertia matrix is no longer positive: the iteration then has no
     fixed point. Where the robot leaves its reference all the same, instruments are taken along the reference itself.
     """
-    s, reason = simulated_motion(e, beta if covariance is None else _nearest(e, beta, covariance)), None
+    simulated = beta if covariance is None else _nearest(e, beta, covariance)
+    s, reason = simulated_motion(e, simulated), None
     if s.motion is not None and covariance is not None:
         reason = not_positive(direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.poses)
     motion = s.motion
     if motion is None:
         q, dq, ddq = (_on_grid(e, x, 1) for x in (e.reference.q, e.reference.dq, e.reference.ddq))
         motion = Motion(t_s=e.grid_s, q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
-    Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation)  # (n, b, rows)
+    Z = decimated_regressor(motion, e.problem.model, e.problem.base, e.decimation, beta=simulated)  # (n, b, rows)
     return Instruments(
         beta=beta,
         motion=s.motion,
@@ -79,6 +82,7 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
         reason=s.reason or reason,
         gains=s.gains,
         tracking_percent=s.tracking_percent,
+        load_unknown=covariance is None,
     )
 
 

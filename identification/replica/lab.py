@@ -45,6 +45,11 @@ class PassInstruments:
         return told([one.reason for one in self.each], self.names)
 
     @property
+    def load_unknown(self) -> bool:
+        """Whether the parameters, of a regular start, have nothing of the links' torque that load friction goes by."""
+        return any(one.load_unknown for one in self.each)
+
+    @property
     def gains(self) -> Array:
         """Factors on the controllers' gains, n for each recording."""
         return np.concatenate([one.gains for one in self.each])

@@ -11,7 +11,7 @@ from .comparison import (
     least_squares_parameters,
     true_parameters,
 )
-from .document import Cell, Document, Number, Section, Table, columns, write_json
+from .document import Cell, Document, Number, ResultFile, Section, Table, columns, document_json, write_json
 from .fit_files import fit_file, fit_schema, validation_file
 from .fit_report import fit_document, trust_document
 from .recording_report import Validated, recording_document, validation_document
@@ -25,6 +25,7 @@ __all__ = [
     "Number",
     "Parameter",
     "ParameterSet",
+    "ResultFile",
     "Section",
     "StoredFit",
     "Table",
@@ -37,6 +38,7 @@ __all__ = [
     "comparison_file",
     "comparison_section",
     "differences",
+    "document_json",
     "doubts",
     "fit_document",
     "fit_file",

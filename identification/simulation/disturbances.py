@@ -16,7 +16,7 @@ class Disturbances:
         position: (N, n) noise of the encoders, rad or m at the joints; the controller acts on it.
         count: step of the encoders, rad or m, 0 for none.
         torque: (N, n) that acts on the joints, each held to the next instant.
-        asymmetry: all friction is (1 + asymmetry) of the described one for dq > 0, (1 - asymmetry) for dq < 0.
+        asymmetry: viscous and Coulomb friction is (1 + asymmetry) of the described one for dq > 0, (1 - asymmetry) for dq < 0.
         stribeck: Coulomb friction at rest is (1 + stribeck) of the described one, which it falls to with speed.
     """
 

@@ -18,7 +18,8 @@ class Friction:
     A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), viscous friction being that of its middle. f in
     each direction slips or sticks. A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up
     to a creep speed `v_s`. The modes of the step before are tried first; a direction that would turn round sticks, one that
-    exceeds v_s slips.
+    exceeds v_s slips. Friction by the square root of a speed is linearised, its slope being that at v_s below v_s, and taken
+    in the middle of the step like viscous friction. Friction by load has the links' torque of the step before.
     """
 
     def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
@@ -32,11 +33,18 @@ class Friction:
         self._model, self._h, self._S = model, h, model.directions
         speed = np.maximum(np.abs(dq_ref @ self._S.T).max(axis=0, initial=0.0), 1e-9)
         self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
-        self._resists = (model.up + model.down) > 0
-        self._slope = np.where(self._resists, (1 + stribeck) * (model.up + model.down) / (2 * self._v_s), 0.0)
+        self._shaped = model.shapes.any()
+        self._rigid: Array | None = None  # of the links in the step before
+        self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
+        self._hold(self._coulomb)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
         self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
         self._turn(np.sign(self._S @ v))
+
+    def _hold(self, level: Array) -> None:
+        """Take up the friction at rest `level` (c,), half of the distance between its two directions."""
+        self._resists = level > 0
+        self._slope = np.where(self._resists, level / self._v_s, 0.0)
 
     def _turn(self, mode: Array) -> None:
         """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
@@ -64,13 +72,19 @@ class Friction:
             M = M + np.diag(BRAKE * held)
         force = tau - bias - self._V.dot(v)
         near = np.exp(-((self._S.dot(v) / self._falls) ** 2)) if self._stribeck else None
+        if self._shaped:
+            shape, steepness = self._shapes(bias if self._rigid is None else self._rigid, v)
+        added: Array | float = 0.0
         for _ in range(MODE_PASSES):
             level = self._level if near is None else self._level + (near * self._slips) @ self._S
+            if self._shaped:
+                level = level + (self._mode * shape) @ self._S
+                added = 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
             if self._stuck:
                 creep = self._creep
-                _, dv, info = self._solve(M + h * creep, h * (force - level - creep.dot(v)))
+                _, dv, info = self._solve(M + added + h * creep, h * (force - level - creep.dot(v)))
             else:
-                _, dv, info = self._solve(M, h * (force - level))
+                _, dv, info = self._solve(M + added, h * (force - level))
             if info:
                 return None
             w = v + dv
@@ -83,4 +97,19 @@ class Friction:
             if (found == mode).all():
                 break
             self._turn(found)
+        if self._shaped:
+            self._rigid = self._model.of_links(q, v, dv / h)
         return np.asarray(w)
+
+    def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
+        """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the root of speed.
+
+        What sticks is held by as much as slips at the creep speed.
+        """
+        shapes, v_s = self._model.shapes, self._v_s
+        along = self._S.dot(rigid)
+        self._hold(self._coulomb + shapes.friction(v_s, along))
+        if self._stuck:
+            self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
+        u = np.maximum(np.abs(self._S.dot(v)), v_s)
+        return shapes.friction(u, along), 0.5 * shapes.root / np.sqrt(u)

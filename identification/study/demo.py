@@ -64,7 +64,7 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(rehearsal.duration_s / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=rehearsal.duration_s, seed=rehearsal.seed).at(t_s)
-    tau = idm.regressor(q_ref, dq_ref, ddq_ref)[:, :, base.columns] @ truth(idm, base)
+    tau = model.torque(q_ref, dq_ref, ddq_ref)
     plant = RigidBodyPlant(
         model,
         q_ref[0],

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from acquisition.robot import Joint
+
 from ..arrays import Array
 from ..estimation import deviations_of_parts
 from ..model import JointTerm, direct_model
@@ -168,17 +170,18 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
     for j, joint in enumerate(robot.joints):
         only, effort, where = np.eye(n)[j], robot.effort_units[j], f"of joint {joint.name}"
-        if joint.friction == "symmetric" and (joint.viscous or joint.coulomb):
+        resists = "viscous" in joint.terms or "coulomb" in joint.terms
+        if resists and not joint.one_sided and "asymmetric" not in joint.terms:
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
             yield _Column(
                 kind=ASYMMETRIC,
                 where=where,
                 torque=0.01 * np.outer(resisting, only),
                 unit="% of it",
-                advice='describe it as friction = "asymmetric", which has an offset too',
+                advice=_to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
             )
-        if not joint.offset:
-            advice = "describe it as offset = true"
+        if "offset" not in joint.terms:
+            advice = _to_describe(joint, "offset", "offset = true")
             yield _Column(kind=OFFSET, where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
         yield _Column(
             kind="drift",
@@ -194,13 +197,14 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             unit=f"{effort}/{joint.position_unit}",
             advice="record its torque, of a spring, a hose or a weight, as known_torque",
         )
-        yield _Column(
-            kind=STRIBECK,
-            where=where,
-            torque=np.outer(slow[:, j], only),
-            unit=effort,
-            advice="leave out slow rows by a larger --low-speed-percent",
-        )
+        if "stribeck" not in joint.terms:
+            yield _Column(
+                kind=STRIBECK,
+                where=where,
+                torque=np.outer(slow[:, j], only),
+                unit=effort,
+                advice="leave out slow rows by a larger --low-speed-percent",
+            )
     yield from _tilts(evidence, chi, position)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)
@@ -214,6 +218,11 @@ def _speeds(evidence: Evidence) -> Iterator[tuple[Array, Array, Array]]:
         slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
         speed, slowly = (decimation.filtered(x.T).T for x in (np.abs(motion.dq), slow))
         yield speed, slowly, decimation.kept(motion.q)
+
+
+def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
+    """What to do for a friction term, of a joint whose terms are a list or go by keys."""
+    return f'add "{term}" to its friction' if isinstance(joint.friction, tuple) else f"describe it as {otherwise}"
 
 
 def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
@@ -238,7 +247,7 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
 def _gains(evidence: Evidence) -> Iterator[_Column]:
     """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
     observed, names = evidence.observed, evidence.observed.system.names
-    predicted = (observed.system.W @ evidence.estimate.among(names)).reshape(observed.tau.shape[1], -1).T
+    predicted = observed.predicted(evidence.estimate.among(names))
     predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.parts])
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(

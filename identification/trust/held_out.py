@@ -54,12 +54,13 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     if least <= len(d):
         return not_made(name, f"not made: {least} rows outside a block for {len(d)} parameters; record longer")
     trained, held, size, figures = 0.0, 0.0, 0.0, []
+    tau = evidence.observed.tau.T.reshape(-1)
     for number, part in enumerate(_blocks(T, BLOCKS), 1):
-        Qk, Wk, Yk, weight = (part_of(x, n, part) for x in (Q, W, rows.Y, rows.weight))
+        Qk, Wk, Yk, tau_k, weight = (part_of(x, n, part) for x in (Q, W, rows.Y, tau, rows.weight))
         beta = np.linalg.lstsq(A - Qk.T @ Wk, c - Qk.T @ Yk, rcond=1e-12)[0]
         per = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 0.0)
         own = float(np.sum(((Yk - Wk @ (d * evidence.estimate.beta)) * per) ** 2))
-        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((Yk * per) ** 2))
+        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((tau_k * (weight > 0)) ** 2))
         trained, held, size = trained + own, held + other, size + torque
         if torque > 0:
             percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))

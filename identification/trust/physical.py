@@ -4,9 +4,11 @@ No method sees to that by itself: an effort or a position of the wrong sign fits
 inertias and friction below zero. What is below zero by two half-widths of its 95 % interval is no chance. For M that is judged
 along single directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance, C = D R D with the formula's
 correlations R and the intervals' deviations D. Tried at each pose are each joint alone, and the eigenvector of the lowest
-eigenvalue. A stricter test: how far the nearest parameters are whose links have positive density.
+eigenvalue. Where friction has more terms than Fv and Fc, their sum counts, not the sign of each: friction that would drive a
+joint at a recorded speed is no friction. A stricter test: how far the nearest parameters are whose links have positive density.
 """
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +25,17 @@ from ..estimation import (
     intervals_of_blocks,
     weighted_least_squares,
 )
-from ..model import RESISTING, DirectModel, InverseModel, JointTerm, physical_parameters
+from ..model import (
+    DISSIPATING,
+    RESISTING,
+    SHAPES,
+    DirectModel,
+    InverseModel,
+    JointTerm,
+    friction_alone,
+    physical_parameters,
+)
+from ..passes import links_at_rows
 from ..regression import Problem, base_name
 from .evidence import Evidence
 from .lines import LEVELS, Level, TrustLine
@@ -105,12 +117,17 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     findings, lowest = _inertia_findings(
         idm, base.columns[among], estimate.beta, found, np.concatenate([part.poses for part in evidence.parts])
     )
+    shaped = _joints_of(idm, SHAPES)
+    if shaped:
+        at_rows = _at_rows(evidence, estimate)
+        findings += [x for j in sorted(shaped) for x in _driving_findings(evidence, j, at_rows, estimate, found)]
     below: dict[int, list[tuple[str, float, bool]]] = {}  # by joint: name and value, in half-widths, whether it resists
     half = found.reach * np.sqrt(np.diag(found.covariance))
     for i, name, value, width in zip(among, estimate.names, estimate.beta, half, strict=True):
         terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
         kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
         of_joints = all(isinstance(term, JointTerm) for term in terms) and "offset" not in kinds
+        of_joints &= not (kinds <= set(DISSIPATING) and shaped & _joints(terms))
         if of_joints and (base.K[i] >= 0).all() and value < -width:
             joint = int("".join(filter(str.isdigit, base.names[i]))) - 1
             text = f"{name} = {value:.4g} ± {width:.2g} {base.units[i]}"
@@ -126,6 +143,52 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
                 question = _question(signals.robot.joints[joint].name)
                 findings.append(_Finding(level=level, text=f"below zero: {', '.join(texts)}: {question}"))
     return findings, lowest
+
+
+def _joints_of(idm: InverseModel, kinds: Collection[str]) -> set[int]:
+    """Joints on which terms of these kinds act."""
+    return _joints(source for source in idm.sources if isinstance(source, JointTerm) and source.kind in kinds)
+
+
+def _joints(terms: Iterable[tuple[int, int] | JointTerm]) -> set[int]:
+    return {int(j) for term in terms if isinstance(term, JointTerm) for j in term.rows}
+
+
+def _at_rows(evidence: Evidence, estimate: Estimate) -> tuple[Array, Array]:
+    """Speeds and torque of the links (rows, n) at the rows; of several recordings, which have no load friction, zeros."""
+    problem, speed = evidence.problem, evidence.observed.speed
+    several = len(evidence.parts) > 1
+    return (speed, np.zeros_like(speed)) if several else links_at_rows(problem, estimate.among(problem.base.names))
+
+
+def _driving_findings(
+    evidence: Evidence, j: int, at_rows: tuple[Array, Array], estimate: Estimate, found: Intervals
+) -> list[_Finding]:
+    """Whether friction would drive joint j, moving alone, at a speed and load of a row that counts.
+
+    `at_rows` are the speeds and the links' torques (rows, n) there.
+    Of friction that has a shape no single term tells that: the root of speed may be below zero where viscous friction makes up
+    for it. Constant offsets are no friction.
+    """
+    idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.signals.robot
+    among, (dq, rigid) = [base.names.index(base_name(name)) for name in estimate.names], at_rows
+    rows = np.flatnonzero(evidence.observed.fast[: len(dq), j])[:: max(1, len(dq) // POSES)]
+    v = dq[rows, j]
+    G = np.sign(v)[:, None] * friction_alone(idm, base.columns[among], j, v, np.abs(rigid[rows, j]))
+    of_part = np.array([[name in part.parameters for name in estimate.names] for part in evidence.parts])
+    G = (
+        G * of_part[np.repeat(np.arange(len(evidence.parts)), evidence.observed.parts)[rows]]
+    )  # own parameters: own rows
+    resists = G @ estimate.beta
+    half = found.reach * np.sqrt(np.einsum("ri,ij,rj->r", G, found.covariance, G))
+    drives = np.flatnonzero(resists < -half)
+    if not drives.size:
+        return []
+    worst = drives[int(np.argmin(resists[drives] / np.maximum(half[drives], 1e-300)))]
+    joint, unit = robot.joints[j], robot.effort_units[j]
+    text = f"friction would drive joint {joint.name} at {v[worst]:.3g} {joint.position_unit}/s: "
+    text += f"{resists[worst]:.3g} ± {half[worst]:.2g} {unit} against its motion: {_question(joint.name)}, or leave terms out"
+    return [_Finding(level="do not use" if resists[worst] < -SEVERE * half[worst] else "caution", text=text)]
 
 
 def _question(name: str) -> str:

@@ -5,6 +5,7 @@ from .viewer import (
     write_excitation_rrd,
     write_fit_rrd,
     write_fleet_rrd,
+    write_friction_rrd,
     write_recording_rrd,
     write_study_rrd,
 )
@@ -14,6 +15,7 @@ __all__ = [
     "write_excitation_rrd",
     "write_fit_rrd",
     "write_fleet_rrd",
+    "write_friction_rrd",
     "write_recording_rrd",
     "write_study_rrd",
 ]

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from ..arrays import Array
+from ..report import Document, to_markdown
 
 Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
@@ -183,3 +184,8 @@ class Scene:
 
 
 Panel = Plot | Bars | Drawing | Lanes | Log | Note | Scene
+
+
+def report_note(document: Document) -> Note:
+    """A report as a panel."""
+    return Note(path=("report",), title="report", text=to_markdown(document))

@@ -32,11 +32,11 @@ from ..report import (
 )
 from ..study import Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
-from .curves import drift_plots, motion_plots, observed, position_plots, torque_plots
-from .excitation_panels import excitation_plots, intervals_drawing
-from .panels import Drawing, Note, Plot
+from .curves import motion_plots, observed, position_plots, torque_plots
+from .design_panels import excitation_page, fleet_pages, friction_page
+from .panels import Drawing, Note, Plot, report_note
 from .rerun_panels import Show, shown_text, write_pages
-from .robot_drawing import excitation_scene, robot_scene
+from .robot_drawing import robot_scene
 from .signal_panels import (
     event_log,
     extra_plots,
@@ -58,7 +58,7 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     `q/<joint>/measured`, `measured_filtered`, `reference`, `simulated`, and so for `dq` and `ddq`;
     `error/<joint>/reference`, `simulated`: these positions minus the measured one, in the unit of the plot's title;
     `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `robot`, `parameters`, `trust`, `passes`,
-    `residual`, `spectrum`, `session`, `events`, `health`, `extra/<object>/<motor>`, `report`.
+    `friction`, `residual`, `spectrum`, `session`, `events`, `health`, `extra/<object>/<motor>`, `report`.
 
     Parameters
     ----------
@@ -76,6 +76,26 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
     write_pages(path, signals.robot.name, identity, name, lambda show: _fit_pages(show, signals, fit, truth))
+
+
+def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) -> None:
+    """Write the fits with the usual and with the recommended friction terms as a Rerun file.
+
+    Entities are `friction/<joint>/usual`, `friction/<joint>/recommended`, and `report`.
+
+    Raises
+    ------
+    AcquisitionError : where the file `path` cannot be written.
+    """
+    robot, recording = before.problem.signals.robot.name, before.problem.signals.recording
+    fits = {"usual": before, "recommended": after}
+
+    def pages(show: Show) -> list[Any]:
+        page, note = friction_page(show, fits), show(report_note(document))
+        return [rrb.Horizontal(page, note, column_shares=[5, 2], name="friction")]
+
+    identity = " ".join(repr(fit.estimate.beta.tobytes()) for fit in fits.values())
+    write_pages(path, robot, f"{recording} {identity}", f"{recording}, friction", pages)
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
@@ -165,7 +185,7 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
     """
     robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
     name = f"{robot}, excitation"
-    write_pages(path, f"{robot} excitation", identity, name, lambda show: _excitation_page(show, excitation, document))
+    write_pages(path, f"{robot} excitation", identity, name, lambda show: excitation_page(show, excitation, document))
 
 
 def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> None:
@@ -185,19 +205,7 @@ def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> 
     """
     names = ", ".join(drift.name for drift in series)
     identity = repr([(row.sha256, row.parameters) for drift in series for row in drift.rows])
-    write_pages(path, f"fleet {names}", identity, "fleet", lambda show: _fleet_pages(show, series, document))
-
-
-def _fleet_pages(show: Show, series: Sequence[Drift], document: Document) -> list[Any]:
-    """By robot: charts in tabs, those with something beyond the limits first; beside them the report."""
-    report, pages = show(_note(document)), []
-    for drift in series:
-        views = [show(plot) for plot in drift_plots(drift)]
-        starts = range(0, len(views), 16)
-        tabs = [rrb.Grid(*views[k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
-        charts = rrb.Tabs(*tabs, active_tab=0)
-        pages.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
-    return pages or [rrb.Horizontal(report, name="report")]
+    write_pages(path, f"fleet {names}", identity, "fleet", lambda show: fleet_pages(show, series, document))
 
 
 def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
@@ -210,7 +218,7 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)
     sections = (numbers_of_plots(signals, fit, seen), *compared, fit_legend(signals, fit))
-    report = _note(fit_document(signals, fit, everything=True).followed_by(*sections))
+    report = report_note(fit_document(signals, fit, everything=True).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     curves = position_plots(signals, fit, seen), torque_plots(signals, fit, seen)
     deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
@@ -226,6 +234,7 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
         trust,
         rrb.Horizontal(*deviations, column_shares=[3, 1][: len(deviations)], name="parameters"),
         *([rrb.Vertical(*residual, name="residual")] if residual else []),
+        friction_page(show, {"": fit}),
         *_signal_pages(show, signals, fit.settings, fitted=True),
         _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
     ]
@@ -234,7 +243,7 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
 def _recording_pages(show: Show, signals: Signals, settings: Settings | None, refusal: str | None) -> list[Any]:
     n, seen = signals.robot.n, observed(signals, settings, None)
     sections = numbers_of_plots(signals, None, seen), recording_legend(signals, settings)
-    report = _note(recording_document(signals, settings, refusal).followed_by(*sections))
+    report = report_note(recording_document(signals, settings, refusal).followed_by(*sections))
     curves = position_plots(signals, None, seen), torque_plots(signals, None, seen)
     return [
         _answer(show, signals, None, *curves, show(report)),
@@ -245,19 +254,7 @@ def _recording_pages(show: Show, signals: Signals, settings: Settings | None, re
 
 def _drawing_page(show: Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
     """One page: a drawing and its report."""
-    return [rrb.Horizontal(show(drawing), show(_note(document)), column_shares=list(shares), name=name)]
-
-
-def _excitation_page(show: Show, excitation: Excitation, document: Document) -> list[Any]:
-    """One page: the reference joint by joint with its limits, the robot that moves along it, the expected intervals."""
-    motion = [rrb.Vertical(*map(show, plots)) for plots in excitation_plots(excitation)]
-    side = rrb.Vertical(show(intervals_drawing(excitation)), show(_note(document)), row_shares=[3, 2])
-    seen = rrb.Vertical(show(excitation_scene(excitation)), rrb.Horizontal(*motion), row_shares=[2, 3])
-    return [rrb.Horizontal(seen, side, column_shares=[5, 2], name="excitation")]
-
-
-def _note(document: Document) -> Note:
-    return Note(path=("report",), title="report", text=to_markdown(document))
+    return [rrb.Horizontal(show(drawing), show(report_note(document)), column_shares=list(shares), name=name)]
 
 
 def _answer(

@@ -1,0 +1,29 @@
+"""Which friction terms predict a recording: sets of terms, their trials with parts held out, the recommended one."""
+
+from .curves import FrictionCurve, JointFriction, friction_of_joints
+from .report import FrictionFile, friction_document, friction_file, friction_line
+from .selection import TermChoice, choose_terms, fits_with, recommended
+from .sets import TermSet, described_terms, with_terms
+from .trials import Trial, Trials
+from .writing import with_friction, write_friction
+
+__all__ = [
+    "FrictionCurve",
+    "FrictionFile",
+    "JointFriction",
+    "TermChoice",
+    "TermSet",
+    "Trial",
+    "Trials",
+    "choose_terms",
+    "described_terms",
+    "fits_with",
+    "friction_document",
+    "friction_file",
+    "friction_line",
+    "friction_of_joints",
+    "recommended",
+    "with_friction",
+    "with_terms",
+    "write_friction",
+]

@@ -1,0 +1,97 @@
+"""Load friction: mu times the size of the links' torque, which is known only where the parameters of the links are.
+
+Per joint tau = ... + mu abs(tau_rigid) sign(dq), with tau_rigid = W_links beta_links on the recording's own grid, before any
+decimation; W_links are the columns of the base parameters whose own parameter is a link's. About an estimate beta_k the
+model is linear in the change of the parameters. In the rows of a joint with load friction
+
+    Y + D beta_k = (W + D) beta + rho,    D = mu_k s W_links,    s = sign(tau_rigid) sign(dq),
+
+W having abs(tau_rigid) sign(dq) as the column of mu. The residual at beta = beta_k is that of the model itself; solved again
+and again this ends where the model fits best, in few passes, and intervals hold for mu and the links together.
+"""
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..model import BaseParameters, InverseModel, JointTerm
+from .filtering import Decimation
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkSeries:
+    """The links' part of a block's regressor before decimation, in the rows of joints with load friction.
+
+    Attributes:
+        entries: (E, 2) joint, and place among the base parameters; `series` (E, N) their columns.
+        dq: (N, n) speeds; `inside` the decimated rows that count.
+    """
+
+    entries: NDArray[np.intp]
+    series: Array
+    dq: Array
+    inside: slice
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadFriction:
+    """The joints (k,) that have load friction, the places (k,) of their mu among the b base parameters, and `links` (b,)."""
+
+    joints: NDArray[np.intp]
+    places: NDArray[np.intp]
+    links: NDArray[np.bool_]
+
+    def __bool__(self) -> bool:
+        return len(self.joints) > 0
+
+    def of(self, places: Collection[int]) -> "LoadFriction":
+        """That of which mu has one of these places."""
+        own = np.isin(self.places, list(places))
+        return replace(self, joints=self.joints[own], places=self.places[own])
+
+    def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> LinkSeries:
+        """The links' part, of these joints, of a block's regressor: its entries (E, 2) and their series (E, N)."""
+        own = self.links[entries[:, 1]] & np.isin(entries[:, 0], self.joints)
+        return LinkSeries(entries=entries[own], series=series[own], dq=dq, inside=inside)
+
+    def torque_of_links(self, entries: NDArray[np.intp], series: Array, beta: Array) -> Array:
+        """tau_rigid (k, N) of these joints, from the series (E, N) of the regressor's entries (E, 2) and beta (b,)."""
+        of_links = self.links[entries[:, 1]]
+        rigid = np.zeros((len(self.joints), series.shape[1]))
+        for i, j in enumerate(self.joints):
+            own = np.flatnonzero(of_links & (entries[:, 0] == j))
+            together = slice(own[0], own[-1] + 1) if len(own) == np.ptp(own) + 1 else own  # a slice is not copied
+            rigid[i] = beta[entries[own, 1]] @ series[together]
+        return rigid
+
+    def columns(self, rigid: Array, dq: Array, decimation: Decimation) -> Array:
+        """abs(tau_rigid) sign(dq), decimated, then s at its rows, (2, k, rows), from tau_rigid (k, N) and dq (N, n).
+
+        s serves as a derivative only: what it lacks of the filter does not move the solution.
+        """
+        sign = np.sign(dq[:, self.joints].T)
+        s = decimation.kept((np.sign(rigid) * sign).T).T
+        return np.stack([decimation.filtered(np.abs(rigid) * sign), s])
+
+    def linearise(self, W: Array, Y: Array | None, columns: Array, beta: Array) -> None:
+        """Fill W (n, b, rows), whose load columns are zero, and Y (n, rows) with those about beta (b,); in place."""
+        for j, place, column, s in zip(self.joints, self.places, *columns, strict=True):
+            D = beta[place] * s * W[j, self.links]
+            W[j, self.links] += D
+            W[j, place] = column
+            if Y is not None:
+                Y[j] += beta[self.links] @ D
+
+
+def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction:
+    """Where the base parameters of a robot have load friction."""
+    found = [
+        (int(source.rows[0]), place)
+        for place, source in enumerate(model.sources[c] for c in base.columns)
+        if isinstance(source, JointTerm) and source.kind == "load"
+    ]
+    joints, places = np.array(found, dtype=np.intp).reshape(-1, 2).T
+    return LoadFriction(joints=joints, places=places, links=base.links)

@@ -1,0 +1,158 @@
+"""Pages of experiments: a reference with its limits and the intervals expected of it; friction over speed; a fleet's drift."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from ..arrays import Array
+from ..excitation import Excitation
+from ..fleet import Drift
+from ..friction import JointFriction, friction_of_joints
+from ..methods import Fit
+from ..report import Document
+from .curves import drift_plots
+from .panels import (
+    GREY,
+    LIGHT,
+    ORANGE,
+    PREDICTED,
+    REFERENCE,
+    SKY,
+    VERMILLION,
+    Curve,
+    Drawing,
+    Plot,
+    Scale,
+    Sheet,
+    log10,
+    report_note,
+)
+from .rerun_panels import Show, shown_text
+from .robot_drawing import excitation_scene
+
+MOST_DOTS = 400  # of a drawing
+LOADS = (SKY, ORANGE, VERMILLION)  # a low load, the middle, a high one
+
+
+def excitation_plots(excitation: Excitation) -> list[list[Plot]]:
+    """By joint: position, speed and, where it is known, torque over one period, with their limits."""
+    e = excitation
+    t_s, q, dq, tau = e.curves()
+    efforts = dict(zip(e.limits.effort.names, e.limits.effort.limits, strict=True))
+    out = []
+    for j, joint in enumerate(e.robot.joints):
+        unit, speed = joint.position_unit, joint.si("speed")
+        plots = [
+            _plot("q", joint.name, unit, (t_s, q[:, j]), joint.si("position")),
+            _plot("dq", joint.name, f"{unit}/s", (t_s, dq[:, j]), (-speed, speed)),
+        ]
+        if tau is not None:
+            limit = efforts.get(f"joint {joint.name}")
+            limits = None if limit is None else (-limit, limit)
+            plots.append(_plot("torque", joint.name, e.robot.effort_units[j], (t_s, tau[:, j]), limits))
+        out.append(plots)
+    return out
+
+
+def _plot(quantity: str, joint: str, unit: str, line: tuple[Array, Array], limits: tuple[float, float] | None) -> Plot:
+    ends = line[0][[0, -1]]
+    curves = [Curve(key="reference", color=REFERENCE, line=line)]
+    for key, limit in zip(("low", "high"), limits or (), strict=False):
+        curves.append(Curve(key=key, color=VERMILLION, line=(ends, np.full(2, limit)), width=0.75))
+    return Plot(path=(quantity, joint), title=f"{quantity} {joint}, {unit}", curves=tuple(curves), legend=False)
+
+
+def intervals_drawing(excitation: Excitation) -> Drawing:
+    """Half the expected 95 % interval of every parameter, and below it in grey that of the plain reference."""
+    e, sheet = excitation, Sheet()
+    names, columns = e.base.names, 1 if e.base.b <= 20 else 2
+    rows, pitch, width = -(-len(names) // columns), 17.0 if e.base.b > 12 else 24.0, 540.0 / columns
+    height = 54 + pitch * rows
+    both = np.concatenate([e.half, e.plain_half])
+    low, high = math.floor(log10(float(both.min()))), math.ceil(log10(float(both.max())))
+    scales = [
+        Scale(left=width * c + 60, right=width * (c + 1) - 15, low=10.0**low, high=10.0**high, by=log10)
+        for c in range(columns)
+    ]
+    for scale in scales:
+        for power in range(low, high + 1):
+            sheet.line(scale(10.0**power), 44, scale(10.0**power), height)
+            sheet.labels.append((scale(10.0**power), 22, f"1e{power}", GREY))
+    sheet.labels.append((270.0, 0.0, "half the 95 % interval, SI units", LIGHT))
+    for i, name in enumerate(names):
+        c, row = divmod(i, rows)
+        y = 58 + pitch * row
+        sheet.labels.append((width * c + 30, y - 9, name, LIGHT))
+        for half, level, color in ((e.half[i], y - 2, ORANGE), (e.plain_half[i], y + 3, GREY)):
+            sheet.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
+    title = "expected ± 95 %: orange this reference, grey the plain one"
+    return sheet.drawing(("intervals",), title, (540.0, height + 20))
+
+
+def friction_drawing(friction: JointFriction, *, of: str = "") -> Drawing:
+    """Friction of a joint over its speed: rows as dots, the identified curve and its interval; colors are of the load."""
+    sheet, (left, top, right, bottom) = Sheet(), (70.0, 30.0, 440.0, 300.0)
+    every = slice(None, None, max(1, len(friction.speed) // MOST_DOTS))
+    v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
+    shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
+    size = float(np.abs(shown).max(initial=1e-9))
+    peak = float(np.abs(friction.curves[0].speed).max(initial=1e-9)) or 1e-9
+    across, up = (
+        Scale(left=left, right=right, low=-peak, high=peak),
+        Scale(left=bottom, right=top, low=-size, high=size),
+    )
+    for x in (-peak, 0.0, peak):
+        sheet.line(across(x), top, across(x), bottom)
+        sheet.labels.append((across(x), bottom + 5, f"{x:.3g}", GREY))
+    for y in (-size, 0.0, size):
+        sheet.line(left, up(y), right, up(y))
+        sheet.labels.append((35.0, up(y) - 10, f"{y:.3g}", GREY))
+    levels = np.array([curve.load for curve in friction.curves])
+    nearest = np.zeros(len(v), dtype=int) if len(levels) == 1 else np.abs(load[:, None] - levels).argmin(axis=1)
+    colors = (GREY,) if len(levels) == 1 else LOADS
+    sheet.dots.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
+    for k, curve in enumerate(friction.curves):
+        color = PREDICTED if len(levels) == 1 else LOADS[k]
+        for side in (curve.speed < 0, curve.speed > 0):
+            for offset, radius in ((0.0, 1.25), (-1.0, 0.4), (1.0, 0.4)):
+                edge = curve.torque + offset * curve.half
+                line = [(across(a), up(b)) for a, b in zip(curve.speed[side], edge[side], strict=True)]
+                sheet.strokes.append((line, color, radius))
+        if len(levels) > 1:
+            sheet.labels.append((left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color))
+    title = f"friction {friction.joint} [{friction.unit}] over speed [{friction.speed_unit}]{of and f', {of}'}"
+    return sheet.drawing(("friction", friction.joint, *([of] if of else [])), title, (470.0, 340.0))
+
+
+def excitation_page(show: Show, excitation: Excitation, document: Document) -> list[Any]:
+    """One page: the reference joint by joint with its limits, the robot that moves along it, the expected intervals."""
+    motion = [rrb.Vertical(*map(show, plots)) for plots in excitation_plots(excitation)]
+    side = rrb.Vertical(show(intervals_drawing(excitation)), show(report_note(document)), row_shares=[3, 2])
+    seen = rrb.Vertical(show(excitation_scene(excitation)), rrb.Horizontal(*motion), row_shares=[2, 3])
+    return [rrb.Horizontal(seen, side, column_shares=[5, 2], name="excitation")]
+
+
+def friction_page(show: Show, fits: Mapping[str, Fit]) -> Any:
+    """Friction of each joint over its speed, of one fit or several by name, side by side."""
+    drawings = [
+        show(friction_drawing(friction, of=name)) for name, fit in fits.items() for friction in friction_of_joints(fit)
+    ]
+    n = len(drawings) // len(fits)
+    order = [drawings[j + n * k] for j in range(n) for k in range(len(fits))]
+    columns = min(3, n) if len(fits) == 1 else 2 if n < 3 else 4
+    return rrb.Grid(*order, grid_columns=columns, name="friction")
+
+
+def fleet_pages(show: Show, series: Sequence[Drift], document: Document) -> list[Any]:
+    """By robot: charts in tabs, those with something beyond the limits first; beside them the report."""
+    report, pages = show(report_note(document)), []
+    for drift in series:
+        views = [show(plot) for plot in drift_plots(drift)]
+        starts = range(0, len(views), 16)
+        tabs = [rrb.Grid(*views[k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
+        charts = rrb.Tabs(*tabs, active_tab=0)
+        pages.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
+    return pages or [rrb.Horizontal(report, name="report")]

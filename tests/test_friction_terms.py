@@ -1,0 +1,620 @@
+"""Friction terms: their columns against formulas, what exact data give back, simulated motion against physics, the choice."""
+
+import dataclasses
+import json
+import re
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY
+from fits_of_records import signals_of
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot.robot import robot_from_files
+from identification.commands import main
+from identification.data import RecordingFile, Recordings
+from identification.data.in_memory import signals_from_arrays
+from identification.export.losses import random_states, sayable
+from identification.export.mechanism import mechanism_of
+from identification.friction import Trials, choose_terms, friction_of_joints, with_friction, with_terms
+from identification.methods.idim import identify_iv, identify_ls
+from identification.methods.iteration import Iteration
+from identification.model.base import base_parameters
+from identification.model.direct import direct_model
+from identification.model.inverse import InverseModel
+from identification.model.joint_terms import JointTerm
+from identification.passes import settled_least_squares
+from identification.regression import system
+from identification.regression.motion import Motion
+from identification.regression.problem import make_problem
+from identification.regression.settings import Overrides
+from identification.regression.system import regression_of_recording
+from identification.simulation.closed_loop import simulate
+from identification.simulation.control_law import Reference, surrogate_loop
+from identification.study.noise import Noise
+from identification.study.synthetic import closed_loop, periodic_reference, random_reference, truth, write_signals
+from identification.work import processes
+
+USUAL = ["viscous", "coulomb", "offset"]
+ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]
+
+
+def described(name: str, terms, more: str = ""):
+    """A description of replay_data with a list of terms for each joint, and more parameters."""
+    text = with_friction((REPLAY / name / "robot.toml").read_text(), terms)
+    text = text.replace('"stribeck"]\n', '"stribeck"]\nstribeck_speed_deg_s = 20\n')
+    return robot_from_files({"robot.toml": f"{text}\n{more}".encode()}, f"{name}.toml")
+
+
+def model_of(robot):
+    model = InverseModel(robot)
+    base = base_parameters(model)
+    return model, base, truth(model, base)
+
+
+def direct_of(model, base, beta):
+    return direct_model(model, base.standard_parameters(beta))
+
+
+@pytest.fixture(scope="module")
+def arm():
+    """The TX40 with every term at every joint, and values for them."""
+    more = "".join(f"Off{j} = 0.{j}\nFa{j} = 0.1\nFr{j} = 0.7\nFs{j} = 0.4\nmu{j} = 0.{j + 1}\n" for j in range(1, 7))
+    return described("tx40", [ALL] * 6, f"{more}Frm6 = 0.5\nFsm6 = 0.3\n")
+
+
+# --- the description
+
+
+@pytest.mark.parametrize(
+    ("lines", "key", "expected"),
+    [
+        ('friction = ["viscous", "viscous"]', "joint[0].friction", "each term once"),
+        (
+            'friction = ["viscuos"]',
+            "joint[0].friction[0]",
+            "'asymmetric', 'coulomb', 'load', 'offset', 'root', 'stribeck'",
+        ),
+        ('friction = "odd"', "joint[0].friction", "'asymmetric', 'symmetric'"),
+        ('friction = ["root"]\noffset = true', "joint[0].offset", "no such key"),
+        ('friction = ["stribeck"]', "joint[0].stribeck_speed_deg_s", "37 %"),
+        ("stribeck_speed_deg_s = 5", "joint[0].stribeck_speed_deg_s", '"stribeck" in friction'),
+        ('friction = ["stribeck"]\nstribeck_speed_m_s = 5', "joint[0].stribeck_speed_m_s", "deg"),
+    ],
+)
+def test_a_list_of_terms_that_means_nothing_is_refused(lines, key, expected):
+    text = (REPLAY / "scara" / "robot.toml").read_text().replace('"revolute"\n', f'"revolute"\n{lines}\n', 1)
+    with pytest.raises(AcquisitionError) as refused:
+        robot_from_files({"robot.toml": text.encode()}, "scara.toml")
+    assert refused.value.key == key
+    assert expected in str(refused.value.expected)
+
+
+def test_the_old_words_keep_their_parameters_and_a_list_has_its_own():
+    text = (REPLAY / "scara" / "robot.toml").read_text()
+    word = text.replace('"revolute"\n', '"revolute"\nfriction = "asymmetric"\noffset = true\n', 1)
+    names = {}
+    for key, content in (("old", text), ("word", word)):
+        names[key] = InverseModel(robot_from_files({"robot.toml": content.encode()}, key)).names
+    names["list"] = InverseModel(described("scara", [["viscous", "coulomb"]] * 2)).names
+    assert names["list"] == names["old"]
+    assert set(names["word"]) - set(names["old"]) == {"Fvp1", "Fvn1", "Fcp1", "Fcn1", "Off1"}
+    assert set(InverseModel(described("scara", [ALL, ["load"]])).names) - set(names["old"]) == {
+        "Off1", "Fa1", "Fr1", "Fs1", "mu1", "mu2"
+    }  # fmt: skip
+
+
+# --- the model
+
+
+def test_columns_and_units_are_those_of_the_formulas(arm):
+    """A coupled motor has its own root and Stribeck friction, at dq5 + dq6; |v| and load are of joints."""
+    model, _, _ = model_of(arm)
+    q, dq, ddq = np.random.default_rng(0).uniform(-2, 2, (3, 40, 6))
+    W = model.regressor(q, dq, ddq)
+    units = dict(zip(model.names, model.units, strict=True))
+
+    def column(name):
+        return W[:, :, model.names.index(name)]
+
+    v, u, own = dq[:, 2], dq[:, 4] + dq[:, 5], np.eye(6)[2]
+    speed = np.deg2rad(20.0)
+    np.testing.assert_allclose(column("Fa3"), np.outer(np.abs(v), own))
+    np.testing.assert_allclose(column("Fr3"), np.outer(np.sqrt(np.abs(v)) * np.sign(v), own))
+    np.testing.assert_allclose(column("Fs3"), np.outer(np.exp(-((v / speed) ** 2)) * np.sign(v), own))
+    both = np.array([0, 0, 0, 0, 1.0, 1.0])
+    np.testing.assert_allclose(column("Frm6"), np.outer(np.sqrt(np.abs(u)) * np.sign(u), both))
+    np.testing.assert_allclose(column("Fsm6"), np.outer(np.exp(-((u / speed) ** 2)) * np.sign(u), both))
+    assert [units[name] for name in ("Fa3", "Fr3", "Frm6", "Fs3", "mu3")] == [
+        "N m s/rad", "N m (s/rad)^½", "N m (s/rad)^½", "N m", ""
+    ]  # fmt: skip
+    assert "mum6" not in units
+    assert "Fam6" not in units
+
+
+def test_direct_and_inverse_model_agree_with_every_term(arm):
+    """tau = W beta + mu |tau_rigid| sign(dq), tau_rigid the base columns whose own parameter is a link's, times beta."""
+    model, base, beta = model_of(arm)
+    q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 40, 6))
+    W = model.regressor(q, dq, ddq)[:, :, base.columns]
+    links = [not re.fullmatch(r"(Ia|F..?|Off|mu)\d", model.names[c]) for c in base.columns]
+    rigid = W[:, :, links] @ beta[links]
+    mu = np.array([beta[base.names.index(f"mu{j}")] for j in range(1, 7)])
+    expected = W @ beta + mu * np.abs(rigid) * np.sign(dq)
+    direct = direct_of(model, base, beta)
+    np.testing.assert_allclose(direct.torque(q, dq, ddq), expected, rtol=1e-10, atol=1e-10)
+    for k in range(3):
+        np.testing.assert_allclose(direct.inverse(q[k], dq[k], ddq[k], dq[k]), expected[k], rtol=1e-10, atol=1e-10)
+
+
+def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
+    model, _, _ = model_of(arm)
+    dq = np.random.default_rng(2).uniform(0.2, 1.0, (30, 6)) * np.random.default_rng(3).choice([-1.0, 1.0], (30, 1))
+    step = 1e-6
+    for term in (s for s in model.sources if isinstance(s, JointTerm) and s.kind in ("asymmetric", "root", "stribeck")):
+        for j in term.rows:
+            slopes, none = term.entry_slopes(int(j), dq)
+            off = [np.eye(6)[i] * step for i in range(6)]
+            expected = [(term.entry(j, dq + d, dq) - term.entry(j, dq - d, dq)) / (2 * step) for d in off]
+            np.testing.assert_allclose(slopes, np.transpose(expected), rtol=5e-3, atol=5e-4)
+            assert not none.any()
+
+
+def test_export_counts_what_a_format_cannot_say_of_these_terms():
+    """Viscous and Coulomb friction, refitted, stand for the rest; what is missing is told by joint."""
+    robot = described(
+        "scara", [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb"]], "Fr1 = 0.6\nmu1 = 0.3\n"
+    )
+    model, base, _ = model_of(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in model.names])
+    chi[[model.names.index(name) for name in ("XX1", "YY1", "XX2", "YY2", "M1", "M2")]] = [
+        3.0,
+        3.0,
+        0.1,
+        0.1,
+        20.0,
+        5.0,
+    ]
+    mechanism = mechanism_of(model, chi, "test")
+    assert [model.names[c] for c in mechanism.others] == ["Fr1", "mu1"]
+    states = random_states(mechanism)
+    whole = direct_of(model, base, base.K @ chi).torque(states.q, states.dq, states.ddq)
+    np.testing.assert_allclose(states.tau, whole, rtol=1e-9, atol=1e-9)
+    said, (loss,) = sayable(mechanism, states, rotors=True, couplings=True)
+    assert "Fr1, mu1" in loss.what
+    assert loss.rms[0] > 0.1
+    assert loss.rms[1] == 0
+    assert said.frictionloss[0] > mechanism.frictionloss[0]
+    assert said.frictionloss[1] == mechanism.frictionloss[1]
+
+
+class Exact:
+    """A motion known exactly, where that of a recording is filtered."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+
+    def between(self, start, stop, cutoff_hz):
+        m = self.motion
+        parts = (np.array(x[start:stop]) for x in (m.t_s, m.q, m.dq, m.ddq, m.tau))
+        return Motion(**dict(zip(("t_s", "q", "dq", "ddq", "tau"), parts, strict=True)))
+
+
+def exact_problem(robot, x, *, rate_hz=250.0, decimation=1, beta=None):
+    """The identification of a robot from q, dq, ddq (N, n) as they are, and their torque."""
+    model, base, known = model_of(robot)
+    tau = direct_of(model, base, known if beta is None else beta).torque(*x)
+    problem = make_problem(
+        signals_from_arrays(x[0], tau, rate_hz, robot),
+        Overrides(decimation=decimation, torque_lag_s="none", cutoff_hz=40.0),
+    )
+    motion = Motion(t_s=np.arange(len(tau)) / rate_hz, q=x[0], dq=x[1], ddq=x[2], tau=tau)
+    return dataclasses.replace(problem, motion=Exact(motion)), known
+
+
+@pytest.fixture(scope="module")
+def exact(arm):
+    t = np.arange(0.0, 3.0, 1 / 250.0)
+    return exact_problem(arm, periodic_reference(arm, duration_s=3.0, seed=5).at(t))
+
+
+def test_exact_motion_gives_every_term_back(exact):
+    problem, known = exact
+    settled = settled_least_squares(problem, regression_of_recording(problem))
+    assert settled.problem.settings.warnings == problem.settings.warnings  # nothing is left out
+    np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8, atol=1e-8)
+
+
+def upright(terms, more: str = ""):
+    """The SCARA turned upright, so that its links hang."""
+    robot = described("scara", terms, more)
+    text = robot.files["robot.toml"].decode()
+    return robot_from_files({"robot.toml": ("gravity_m_s2 = [0, -9.81, 0]\n" + text).encode()}, "upright")
+
+
+def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
+    """Load friction by blocks: series made anew, and rows held as QR factors."""
+    robot = upright([[*USUAL, "root", "load"], [*USUAL, "load"]], "Fr1 = 0.5\nmu1 = 0.2\nmu2 = 0.3\n")
+    t = np.arange(0.0, 12.0, 1 / 250.0)
+    problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
+    whole = settled_least_squares(problem, regression_of_recording(problem))
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
+    monkeypatch.setattr(system, "_LINKS_KEPT", 0)
+    blocks = settled_least_squares(problem, regression_of_recording(problem))
+    np.testing.assert_allclose(blocks.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
+    monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
+    plain = regression_of_recording(problem)
+    assert plain.reduced
+    reduced = settled_least_squares(problem, plain)
+    np.testing.assert_allclose(reduced.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
+
+
+# --- simulated motion
+
+
+def push(robot, force: float, v0: float, seconds: float = 0.4, rate_hz: float = 4000.0):
+    """The robot of one axis under a constant force, from rest or the speed v0: t, q and dq."""
+    model, base, beta = model_of(robot)
+    direct = dataclasses.replace(direct_of(model, base, beta), offset=np.array([-force]))
+    free = dataclasses.replace(surrogate_loop(1.0, np.ones(1), rate_hz), Kp=np.zeros(1), Kd=np.zeros(1), gravity=False)
+    zero = np.zeros((round(seconds * rate_hz), 1))
+    scale = np.full_like(zero, 0.1)
+    done = simulate(
+        direct, free, Reference(zero, scale, zero), start=(np.zeros(1), np.array([v0])), bound=np.full(1, 1e9)
+    )
+    return np.arange(len(zero)) / rate_hz, done.q[:, 0], done.dq[:, 0]
+
+
+def axis(terms, vertical: bool = False, **values: float):
+    text = (REPLAY / "emps" / "robot.toml").read_text().split("[parameters]")[0]
+    if vertical:
+        text = text.replace("alpha_deg = 90", "alpha_deg = 0")
+    known = "".join(f"{name}1 = {value}\n" for name, value in {"M": 95.0, **values}.items())
+    text = with_friction(f"{text}[parameters]\n{known}", [terms])
+    return robot_from_files(
+        {"robot.toml": text.replace('"stribeck"]', '"stribeck"]\nstribeck_speed_m_s = 0.02').encode()}, "axis"
+    )
+
+
+def test_root_friction_stops_a_mass_as_its_equation_says():
+    """M dv/dt = -Fr sqrt(v): sqrt(v) = sqrt(v0) - Fr t / 2 M, and at rest it stays."""
+    t, q, v = push(axis(["root"], Fr=120.0), 0.0, 0.05)
+    left = np.maximum(np.sqrt(0.05) - 120.0 * t / (2 * 95.0), 0.0)
+    np.testing.assert_allclose(v, left**2, atol=5e-5)  # half of the speed below which it creeps
+    assert np.abs(v[t > 0.38]).max() < 1e-7
+    assert q[-1] == pytest.approx(2 * 95.0 / 120.0 * 0.05**1.5 / 3, rel=2e-3)
+
+
+@pytest.mark.parametrize(("share", "held"), [(1.31, False), (1.29, True), (0.71, True), (0.69, False)])
+def test_load_friction_holds_a_weight_within_its_share(share, held):
+    """M (a + g) (1 ± 0.3) = force: up where force > 1.3 M g, down where force < 0.7 M g, held in between."""
+    weight = 95.0 * 9.81
+    t, _, v = push(axis(["load"], vertical=True, mu=0.3), share * weight, 0.0)
+    if held:
+        assert np.abs(v).max() < 1e-3 * 0.1
+    else:
+        up = share > 1
+        a = share * 9.81 / (1.3 if up else 0.7) - 9.81
+        np.testing.assert_allclose(v[t > 0.1], a * t[t > 0.1], rtol=0.03)
+
+
+def test_stribeck_friction_holds_more_than_it_resists():
+    """20 N at rest, of which 15 fall with speed: 19 N do not start the mass, and keep it moving."""
+    robot = axis(["coulomb", "stribeck"], Fc=5.0, Fs=15.0)
+    assert np.abs(push(robot, 19.0, 0.0)[2]).max() < 1e-3 * 0.1
+    _, _, v = push(robot, 19.0, 0.08)
+    assert v[-1] > 0.08
+
+
+def test_friction_only_takes_energy(arm):
+    """From a push, without control: the energy of links and rotors never rises, with stick phases and every term."""
+    values = dict(arm.parameters) | {name: 0.0 for name in arm.parameters if name.startswith(("Off", "Fa"))}
+    model, base, beta = model_of(dataclasses.replace(arm, parameters=values, gravity=np.zeros(3)))
+    direct = direct_of(model, base, beta)
+    free = dataclasses.replace(surrogate_loop(1.0, np.ones(6), 1000.0), Kp=np.zeros(6), Kd=np.zeros(6), gravity=False)
+    zero, scale = np.zeros((500, 6)), np.full((500, 6), 2.0)
+    start = (np.array([0.3, -0.4, 0.5, 0.2, 0.6, 0.1]), np.array([2.0, 1.5, -2.0, 3.0, -2.0, 4.0]))
+    done = simulate(direct, free, Reference(zero, scale, zero), start=start, bound=np.full(6, 1e9), substeps=4)
+    energy = 0.5 * np.einsum("ti,tij,tj->t", done.dq, direct.inertia(done.q), done.dq)
+    assert done.reason is None
+    assert energy[0] > 2
+    assert energy[-1] < 1e-6 * energy[0]  # all comes to rest
+    assert np.diff(energy).max() < 1e-4 * energy[0]
+
+
+def test_a_simulated_motion_obeys_the_inverse_model(arm):
+    """IDM(q, dq, ddq) = tau but near reversals, where friction is implicit."""
+    model, base, beta = model_of(arm)
+    direct = direct_of(model, base, beta)
+    t = np.arange(0.0, 2.0, 1e-3)
+    q, dq, ddq = periodic_reference(arm, duration_s=2.0, seed=3).at(t)
+    loop = surrogate_loop(10.0, np.array([1.5, 1.5, 0.4, 0.1, 0.1, 0.05]), 1000.0)
+    done = simulate(direct, loop, Reference(q, dq, ddq), start=(q[0], dq[0]), bound=np.ones(6), substeps=2)
+    assert done.reason is None
+    middle = 0.5 * (done.dq[1:] + done.dq[:-1])
+    fast = (np.abs(middle @ direct.directions.T) > 0.1 * np.abs(middle @ direct.directions.T).max(axis=0)).all(axis=1)
+    off = (direct.torque(0.5 * (done.q[1:] + done.q[:-1]), middle, done.ddq[:-1]) - done.tau[:-1])[fast]
+    assert fast.sum() > 300
+    assert np.sqrt(np.mean(off**2, axis=0) / np.mean(done.tau[:-1][fast] ** 2, axis=0)).max() < 0.02
+
+
+# --- what a recording cannot tell
+
+
+def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
+    """Exact motion of one axis to and fro at two speeds, with jumps of acceleration in between: q, dq, ddq (N, 1)."""
+    rate = 250.0
+    parts = [np.full(200, sign * speed) for speed in speeds for sign in (1.0, -1.0)] * 3
+    dq = np.concatenate(parts)[:, None]
+    ddq = a_m_s2 * np.sin(np.arange(len(dq)) / 7.0)[:, None]
+    q = np.cumsum(dq, axis=0) / rate
+    return exact_problem(robot, (q, dq, ddq), rate_hz=rate)
+
+
+def test_root_friction_at_two_speeds_is_named_and_left_out():
+    """Three columns of two speeds: Coulomb and viscous friction say all, the root nothing more."""
+    problem, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0)
+    settled = settled_least_squares(problem, regression_of_recording(problem))
+    assert settled.problem.base.names == ("M1R", "Fv1", "Fc1") or settled.problem.base.names == ("M1", "Fv1", "Fc1")
+    (told,) = settled.problem.settings.warnings[-1:]
+    assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
+    three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
+    settled = settled_least_squares(three, regression_of_recording(three))
+    np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8)
+
+
+@pytest.mark.parametrize(("a_m_s2", "left_out"), [(0.1, True), (4.0, False)])
+def test_load_friction_is_left_out_where_the_load_does_not_change(a_m_s2, left_out):
+    """A weight that hardly accelerates: its load friction is Coulomb friction."""
+    robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
+    problem, known = two_speeds(robot, a_m_s2)
+    settled = settled_least_squares(problem, regression_of_recording(problem))
+    told = [
+        warning for warning in settled.problem.settings.warnings if "load friction of joint axis left out" in warning
+    ]
+    assert bool(told) == left_out
+    if not left_out:
+        np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8)
+
+
+def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not():
+    """|v| beyond viscous friction drives backward; viscous friction below zero beside a larger root does not."""
+    for values, told in (
+        ({"Fv": 30.0, "Fc": 5.0, "Fa": 90.0}, True),
+        ({"Fv": -30.0, "Fc": 10.0, "Fr": 80.0}, False),
+    ):
+        robot = axis(["viscous", "coulomb", "asymmetric", "root"], **values)
+        model, base, beta = model_of(robot)
+        t = np.arange(0.0, 10.0, 1e-3)
+        x = periodic_reference(robot, duration_s=10.0, seed=2).at(t)
+        tau = direct_of(model, base, beta).torque(*x) + np.random.default_rng(0).normal(0, 1.0, x[0].shape)
+        fit = identify_ls(signals_from_arrays(x[0], tau, 1000.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
+        line = fit.trust.line("physical")
+        assert (line.level == "do not use") == told, line.text
+        assert ("friction would drive joint axis at -" in line.text) == told
+        assert "below zero: " not in line.text
+
+
+# --- the choice of terms
+
+
+def recorded(robot, seed: int, noise_percent: float = 2.0, duration_s: float = 10.0):
+    """A recording of exact motion, and of torque with white noise, by the robot without its further terms."""
+    model, base, beta = model_of(robot)
+    t = np.arange(0.0, duration_s, 1e-3)
+    x = periodic_reference(robot, duration_s=duration_s, seed=seed).at(t)
+    tau = direct_of(model, base, beta).torque(*x)
+    noise = 0.01 * noise_percent * np.sqrt((tau**2).mean(axis=0)) * np.random.default_rng(seed).normal(size=tau.shape)
+    plain = with_terms(robot, (frozenset(),) * robot.n)
+    return signals_from_arrays(x[0], tau + noise, 1000.0, plain)
+
+
+NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
+WITHOUT_LAG = Overrides(torque_lag_s="none")
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_terms_that_a_robot_has_are_recommended(seed):
+    usual = ["viscous", "coulomb"]
+    plain = upright([usual] * 2)
+    assert choose_terms(recorded(plain, seed), WITHOUT_LAG).recommended.terms == (NONE, NONE)
+    more = upright([[*usual, "root", "load"], [*usual, "load"]], "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n")
+    choice = choose_terms(recorded(more, seed), WITHOUT_LAG)
+    assert choice.recommended.terms == (ROOT | LOAD, LOAD)
+    assert list(choice.described.values()) == [("viscous", "coulomb", "root", "load"), ("viscous", "coulomb", "load")]
+
+
+def test_held_out_errors_are_those_of_fits_of_the_other_rows():
+    """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
+    problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
+    plain = regression_of_recording(problem)
+    trials = Trials(problem, plain)
+    trial = trials.of((NONE, NONE))
+    weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
+    T, n = plain.tau.shape
+    W, Y = plain.system.W.reshape(n, T, -1), plain.system.Y.reshape(n, T)
+    moving = np.abs(plain.speed) > 0.02 * np.abs(plain.speed).max(axis=0)
+    for k in range(5):
+        held = np.zeros(T, dtype=bool)
+        held[round(k * T / 5) : round((k + 1) * T / 5)] = True
+        count = (plain.fast & ~held[:, None]).T
+        A = np.concatenate([weights[j] * W[j][count[j]] for j in range(n)])
+        b = np.concatenate([weights[j] * Y[j][count[j]] for j in range(n)])
+        rho = (Y - W @ np.linalg.lstsq(A, b)[0]).T[moving & held[:, None]]
+        of = np.broadcast_to(weights, (T, n))[moving & held[:, None]]
+        assert trial.scores[k] == pytest.approx(((of * rho) ** 2).sum(), rel=1e-6)
+        error = 100 * np.linalg.norm(rho) / np.linalg.norm(plain.tau[moving & held[:, None]])
+        assert trial.held_out_percents[k] == pytest.approx(error, rel=1e-6)
+
+
+def test_iv_settles_on_a_robot_with_these_terms_and_holds_the_truth():
+    robot = described("scara", [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]],
+                      "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n")  # fmt: skip
+    _, base, known = model_of(robot)
+    q = random_reference(robot, duration_s=6.0, sample_rate_hz=1000.0, seed=7)
+    signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=7)
+    fit = identify_iv(signals, Overrides(), Iteration())
+    assert fit.status == "converged"
+    off = np.abs(fit.beta - known) / fit.intervals.half
+    assert (off < 1).sum() >= len(known) - 2
+    assert off.max() < 3
+    load = base.names.index("mu1")
+    assert fit.intervals.half[load] < 0.05
+
+
+# --- several recordings
+
+
+def simulated(robot, *seeds: int):
+    """Recordings of a simulated cell by its own description."""
+    found = []
+    for seed in seeds:
+        q = random_reference(robot, duration_s=4.0, sample_rate_hz=1000.0, seed=seed)
+        signals = closed_loop(robot, q, 1000.0, noise=Noise(encoder_step=1e-6, effort_percent=2.0), seed=seed)
+        found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
+    return Recordings(sources=tuple(found))
+
+
+LINEAR = [["viscous", "coulomb", "offset", "asymmetric", "root"], ["viscous", "coulomb"]]
+
+
+@pytest.mark.parametrize("own", ["", 'own = ["Off"]'])
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_terms_of_several_recordings_hold_the_truth(method, own):
+    """Root and |v| friction are shared; offsets may be of each recording. Friction is drawn and tested by recording."""
+    robot = described("scara", LINEAR, "Off1 = 0.3\nFr1 = 0.6\nFa1 = 0.2\n")
+    if own:
+        robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=("Off",)))
+    given = simulated(robot, 3, 4)
+    fit = identify_ls(given, Overrides()) if method == "wls" else identify_iv(given, Overrides(), Iteration())
+    assert fit.status in ("solved", "converged")
+    _, base, known = model_of(robot)
+    expected = np.array([known[base.names.index(name.partition("@")[0])] for name in fit.estimate.names])
+    assert ("Off1@r3" in fit.estimate.names) == bool(own)
+    off = np.abs(fit.estimate.beta - expected) / fit.intervals.half
+    assert (off < 1).sum() >= len(expected) - 2
+    assert off.max() < 3
+    assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
+    for one in fit.recordings:
+        first = friction_of_joints(fit.on(one))[0].curves[0]
+        v, value = first.speed, dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+        expected = (value["Fv1"] * np.abs(v) + value["Fc1"] + value["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+        np.testing.assert_allclose(first.torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, tmp_path):
+    """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other processes know it too."""
+    text = with_friction((REPLAY / "scara" / "robot.toml").read_text(), [["viscous", "coulomb", "stribeck"], USUAL[:2]])
+    text = text.replace('"stribeck"]\n', '"stribeck"]\nstribeck_speed_deg_s = 20000\n')
+    robot = robot_from_files({"robot.toml": text.encode()}, "scara.toml")
+    sources = []
+    for signals in simulated(described("scara", [USUAL[:2]] * 2), 3, 4).sources:
+        write_signals(tmp_path / signals.recording, signals, source="simulated")
+        sources.append(RecordingFile.at(tmp_path / signals.recording, robot))
+    identify = identify_ls if method == "wls" else lambda given, o: identify_iv(given, o, Iteration())
+    with processes(2 if method == "iv" else 1) as work:
+        fit = identify(Recordings(sources=tuple(sources), work=work), Overrides())
+    (told,) = [warning for warning in fit.warnings if "left out" in warning]
+    assert told.startswith("stribeck friction of joint ")
+    usual = identify(Recordings(sources=simulated(described("scara", [USUAL[:2]] * 2), 3, 4).sources), Overrides())
+    assert fit.estimate.names == usual.estimate.names
+    assert np.abs((fit.estimate.beta - usual.estimate.beta) / usual.intervals.half).max() < 1e-2
+
+
+def test_load_friction_of_several_recordings_is_refused(tmp_path, capsys):
+    robot = described("scara", [["viscous", "coulomb"], ["viscous", "coulomb", "load"]], "mu2 = 0.3\n")
+    files = []
+    for signals in simulated(robot, 3, 4).sources:
+        files.append(str(tmp_path / signals.recording))
+        write_signals(tmp_path / signals.recording, signals, source="simulated")
+    assert main(["fit", *files, "--workers", "1"]) == 1
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "load friction" in line]
+    joint = robot.joints[1].name
+    assert f"joint {joint}: friction" in line
+    assert "load" in line
+    assert "one recording" in line
+    assert main(["fit", files[0]]) == 0
+    capsys.readouterr()
+    assert main(["friction", *files]) == 1
+    assert "expected one recording at a time" in capsys.readouterr().err
+
+
+# --- the command
+
+
+def test_the_command_writes_the_terms_where_they_belong(tmp_path, capsys):
+    usual = ["viscous", "coulomb"]
+    robot = upright([[*usual, "root", "load"], [*usual, "load"]], "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n")
+    write_signals(tmp_path / "log.mcap", recorded(robot, 0), source="test")
+    text = "gravity_m_s2 = [0, -9.81, 0] # it hangs\n" + (REPLAY / "scara" / "robot.toml").read_text()
+    toml, result = tmp_path / "robot.toml", tmp_path / "out.json"
+    toml.write_text(
+        text.replace("rotor_inertia = false", "viscous = true\ncoulomb = true # both\nrotor_inertia = false", 1)
+    )
+    options = ["friction", str(tmp_path / "log.mcap"), "--robot", str(toml), "--torque-lag-s", "none"]
+    assert main([*options, "--json", str(result), "--write"]) == 0
+    stored = json.loads(result.read_text())
+    assert stored["recommended"] == {"shoulder": [*usual, "root", "load"], "elbow": [*usual, "load"]}
+    best = stored["sets"][0]
+    assert set(best) >= {
+        "terms",
+        "fitted_error_percent",
+        "held_out_error_percent",
+        "lag_one",
+        "condition_number_scaled",
+    }
+    assert 0.1 < best["fitted_error_percent"] < best["held_out_error_percent"] < 1
+    assert 'friction = ["viscous", "coulomb", "root", "load"] # shoulder' in capsys.readouterr().out
+    first, second = (f'friction = ["viscous", "coulomb", {rest}]\n' for rest in ('"root", "load"', '"load"'))
+    expected = text.replace("rotor_inertia = false", first + "rotor_inertia = false", 1)
+    expected = expected.replace('name = "elbow"\ntype = "revolute"\n', f'name = "elbow"\ntype = "revolute"\n{second}')
+    assert toml.read_text() == expected
+
+
+def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
+    write_signals(
+        tmp_path / "log.mcap", recorded(upright([["viscous", "coulomb"]] * 2), 0, duration_s=4.0), source="test"
+    )
+    assert main(["friction", str(tmp_path / "log.mcap"), "--write"]) == 1
+    assert "--robot" in capsys.readouterr().err
+    toml = tmp_path / "robot.toml"
+    text = (REPLAY / "scara" / "robot.toml").read_text().replace("[[joint]]", "[['joint']]", 1)
+    toml.write_text(text)
+    assert main(["friction", str(tmp_path / "log.mcap"), "--robot", str(toml), "--write"]) == 1
+    assert "its lines of friction cannot be replaced" in capsys.readouterr().err
+    assert toml.read_text() == text
+
+
+# --- the real records
+
+
+def splits(signals, terms):
+    """Mean held-out error of moving rows over the two halves and the five fifths."""
+    problem = make_problem(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
+    trials = Trials(problem, regression_of_recording(problem))
+    T = len(trials.plain.tau)
+    first = np.arange(T) < T // 2
+    return trials.held_out_percents(terms, [first, ~first, *trials.parts]).mean()
+
+
+def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
+    signals = signals_of(tx40)
+    choice = choose_terms(signals, Overrides())
+    terms = choice.recommended.terms
+    assert "load" in terms[2]
+    assert sum("root" in more for more in terms) >= 4
+    assert splits(signals, (NONE,) * 6) > 6.0
+    assert splits(signals, terms) < 4.6
+    fit = identify_ls(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
+    assert fit.errors[2].moving_relative_error_percent < 3.2
+    mu = fit.estimate.names.index("mu3")
+    assert fit.beta[mu] == pytest.approx(0.33, abs=0.01)
+    assert fit.trust.line("physical").level == "ok"
+
+
+def test_the_real_emps_needs_asymmetric_and_root_friction(emps):
+    choice = choose_terms(signals_of(emps), Overrides())
+    assert choice.recommended.terms == (frozenset({"asymmetric", "root"}),)
+    assert choice.recommended.fitted_error_percent < 2.95
