@@ -503,6 +503,27 @@ def test_terms_of_several_recordings_hold_the_truth(method, own):
         np.testing.assert_allclose(first.torque, expected + value["Fa1"] * np.abs(v), rtol=1e-6, atol=1e-9)
 
 
+def test_friction_of_its_own_is_judged_in_its_own_recording():
+    """Viscous friction below zero that Coulomb friction makes up for, once; that of two recordings added up would drive."""
+    x = [
+        periodic_reference(axis(USUAL[:2]), duration_s=6.0, seed=seed).at(np.arange(0.0, 6.0, 1e-3)) for seed in (2, 3)
+    ]
+    fastest = min(np.abs(dq).max() for _, dq, _ in x)
+    robot = axis(["viscous", "coulomb", "root"], Fv=-14.0 / fastest, Fc=20.0, Fr=5.0)
+    own = msgspec.structs.replace(robot.identification, own=("Fv",))
+    robot = dataclasses.replace(robot, identification=own)
+    model, base, beta = model_of(robot)
+    sources = []
+    for k, motion in enumerate(x):
+        tau = direct_of(model, base, beta).torque(*motion)
+        tau = tau + np.random.default_rng(k).normal(0, 0.1, tau.shape)
+        signals = signals_from_arrays(motion[0], tau, 1000.0, robot)
+        sources.append(dataclasses.replace(signals, recording=f"r{k}.mcap", sha256=f"{k:064x}"))
+    fit = identify_ls(Recordings(sources=tuple(sources)), Overrides(torque_lag_s="none", edges="smooth"))
+    assert {"Fv1@r0", "Fv1@r1"} < set(fit.estimate.names)
+    assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
+
+
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, tmp_path):
     """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other processes know it too."""
