@@ -1,9 +1,9 @@
 """When to believe a fit: tests of an estimate against everything that the recording tells, and one verdict."""
 
-from .evidence import Evidence, Part
+from .evidence import Evidence, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lines import LEVELS, Figure, Level, Trust, TrustLine, Verdict
-from .physical import covariance_of_all, inertias, nearest_consistent, not_positive, poses_of
+from .physical import inertias, nearest_consistent, not_positive, poses_of
 from .replay import replay_line
 from .solution import trust_in
 

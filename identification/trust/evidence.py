@@ -92,3 +92,14 @@ class WeightedRows:
     Y: Array
     rho: Array
     weight: Array
+
+
+def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
+    """C = D R D (b, b) of all base parameters: the formula's correlations with the intervals' deviations.
+
+    Parameters that the estimate has not count as zero with the deviations of `full`, the least squares of all of them.
+    """
+    covariance = np.diag(np.diag(full.covariance))
+    among = np.array([names.index(name) for name in estimate.names])
+    covariance[np.ix_(among, among)] = intervals.covariance
+    return covariance

@@ -37,7 +37,7 @@ from ..model import (
 )
 from ..passes import links_at_rows
 from ..regression import Problem, base_name
-from .evidence import Evidence
+from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
@@ -263,17 +263,6 @@ def _positions(problem: Problem) -> Array:
     """Low-passed positions (rows, n) at the instants of a recording's rows."""
     settings = problem.settings
     return settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
-
-
-def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:
-    """C = D R D (b, b) of all base parameters: the formula's correlations with the intervals' deviations.
-
-    Parameters that the estimate has not count as zero with the deviations of `full`, the least squares of all of them.
-    """
-    covariance = np.diag(np.diag(full.covariance))
-    among = np.array([names.index(name) for name in estimate.names])
-    covariance[np.ix_(among, among)] = intervals.covariance
-    return covariance
 
 
 def nearest_consistent(problem: Problem, beta: Array, covariance: Array) -> Consistent:
