@@ -113,9 +113,10 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     samples = recording.samples
     assert len(samples) >= len(pdos) - 1  # the second PDO may be behind the end
     q_counts = np.rint(samples["position"][:, 0] * 6553600 / (2 * np.pi))
-    index = np.rint((samples["stamp_ns"] - samples["stamp_ns"][0]) / (SYNC_S * 1e9)).astype(int)
     first = int(np.flatnonzero(counts == q_counts[0])[0])
-    assert q_counts.tolist() == counts[first + index].tolist()
+    assert (
+        q_counts.tolist() == counts[first : first + len(q_counts)].tolist()
+    )  # one after the other; a busy machine sends late
 
 
 def test_a_third_party_master_is_recorded_passively(folder, npm):
