@@ -175,7 +175,7 @@ def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
         ["TimeSeries"] * (4 * n + errors)
         + ["BarChart"] * 2 * n
-        + ["2D"] * 5
+        + ["2D"] * (5 + n)  # the friction of each joint among them
         + ["3D", "StateTimeline"]
         + ["TextDocument"] * 2
     )
@@ -211,7 +211,11 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     file = written(signals, fit, truth=ls.beta)
     n = signals.robot.n
     assert sorted(kind for kind, _ in file.views.values()) == sorted(
-        ["TimeSeries"] * 5 * n + ["BarChart"] * 2 * n + ["2D"] * 6 + ["3D", "StateTimeline"] + ["TextDocument"] * 2
+        ["TimeSeries"] * 5 * n
+        + ["BarChart"] * 2 * n
+        + ["2D"] * (6 + n)
+        + ["3D", "StateTimeline"]
+        + ["TextDocument"] * 2
     )
     assert file.is_complete()
     simulated, name = fit.iv.simulated, signals.robot.joints[0].name
@@ -485,7 +489,7 @@ def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
     rows = Rows(t_s=signals.t_s[:200], tau=nothing, tau_predicted=nothing, speed=nothing)
     views = written(signals, replace(fit, rows=rows)).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
-    assert len(views) == 8 + 5 + 4
+    assert len(views) == 8 + 5 + 4 + signals.robot.n
 
 
 def test_the_report_tells_result_settings_and_parameters(written):
