@@ -241,7 +241,8 @@ def test_an_integral_starts_within_the_limit():
         model = direct_model(dynamics, np.array([{"M1": MASS}.get(name, 0.0) for name in dynamics.names]))
         pushed, zero = replace(model, offset=np.array([8.0])), np.zeros((2, 1))
         loop = recorded_loop(robot)
-        control = Control(pushed, loop, Reference(zero, zero, zero), zero[0], zero[0])
+        control = Control(pushed, loop, zero[0], zero[0])
+        control.take(Reference(zero, zero, zero))
         assert loop.Ki * control._integral == pytest.approx(effort)
         assert control.torque(0, zero[0], zero[0]) == pytest.approx(effort * GAIN * RATIO)
 

@@ -15,7 +15,7 @@ from identification.model.base import base_parameters
 from identification.model.direct import DirectModel, direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
-from identification.simulation.closed_loop import simulate
+from identification.simulation.closed_loop import ClosedLoop, simulate
 from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
 from identification.trust.physical import inertias, not_positive
@@ -220,7 +220,8 @@ def test_a_saturated_motor_holds_its_own_integral_only():
     """At rest, off the reference: the effort of motor 2 grows by Ki e T at each instant, while motor 1 is at its limit."""
     model, loop = scara_pid(saturation=0.5)
     zero, reference = still(2, 0.01), still(2, 0.01) + np.array([1.0, 0.3])
-    control = Control(model, loop, Reference(reference, zero, zero), zero[0], zero[0])
+    control = Control(model, loop, zero[0], zero[0])
+    control.take(Reference(reference, zero, zero))
     tau = np.array([control.torque(k, zero[0], zero[0]) for k in range(10)])
     np.testing.assert_allclose(tau[:, 0], 0.5)
     np.testing.assert_allclose(np.diff(tau[:, 1]), loop.Ki[1] * 0.3 / RATE, rtol=1e-9)
@@ -233,6 +234,30 @@ def test_a_loop_with_an_integral_starts_in_balance():
     done = simulate(pushed, loop, Reference(zero, zero, zero), start=(zero[0], zero[0]), bound=np.ones(2))
     assert np.abs(done.q).max() < 1e-9
     np.testing.assert_allclose(done.tau[0], [3.0, -0.5], rtol=1e-12)
+
+
+@pytest.mark.parametrize("estimate", ["exact", "backward_difference", "two_sample_mean"])
+def test_spans_of_a_reference_one_after_the_other_are_the_whole_of_it(estimate):
+    """Position, speed, integral, modes of friction and the positions before go on from span to span."""
+    model, loop = scara_pid(saturation=300.0)
+    loop = dataclasses.replace(loop, velocity_estimate=estimate)
+    t_s = np.arange(900)[:, None] / RATE
+    q_ref = np.hstack([np.sin(9 * t_s), 0.4 * np.cos(13 * t_s)])
+    dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
+    reference, bound = Reference(q_ref, dq_ref, np.gradient(dq_ref, 1 / RATE, axis=0)), np.ones(2)
+    start = (q_ref[0], dq_ref[0])
+    whole = simulate(model, loop, reference, start=start, bound=bound, substeps=2)
+    assert whole.reason is None
+    assert (np.abs(whole.tau[:, 0]) == 300.0).any()  # saturated now and then
+    fastest = np.abs(dq_ref @ model.directions.T).max(axis=0)
+    robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=2)
+    spans = [slice(0, 1), slice(1, 290), slice(290, 291), slice(291, 900)]
+    parts = [robot.follow(Reference(*(x[s] for x in (q_ref, dq_ref, reference.ddq))), bound) for s in spans]
+    for name in ("q", "dq", "ddq", "tau"):
+        joined = np.concatenate([getattr(part, name) for part in parts])
+        np.testing.assert_allclose(joined, getattr(whole, name), rtol=1e-9, atol=1e-9)
+    lost = robot.follow(Reference(q_ref[:1] + 9.0, dq_ref[:1], dq_ref[:1]), bound)
+    assert "0.900 s" in lost.reason
 
 
 def test_a_surrogate_holds_a_vertical_axis_up():
@@ -281,13 +306,16 @@ def test_noise_at_the_first_instant_does_not_go_into_the_integral():
     """Begun in motion, off the reference, with 50 rad/s² of a count in its second difference: what is held is gravity only."""
     model, loop = scara_pid(saturation=np.inf)
     q_ref, off = still(2, 0.1) + 0.3, np.array([0.299, 0.301])
-    control = Control(model, loop, Reference(q_ref, q_ref + 1.0, q_ref + 50.0), off, np.array([1.5, -2.0]))
+    control = Control(model, loop, off, np.array([1.5, -2.0]))
+    control.take(Reference(q_ref, q_ref + 1.0, q_ref + 50.0))
     np.testing.assert_array_equal(control._integral, 0.0)  # the SCARA lies flat
     held = dataclasses.replace(model, offset=np.array([2.0, -0.3]))
-    control = Control(held, loop, Reference(q_ref, q_ref + 1.0, q_ref + 50.0), off, np.array([1.5, -2.0]))
+    control = Control(held, loop, off, np.array([1.5, -2.0]))
+    control.take(Reference(q_ref, q_ref + 1.0, q_ref + 50.0))
     np.testing.assert_allclose(loop.Ki * control._integral, [2.0, -0.3])
     # Where the loop adds gravity along the reference itself, the integral holds none of it.
-    control = Control(held, dataclasses.replace(loop, gravity=True), Reference(q_ref, q_ref, q_ref), off, off)
+    control = Control(held, dataclasses.replace(loop, gravity=True), off, off)
+    control.take(Reference(q_ref, q_ref, q_ref))
     np.testing.assert_allclose(control._integral, 0.0, atol=1e-12)
 
 

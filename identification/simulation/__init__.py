@@ -1,6 +1,6 @@
 """The robot in closed loop: control laws, friction with stick phases, integration."""
 
-from .closed_loop import simulate
+from .closed_loop import ClosedLoop, simulate
 from .control_law import (
     SURROGATE_DAMPING,
     Control,
@@ -15,6 +15,7 @@ from .friction import Friction
 
 __all__ = [
     "SURROGATE_DAMPING",
+    "ClosedLoop",
     "Control",
     "ControlLaw",
     "Disturbances",

@@ -7,6 +7,7 @@ import numpy as np
 from ..arrays import Array
 from ..model import DirectModel
 from .control_law import Control, ControlLaw, Reference
+from .disturbances import Disturbances
 from .friction import Friction
 
 _LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
@@ -27,7 +28,82 @@ class Simulated:
     reason: str | None
 
 
-@np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
+class ClosedLoop:
+    """A robot in closed loop, simulated span by span: its motion and the controller's memory go on from one to the next.
+
+    The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
+    stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
+    Newton iteration).
+    """
+
+    def __init__(
+        self,
+        model: DirectModel,
+        loop: ControlLaw,
+        start: tuple[Array, Array],
+        *,
+        fastest: Array,
+        substeps: int = 1,
+        cell: Disturbances | None = None,
+    ) -> None:
+        """`start` is position and speed, (n,) each; `fastest` (c,) speeds that the directions of Coulomb friction reach.
+
+        A controller period has `substeps` steps; `cell` is what disturbs the loop, as the references have it.
+        """
+        self._q, self._v = (x.copy() for x in start)
+        self._h, self._substeps, self._period_s = loop.period_s / substeps, substeps, loop.period_s
+        self._control = Control(model, loop, self._q, self._v)
+        plant, stribeck = (model, 0.0) if cell is None else (cell.on_plant(model), cell.stribeck)
+        self._friction = Friction(plant, fastest, self._v, self._h, stribeck=stribeck)
+        self._instants = 0
+
+    @np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
+    def follow(self, reference: Reference, bound: Array) -> Simulated:
+        """Follow the next span of a reference given once per controller period.
+
+        Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the inertia matrix is not
+        positive. The state is never clipped.
+        """
+        h, substeps, q_ref, cell = self._h, self._substeps, reference.q, reference.disturbances
+        N, n = q_ref.shape
+        q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
+        q, v, control, friction = self._q, self._v, self._control, self._friction
+        control.take(reference)
+        look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
+        rows, known = 0, reference.known_torque
+        for k in range(N):
+            if cell is None:
+                acting = tau = control.torque(k, q, v)
+            else:
+                tau = control.torque(k, cell.seen(k, q), v)
+                acting = tau + cell.torque[k]
+            if known is not None:
+                acting = acting + known[k]
+            for row in range(rows, rows + substeps):
+                after = friction.step(q, v, acting)
+                if after is None:
+                    reason = "the inertia matrix is not positive definite"
+                    break
+                q_out[row], dq_out[row], tau_out[row] = q, v, tau
+                q, v = q + half * (v + after), after
+                rows = row + 1
+            if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
+                reason = self._lost(q, q_ref[k], bound, k)
+            if reason is not None:
+                break
+        far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
+        if reason is None and far.size:
+            k = int(far[0])
+            reason, rows = self._lost(q_out[k * substeps], q_ref[k], bound, k), k * substeps
+        self._q, self._v, self._instants = q, v, self._instants + N
+        dq = dq_out[:rows]
+        return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
+
+    def _lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
+        j, t_s = int(np.argmin(np.abs(q - q_ref) < bound)), (self._instants + k) * self._period_s
+        return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
+
+
 def simulate(
     model: DirectModel,
     loop: ControlLaw,
@@ -37,53 +113,7 @@ def simulate(
     bound: Array,
     substeps: int = 1,
 ) -> Simulated:
-    """Follow a reference given once per controller period, from the `start` position and speed, (n,) each.
-
-    The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
-    stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
-    Newton iteration). Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the
-    inertia matrix is not positive. The state is never clipped.
-    """
-    q_ref = reference.q
-    N, n = q_ref.shape
-    h = loop.period_s / substeps
-    q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
-    q, v = (x.copy() for x in start)
-    control, cell = Control(model, loop, reference, q, v), reference.disturbances
-    if cell is None:
-        friction = Friction(model, reference.dq, v, h)
-    else:
-        friction = Friction(cell.on_plant(model), reference.dq, v, h, stribeck=cell.stribeck)
-    look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
-    rows, known = 0, reference.known_torque
-    for k in range(N):
-        if cell is None:
-            acting = tau = control.torque(k, q, v)
-        else:
-            tau = control.torque(k, cell.seen(k, q), v)
-            acting = tau + cell.torque[k]
-        if known is not None:
-            acting = acting + known[k]
-        for row in range(rows, rows + substeps):
-            after = friction.step(q, v, acting)
-            if after is None:
-                reason = "the inertia matrix is not positive definite"
-                break
-            q_out[row], dq_out[row], tau_out[row] = q, v, tau
-            q, v = q + half * (v + after), after
-            rows = row + 1
-        if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
-            reason = _lost(q, q_ref[k], bound, k * loop.period_s)
-        if reason is not None:
-            break
-    far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
-    if reason is None and far.size:
-        k = int(far[0])
-        reason, rows = _lost(q_out[k * substeps], q_ref[k], bound, k * loop.period_s), k * substeps
-    dq = dq_out[:rows]
-    return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
-
-
-def _lost(q: Array, q_ref: Array, bound: Array, t_s: float) -> str:
-    j = int(np.argmin(np.abs(q - q_ref) < bound))
-    return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
+    """A robot in closed loop along a whole reference, as `ClosedLoop.follow`; `start` is position and speed, (n,) each."""
+    fastest = np.abs(reference.dq @ model.directions.T).max(axis=0, initial=0.0)
+    robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=substeps, cell=reference.disturbances)
+    return robot.follow(reference, bound)

@@ -160,42 +160,54 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
 class Control:
     """The control law, instant by instant: it carries the integral and the positions before."""
 
-    def __init__(self, model: DirectModel, loop: ControlLaw, reference: Reference, q: Array, v: Array) -> None:
+    def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
         """`q`, `v` (n,) are the position and the speed that it starts with."""
-        self._model, self._loop, self._T, self._reference = model, loop, loop.period_s, reference
-        self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
-        self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
+        self._model, self._loop, self._T = model, loop, loop.period_s
         self._to_joints = loop.R.T * loop.G
+        self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
+        self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
+        self._start, self._integral = q, np.zeros(len(loop.Kp))
+        self._begins = self._integrates
+        # A linear law goes straight to joint torques.
+        self._plain = loop.velocity_estimate == "exact" and not loop.computed_torque
+        self._plain &= not self._limited and not self._integrates
+        self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
+        self._to_torque = (self._to_joints @ self._P, self._to_joints @ self._D)
+
+    def take(self, reference: Reference) -> None:
+        """Take up a reference, or the span of it that follows: instants are counted from its first one."""
+        loop, self._reference = self._loop, reference
+        self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
         if loop.gravity and not loop.computed_torque:
             self._ahead = self._ahead + self._motor_effort(self._weight(reference.q).T).T
         self._added = reference.feedforward if loop.computed_torque else None
         if reference.feedforward is not None and not loop.computed_torque:
             self._ahead = self._ahead + reference.feedforward
-        self._plain = False
-        self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
-        self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
-        self._integral = np.zeros(len(loop.Kp))
-        if self._integrates:
-            # What a loop that has been running for a while holds: the robot at rest. Speeds and accelerations of a single
-            # instant would bring their noise into it.
-            held = self._motor_effort(self._weight(q[None])[0])
-            if loop.gravity:
-                held = held - self._motor_effort(self._weight(reference.q[:1])[0])
-            if reference.feedforward is not None:
-                held = held - reference.feedforward[0]
-            held = np.clip(held, -loop.saturation, loop.saturation)
-            self._integral = np.divide(held, loop.Ki, out=self._integral, where=loop.Ki > 0)
+        if self._plain:
+            self._ahead = self._ahead @ self._to_joints.T
+        if self._begins:
+            self._integral, self._begins = self._held(), False
 
-        simple = loop.velocity_estimate == "exact" and not loop.computed_torque
-        if simple and not self._limited and not self._integrates:  # a linear law: straight to joint torques
-            self._plain, B = True, self._to_joints
-            self._ahead, self._P, self._D = self._ahead @ B.T, B @ self._P, B @ self._D
+    def _held(self) -> Array:
+        """The integral of a loop that has been running for a while: it holds the robot at rest.
+
+        Speeds and accelerations of a single instant would bring their noise into it.
+        """
+        loop, reference = self._loop, self._reference
+        held = self._motor_effort(self._weight(self._start[None])[0])
+        if loop.gravity:
+            held = held - self._motor_effort(self._weight(reference.q[:1])[0])
+        if reference.feedforward is not None:
+            held = held - reference.feedforward[0]
+        held = np.clip(held, -loop.saturation, loop.saturation)
+        return np.divide(held, loop.Ki, out=np.zeros_like(held), where=loop.Ki > 0)
 
     def torque(self, k: int, q: Array, v: Array) -> Array:
         """Joint torques (n,) that the controller gives at its instant k."""
         loop, dq = self._loop, v
         if self._plain:
-            return np.asarray(self._ahead[k] - self._P.dot(q) - self._D.dot(v))
+            P, D = self._to_torque
+            return np.asarray(self._ahead[k] - P.dot(q) - D.dot(v))
         if loop.velocity_estimate == "backward_difference":
             dq = (q - self._q1) / self._T
         elif loop.velocity_estimate == "two_sample_mean":

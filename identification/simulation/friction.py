@@ -22,8 +22,8 @@ class Friction:
     in the middle of the step like viscous friction. Friction by load has the links' torque of the step before.
     """
 
-    def __init__(self, model: DirectModel, dq_ref: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
-        """`dq_ref` (N, n) are the speeds that motion reaches, `v` (n,) the one it starts with, `h` the step in s.
+    def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
+        """`fastest` (c,) are the speeds that the directions reach, `v` (n,) the joints' at the start, `h` the step in s.
 
         Coulomb friction at rest is (1 + stribeck) of its level.
         """
@@ -31,7 +31,7 @@ class Friction:
 
         self._solve = lapack.dposv
         self._model, self._h, self._S = model, h, model.directions
-        speed = np.maximum(np.abs(dq_ref @ self._S.T).max(axis=0, initial=0.0), 1e-9)
+        speed = np.maximum(fastest, 1e-9)
         self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
         self._shaped = model.shapes.any()
         self._rigid: Array | None = None  # of the links in the step before

@@ -34,7 +34,7 @@ class RigidBodyPlant:
         """`speed_scale` (n,) is the speed that motion reaches, which sets where friction counts as sticking."""
         self._model, self._step_s = model, step_s
         self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
-        self._friction = Friction(model, speed_scale[None], self._dq, step_s)
+        self._friction = Friction(model, np.abs(model.directions @ speed_scale), self._dq, step_s)
         self._disturbance, self._rng = disturbance, np.random.default_rng(seed)
 
     def state(self) -> tuple[Array, Array]:

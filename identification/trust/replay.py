@@ -129,7 +129,8 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     ahead = None if signals.feedforward is None else signals.feedforward[np.rint(ticks).astype(np.intp)]
     reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s), feedforward=ahead)
     model = direct_model(problem.model, np.zeros(problem.model.p))  # of no use here: these laws have none in them
-    control = Control(model, loop, reference, q[0], (q[1] - q[0]) / loop.period_s)
+    control = Control(model, loop, q[0], (q[1] - q[0]) / loop.period_s)
+    control.take(reference)
     given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
     replayed = np.zeros_like(signals.effort)
     samples = np.arange(first, last + 1, dtype=np.float64)
