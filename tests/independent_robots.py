@@ -123,6 +123,7 @@ class Friction:
 
     coulomb (c,), viscous (n, n), smooth (c,): v0 of tanh(v/v0). `asymmetry`: friction is 1 + a of it for v > 0 and 1 - a for
     v < 0. `stribeck`: at rest Coulomb friction is 1 + s of it, and falls to it as exp(-(v/(20 v0))²).
+    root (c,): times sqrt(|v|) tanh(v/v0). load (n,): of the torque that the links take, whatever its sign; without rotors.
     """
 
     directions: Array
@@ -131,6 +132,8 @@ class Friction:
     smooth: Array
     asymmetry: float = 0.0
     stribeck: float = 0.0
+    root: Array = field(default_factory=lambda: np.zeros(1))
+    load: Array = field(default_factory=lambda: np.zeros(1))
 
     def __call__(self, v: Array) -> Array:
         """Torques (S, n) at the speeds v (S, n)."""
@@ -141,7 +144,17 @@ class Friction:
             force = force * (1.0 + self.stribeck * np.exp(-((x / 20.0) ** 2)))
         if self.asymmetry:
             force, linear = force * (1.0 + self.asymmetry * side), linear * (1.0 + self.asymmetry * np.sign(v))
+        if self.root.any():
+            force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
         return force @ self.directions + linear
+
+    def of_load(self, rigid: Array, v: Array) -> Array:
+        """Torques (S, n) of friction by load where the links take `rigid` (S, n)."""
+        return self.load * np.abs(rigid) * np.tanh(v / self.smooth[: v.shape[1]])
+
+    def left(self, torque: Array, v: Array) -> Array:
+        """What the links take (S, n) of a torque (S, n): rigid + load |rigid| tanh(v/v0) = torque, load below 1."""
+        return torque / (1.0 + self.load * np.sign(torque) * np.tanh(v / self.smooth[: v.shape[1]]))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -168,7 +181,8 @@ class Plant:
     def inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torques (S, n) of the motion."""
         M, bias = self.inertia_and_bias(q, dq)
-        return (M @ ddq[..., None])[..., 0] + bias + self.friction(dq)
+        rigid = (M @ ddq[..., None])[..., 0] + bias
+        return rigid + self.friction(dq) + self.friction.of_load(rigid - self.offset, dq)
 
 
 def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, closed_form: bool = True) -> Plant:

@@ -184,7 +184,10 @@ def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float
     free, friction = (inverse @ (tau - bias)[..., None])[..., 0], plant.friction
 
     def acceleration(v: Array) -> Array:
-        return free - (inverse @ friction(v)[..., None])[..., 0]
+        if friction.load.any():
+            rigid = friction.left(tau - plant.offset - friction(v), v)
+            return np.asarray((inverse @ (rigid - bias + plant.offset)[..., None])[..., 0])
+        return np.asarray(free - (inverse @ friction(v)[..., None])[..., 0])
 
     for _ in range(substeps):
         a1 = acceleration(v)

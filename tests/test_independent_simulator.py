@@ -93,6 +93,23 @@ def test_energy_is_kept_without_friction():
     assert np.ptp(energy) < 1e-4 * np.ptp(kinetic)
 
 
+def test_steps_with_root_and_load_friction_obey_the_inverse_model():
+    """Root friction at the shoulder and load at both joints: half a speed step later the inverse model gives the torque back."""
+    body = plant(toml("scara"))
+    friction = replace(body.friction, root=np.array([0.6, 0.2]), load=np.array([0.3, 0.2]))
+    body = replace(body, friction=friction, offset=np.array([0.1, -0.2]))
+    q, v, tau = np.random.default_rng(4).uniform(-2, 2, (3, 50, 2))
+    h = 1e-6
+    after = step(body, q, v, tau, v, h, 1)
+    middle, a = 0.5 * (v + after[1]), (after[1] - v) / h
+    moving = (np.abs(v) > 0.2).all(axis=1)
+    np.testing.assert_allclose(body.inverse(0.5 * (q + after[0]), middle, a)[moving], tau[moving], atol=1e-4)
+    rigid = body.rigid(q, v)[1] + (body.rigid(q, v)[0] @ a[..., None])[..., 0]
+    expected = 0.82 * np.sign(v[:, 0]) + 0.04 * v[:, 0] + 0.6 * np.sqrt(np.abs(v[:, 0])) * np.sign(v[:, 0])
+    expected += 0.1 + rigid[:, 0] + 0.3 * np.abs(rigid[:, 0]) * np.sign(v[:, 0])
+    np.testing.assert_allclose(tau[moving, 0], expected[moving], atol=1e-3)
+
+
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6), ("tx40", 1e-5)])
 def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     """The commands of a noisy run, once more through DOP853, friction included."""

@@ -1,0 +1,99 @@
+"""How often `robot-identify friction` recommends the terms that a robot has, on recordings of the independent simulator.
+
+Run with `FRICTION_RUNS=100 pytest tests/benchmarks/test_friction_rates.py -s --benchmark-enable`; by default 10 runs of a case.
+"""
+
+import os
+import sys
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+from independent_robots import plant
+from independent_simulator import (
+    Imperfections,
+    described_controller,
+    description,
+    designed_pd,
+    references,
+    simulate,
+)
+
+from identification.friction import TermSet, choose_terms
+from identification.regression.settings import Overrides
+
+pytestmark = pytest.mark.skipif(
+    "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
+)
+
+RUNS = int(os.environ.get("FRICTION_RUNS", "10"))
+BATCH = 20  # recordings simulated side by side
+WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
+COLOURED = Imperfections(encoder_noise=1e-6, coloured_noise_percent=2.0)
+NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """A robot, root and load friction of its joints, and what its cell adds."""
+
+    robot: str
+    cell: Imperfections
+    root: tuple[float, ...] = (0.0, 0.0)
+    load: tuple[float, ...] = (0.0, 0.0)
+
+    @property
+    def terms(self) -> TermSet | None:
+        """What a choice should name; None for the usual terms alone."""
+        if not any((*self.root, *self.load)):
+            return None
+        return tuple((ROOT if r else NONE) | (LOAD if mu else NONE) for r, mu in zip(self.root, self.load, strict=True))
+
+
+CASES = {
+    "SCARA, no such friction, white": Case(robot="scara", cell=WHITE),
+    "SCARA, no such friction, AR(0.98)": Case(robot="scara", cell=COLOURED),
+    "SCARA, root at the shoulder, load 0.3 at the elbow, white": Case(
+        robot="scara", cell=WHITE, root=(0.6, 0.0), load=(0.0, 0.3)
+    ),
+    "SCARA, root and load 0.3 at the shoulder, load 0.3 at the elbow, white": Case(
+        robot="scara", cell=WHITE, root=(0.6, 0.0), load=(0.3, 0.3)
+    ),
+    "SCARA, root at the shoulder, load 0.3 at the elbow, AR(0.98)": Case(
+        robot="scara", cell=COLOURED, root=(0.6, 0.0), load=(0.0, 0.3)
+    ),
+    "EMPS, no such friction, white": Case(robot="emps", cell=WHITE),
+    "TX40, no such friction, white": Case(robot="tx40", cell=WHITE),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_terms_that_a_robot_has_are_recommended(name, capsys):
+    """In 95 % of the recordings, those terms and no other."""
+    case = CASES[name]
+    toml = REPLAY / case.robot / "robot.toml"
+    body = plant(toml)
+    if case.terms:
+        friction = replace(body.friction, root=np.array(case.root), load=np.array(case.load))
+        body = replace(body, friction=friction)
+    controller = designed_pd(body, 10.0, 1000.0) if case.robot == "tx40" else described_controller(body)
+    robot = description(toml)
+    robot = replace(robot, identification=type(robot.identification)())  # the rules of the package
+    known = Overrides() if robot.controller.sample_rate_hz else Overrides(torque_lag_s=-0.5 / controller.rate_hz)
+    exact, all_named, found = 0, 0, {}
+    for first in range(0, RUNS, BATCH):
+        seeds = range(3000 + first, 3000 + min(RUNS, first + BATCH))
+        reference = references(body, seeds, duration_s=10.0, rate_hz=controller.rate_hz)
+        runs = simulate(body, controller, reference, case.cell, seed=first)
+        for k in range(len(seeds)):
+            choice = choose_terms(runs.signals(robot, k), known)
+            terms, expected = choice.recommended.terms, case.terms or choice.usual.terms
+            exact += terms == expected
+            all_named += all(own <= more for own, more in zip(expected, terms, strict=True))
+            if terms != expected:
+                told = ", ".join("+".join(sorted(more)) or "-" for more in terms)
+                found[told] = found.get(told, 0) + 1
+    with capsys.disabled():
+        print(f"\n{name}: exactly in {exact} of {RUNS}, all named in {all_named}; others {found or 'none'}", flush=True)
+    assert exact >= 0.95 * RUNS
