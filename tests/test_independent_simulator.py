@@ -94,7 +94,7 @@ def test_energy_is_kept_without_friction():
 
 
 def test_steps_with_root_and_load_friction_obey_the_inverse_model():
-    """Root friction at the shoulder and load at both joints: half a speed step later the inverse model gives the torque back."""
+    """Root and load friction at both joints: half a step later the inverse model gives the torque back."""
     body = plant(toml("scara"))
     friction = replace(body.friction, root=np.array([0.6, 0.2]), load=np.array([0.3, 0.2]))
     body = replace(body, friction=friction, offset=np.array([0.1, -0.2]))
