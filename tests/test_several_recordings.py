@@ -15,7 +15,7 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, Signals, signals_from_arrays
+from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters
@@ -320,6 +320,13 @@ def test_validate_and_pictures_of_several(files, tmp_path, capsys):
     assert "--out = " in capsys.readouterr().err
 
 
+FRICTION = {  # of the elbow, described with viscous and Coulomb friction, by the keys
+    "without Coulomb friction": {"coulomb": False},
+    "root": {"friction": ("viscous", "root", "coulomb")},
+    "one-sided": {"friction": "asymmetric"},
+}
+
+
 def changed(what: str) -> Signals:
     one = recorded(2)
     joints, motors = one.robot.joints, one.robot.motors
@@ -330,6 +337,8 @@ def changed(what: str) -> Signals:
         robot = replace(one.robot, joints=(joints[0], msgspec.structs.replace(joints[1], dh=dh)))
     elif what == "unit":
         robot = replace(one.robot, motors=(msgspec.structs.replace(motors[0], effort_unit="N"), *motors[1:]))
+    elif what in FRICTION:
+        robot = replace(one.robot, joints=(joints[0], msgspec.structs.replace(joints[1], **FRICTION[what])))
     elif what == "gravity":
         robot = replace(one.robot, gravity=np.array([0.0, 0.0, 9.81]))
     else:
@@ -343,6 +352,7 @@ def changed(what: str) -> Signals:
         ("joint", "joint hip: name"),
         ("dh", "joint elbow: dh"),
         ("unit", "motor motor_1: effort_unit"),
+        *((what, "joint elbow: friction") for what in FRICTION),
         ("gravity", "gravity_m_s2"),
         ("twice", ""),
     ],
@@ -352,6 +362,21 @@ def test_recordings_of_another_robot_are_refused(what, key):
         identify_ls(several(recorded(1), changed(what)), Overrides())
     assert (told.value.place, told.value.key) == ("r2.mcap", key)
     assert what == "twice" or "as in r1.mcap" in told.value.expected
+
+
+def test_friction_terms_agree_in_any_order():
+    """A list in another order, and the keys that mean the same, are of one robot; another Stribeck speed is not."""
+
+    def elbow(one, **friction):
+        joints = (one.robot.joints[0], msgspec.structs.replace(one.robot.joints[1], **friction))
+        return replace(one, robot=replace(one.robot, joints=joints))
+
+    keys, first = recorded(1), elbow(recorded(2), friction=("viscous", "coulomb"))
+    check_one_robot([keys, first, elbow(recorded(3), friction=("coulomb", "viscous"))])
+    slow, fast = (elbow(recorded(k), friction=("viscous", "stribeck"), stribeck_speed_deg_s=10.0 * k) for k in (1, 2))
+    with pytest.raises(IdentificationError) as told:
+        check_one_robot([slow, fast])
+    assert (told.value.key, told.value.value) == ("joint elbow: stribeck_speed_deg_s", 20.0)
 
 
 def test_lag_columns_do_not_cross_recordings(monkeypatch):

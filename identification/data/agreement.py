@@ -1,16 +1,16 @@
 """Whether recordings are of one robot: joints, links, motors and units agree; controllers and buses may differ."""
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 
-from acquisition.robot import Robot
+from acquisition.robot import FrictionTerm, Joint, Robot
 
 from ..errors import IdentificationError
 from .signals import Signals
 
-JOINT = ("name", "type", "dh", "zero_deg", "zero_m", "viscous", "coulomb", "offset", "friction", "rotor_inertia")
+JOINT = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
 MOTOR = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
 
 
@@ -48,6 +48,7 @@ def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
     for mine, others in zip(a.joints, b.joints, strict=True):
         for name in JOINT:
             yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
+        yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
     for motor, other in zip(a.motors, b.motors, strict=True):
         for name in MOTOR:
             yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
@@ -55,3 +56,9 @@ def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
         yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
     same = "the same" if a.urdf == b.urdf else "another"
     yield "urdf", same, "the same"
+
+
+def _friction(joint: Joint) -> tuple[str, ...]:
+    """The friction terms of a joint, in one order: keys and lists that mean the same are the same."""
+    terms = tuple(term for term in get_args(FrictionTerm) if term in joint.terms)
+    return ("for each direction", *terms) if joint.one_sided else terms
