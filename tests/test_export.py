@@ -13,10 +13,10 @@ from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
 from acquisition.robot import load_robot, robot_from_files
+from acquisition.ros import quaternions, roll_pitch_yaw, rotation
 from identification.commands.program import main
 from identification.errors import IdentificationError
 from identification.export import Outputs, StoredModel, export_model, mechanism_of
-from identification.export.numbers import quaternion, roll_pitch_yaw, rotation
 from identification.export.robot_toml import with_parameters
 from identification.methods import Prior, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
@@ -384,7 +384,7 @@ def test_rotations_are_those_of_their_angles_and_quaternions():
         R = pin.rpy.rpyToMatrix(*angles)
         np.testing.assert_allclose(rotation(*angles), R, atol=1e-15)
         np.testing.assert_allclose(rotation(*roll_pitch_yaw(R)), R, atol=1e-14)
-        w, x, y, z = quaternion(R)
+        x, y, z, w = quaternions(R)
         np.testing.assert_allclose(pin.Quaternion(w, x, y, z).matrix(), R, atol=1e-14)
 
 

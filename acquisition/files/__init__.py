@@ -3,7 +3,7 @@
 from .atomic import atomic_write, refuse_clash
 from .columns import read_columns, write_columns
 from .meshes import MESHES, find_mesh, read_meshes
-from .xml_source import Edits, Element, parse_xml
+from .xml_source import Edits, Element, parse_xml, text_of
 
 __all__ = [
     "MESHES",
@@ -15,5 +15,6 @@ __all__ = [
     "read_columns",
     "read_meshes",
     "refuse_clash",
+    "text_of",
     "write_columns",
 ]

@@ -3,10 +3,11 @@
 from .bag_reader import JointStates, read_joint_states
 from .bag_writer import BagWriter
 from .messages import JOINT_STATE, RosMessages
-from .placements import LinkFrames, link_frames, quaternions, urdf_of
+from .placements import UNLIMITED, LinkFrames, link_frames, quaternions, roll_pitch_yaw, rotation, urdf_of
 
 __all__ = [
     "JOINT_STATE",
+    "UNLIMITED",
     "BagWriter",
     "JointStates",
     "LinkFrames",
@@ -14,5 +15,7 @@ __all__ = [
     "link_frames",
     "quaternions",
     "read_joint_states",
+    "roll_pitch_yaw",
+    "rotation",
     "urdf_of",
 ]

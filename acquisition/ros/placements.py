@@ -6,14 +6,16 @@ The kinematics that estimates rest on are those of `identification.model`.
 import math
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..robot import Joint, Robot
+from ..files import text_of
+from ..robot import Joint, Robot, effort_limits
 
+UNLIMITED = 1e9  # a URDF must state effort and velocity: where the description has none
 _BASE = "base_link"
 _THICKNESS = 0.02  # of drawn links, m
 
@@ -86,21 +88,31 @@ def urdf_of(robot: Robot) -> str:
     if robot.urdf is not None:
         return robot.urdf
     root, frames = ET.Element("robot", name=robot.name), link_frames(robot, "")
-    ends = [link.placement[:3, 3] for link in frames.links]
+    ends, efforts = [link.placement[:3, 3] for link in frames.links], _efforts(robot)
     for name, end in zip([_BASE, *(child for _, child in frames.names)], [*ends, np.zeros(3)], strict=True):
         _draw(ET.SubElement(root, "link", name=name), end)
-    for link, joint in zip(frames.links, robot.joints, strict=True):
-        element = ET.SubElement(root, "joint", name=joint.name, type=_urdf_type(joint))
+    for link, joint, effort in zip(frames.links, robot.joints, efforts, strict=True):
+        limits = joint.si("position")
+        kind = "prismatic" if joint.type == "prismatic" else "continuous" if limits is None else "revolute"
+        element = ET.SubElement(root, "joint", name=joint.name, type=kind)
         ET.SubElement(element, "parent", link=link.parent)
         ET.SubElement(element, "child", link=link.child)
-        roll, pitch, yaw = _rpy(link.placement[:3, :3])
-        ET.SubElement(element, "origin", xyz=_three(link.placement[:3, 3]), rpy=_three([roll, pitch, yaw]))
+        turn = roll_pitch_yaw(link.placement[:3, :3])
+        ET.SubElement(element, "origin", xyz=text_of(*link.placement[:3, 3]), rpy=text_of(*turn))
         ET.SubElement(element, "axis", xyz="0 0 1")
-        low, high = joint.si("position") or (-math.pi, math.pi)
-        limits = {"lower": low, "upper": high, "velocity": joint.si("speed") or 10.0, "effort": 0.0}
-        ET.SubElement(element, "limit", {name: f"{value:.9g}" for name, value in limits.items()})
+        low, high = limits or (-UNLIMITED, UNLIMITED)
+        stated = {} if kind == "continuous" else {"lower": low, "upper": high}
+        stated |= {"effort": effort, "velocity": joint.si("speed") or UNLIMITED}
+        ET.SubElement(element, "limit", {name: text_of(value) for name, value in stated.items()})
     ET.indent(root)
-    return ET.tostring(root, encoding="unicode", xml_declaration=True)
+    return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _efforts(robot: Robot) -> list[float]:
+    """Largest effort of each joint, N m or N, by the description alone: its bus may name files that are not here."""
+    found = effort_limits(replace(robot, bus=None), f"robot {robot.name}")
+    known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
+    return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
 
 
 def quaternions(rotations: Array) -> Array:
@@ -140,9 +152,7 @@ def _urdf_link(element: ET.Element, robot: Robot) -> _Link:
     placement = np.eye(4)
     origin = element.find("origin")
     if origin is not None:
-        roll, pitch, yaw = _numbers(origin.get("rpy", "0 0 0"))
-        for axis, angle in zip(np.eye(3)[::-1], (yaw, pitch, roll), strict=True):
-            placement[:3, :3] = placement[:3, :3] @ _about(axis, np.array([angle]))[0]
+        placement[:3, :3] = rotation(*_numbers(origin.get("rpy", "0 0 0")))
         placement[:3, 3] = _numbers(origin.get("xyz", "0 0 0"))
     found = element.find("axis")
     direction = np.array(_numbers("1 0 0" if found is None else found.get("xyz", "1 0 0")))
@@ -168,18 +178,21 @@ def _numbers(text: str) -> list[float]:
     return numbers
 
 
-def _rpy(R: Array) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a rotation (3, 3), as a URDF means them: Rot(z, yaw) Rot(y, pitch) Rot(x, roll)."""
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Rot(z, yaw) Rot(y, pitch) Rot(x, roll) (3, 3), as a URDF means these angles."""
+    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(a), math.cos(a)) for a in (roll, pitch, yaw))
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(about_z @ about_y @ about_x)
+
+
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """The angles of a rotation (3, 3), as `rotation` takes them; of all rotations, those of 90° pitch too."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) < 1e-9:  # roll and yaw turn about one axis
-        return math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0
-    return math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])
-
-
-def _urdf_type(joint: Joint) -> str:
-    if joint.type == "prismatic":
-        return "prismatic"
-    return "continuous" if joint.si("position") is None else "revolute"
+    s, c = math.sin(yaw), math.cos(yaw)
+    return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
 
 
 def _draw(link: ET.Element, end: Array) -> None:
@@ -187,13 +200,9 @@ def _draw(link: ET.Element, end: Array) -> None:
     visual, length = ET.SubElement(link, "visual"), float(np.linalg.norm(end))
     if length > 1e-6:
         yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])
-        ET.SubElement(visual, "origin", xyz=_three(end / 2), rpy=_three([0.0, pitch, yaw]))
+        ET.SubElement(visual, "origin", xyz=text_of(*end / 2), rpy=text_of(0.0, pitch, yaw))
     shape = ET.SubElement(visual, "geometry")
     if length > 1e-6:
         ET.SubElement(shape, "cylinder", radius=f"{_THICKNESS:g}", length=f"{length:.9g}")
     else:
         ET.SubElement(shape, "sphere", radius=f"{2 * _THICKNESS:g}")
-
-
-def _three(numbers: Sequence[float] | Array) -> str:
-    return " ".join(f"{x:.12g}" for x in numbers)

@@ -17,7 +17,7 @@ from .mechanism import Mechanism
 from .mjcf import mjcf_text
 from .robot_toml import with_parameters
 from .stored_model import StoredModel
-from .urdf import patched_urdf, urdf_text
+from .urdf import urdf_text
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # what readers of a URDF take, which does not say it
 SOFT = "MuJoCo's friction loss is a soft constraint: it is dry friction where a joint moves, and creeps where it nearly stands"
@@ -69,7 +69,7 @@ def export_model(stored: StoredModel, outputs: Outputs, source: str) -> Exported
     states = random_states(m)
     if outputs.urdf is not None:
         said, losses = sayable(m, states, rotors=False, couplings=False)
-        texts[outputs.urdf], notes = (urdf_text(said), ()) if m.model.robot.urdf is None else patched_urdf(said)
+        texts[outputs.urdf], notes = urdf_text(said)
         gravity = tuple(m.model.robot.gravity)
         if gravity != URDF_GRAVITY:
             notes += (

@@ -6,8 +6,11 @@ tendon's (armature of tendons: MuJoCo 3.3 and later). Shapes and meshes are not 
 
 import xml.etree.ElementTree as ET
 
+from acquisition.files import text_of
+from acquisition.ros import quaternions
+
 from .mechanism import Mechanism
-from .numbers import about_com, quaternion, text_of
+from .numbers import about_com
 from .urdf import link_names
 
 INERTIA = (0, 3, 5, 1, 2, 4)  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
@@ -22,8 +25,9 @@ def mjcf_text(m: Mechanism) -> str:
     carriers = {0: ET.SubElement(root, "worldbody")}
     names = link_names(robot)
     origins, rotations, axes = m.model.joint_frames
+    turns = quaternions(rotations)[:, [3, 0, 1, 2]]  # MuJoCo's order is w x y z
     for j, joint in enumerate(robot.joints):
-        place = {"name": names[j], "pos": text_of(*origins[j]), "quat": text_of(*quaternion(rotations[j]))}
+        place = {"name": names[j], "pos": text_of(*origins[j]), "quat": text_of(*turns[j])}
         body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
         carriers[j + 1] = body
         mass, com, inertia = about_com(m.links[j])

@@ -5,8 +5,9 @@ import tomllib
 from collections.abc import Mapping
 from typing import Any
 
+from acquisition.files import text_of
+
 from ..errors import IdentificationError
-from .numbers import text_of
 
 _HEADER = re.compile(r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?")
 _NEXT = re.compile(r"[ \t]*\[")

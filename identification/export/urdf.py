@@ -9,66 +9,37 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 
-from acquisition.files import Edits, Element, parse_xml
+from acquisition.errors import listed
+from acquisition.files import Edits, Element, parse_xml, text_of
 from acquisition.robot import Robot
+from acquisition.ros import UNLIMITED, rotation, urdf_of
 
 from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import is_a_body
 from .mechanism import LEAST, Mechanism
-from .numbers import inertial_keys, roll_pitch_yaw, rotation, text_of
-
-UNLIMITED = 1e9  # a URDF must state effort and velocity
+from .numbers import inertial_keys
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
     """Names of the links that the joints move: those of the URDF, or `link_1` and so on of a robot of DH rows."""
-    if robot.urdf is None:
-        return tuple(f"link_{j + 1}" for j in range(robot.n))
     child = {}
-    for joint in ET.fromstring(robot.urdf).findall("joint"):
+    for joint in ET.fromstring(urdf_of(robot)).findall("joint"):
         moved = joint.find("child")
         if moved is not None:
             child[joint.get("name")] = moved.get("link", "")
     return tuple(child[joint.name] for joint in robot.joints)
 
 
-def urdf_text(m: Mechanism) -> str:
-    """The URDF of a mechanism, link frames as its DH rows have them; armatures and couplings have no place in it."""
-    robot = m.model.robot
-    root = ET.Element("robot", name=robot.name)
-    names = ("base_link", *link_names(robot))
-    origins, rotations, axes = m.model.joint_frames
-    ET.SubElement(root, "link", name=names[0])
-    for j, joint in enumerate(robot.joints):
-        inertial = ET.SubElement(ET.SubElement(root, "link", name=names[j + 1]), "inertial")
-        for tag, keys in inertial_keys(m.links[j]).items():
-            ET.SubElement(inertial, tag, keys)
-        limits = joint.si("position")
-        kind = "prismatic" if joint.type == "prismatic" else "continuous" if limits is None else "revolute"
-        moved = ET.SubElement(root, "joint", name=joint.name, type=kind)
-        ET.SubElement(moved, "parent", link=names[m.model.parents[j]])
-        ET.SubElement(moved, "child", link=names[j + 1])
-        ET.SubElement(moved, "origin", xyz=text_of(*origins[j]), rpy=text_of(*roll_pitch_yaw(rotations[j])))
-        ET.SubElement(moved, "axis", xyz=text_of(*axes[j]))
-        ends = (-UNLIMITED, UNLIMITED) if limits is None else limits
-        stated = {"effort": text_of(UNLIMITED), "velocity": text_of(joint.si("speed") or UNLIMITED)}
-        if kind != "continuous":
-            stated = {"lower": text_of(ends[0]), "upper": text_of(ends[1])} | stated
-        ET.SubElement(moved, "limit", stated)
-        ET.SubElement(moved, "dynamics", damping=text_of(m.damping[j]), friction=text_of(m.frictionloss[j]))
-    ET.indent(root)
-    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
-
-
-def patched_urdf(m: Mechanism) -> tuple[str, tuple[str, ...]]:
-    """The URDF of a mechanism that was described by one, and lines on what of other links was changed.
+def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
+    """The URDF of a mechanism, and lines on what of other links was changed, and on limits that nobody stated.
 
     Armatures and couplings have no place in it.
     """
     robot = m.model.robot
-    source = (robot.urdf or "").encode()
-    root, edits, notes = parse_xml(source, f"robot {robot.name}: URDF"), Edits(source=source), list[str]()
+    source = urdf_of(robot).encode()
+    root, edits = parse_xml(source, f"robot {robot.name}: URDF"), Edits(source=source)
+    notes = _unlimited(root) if robot.urdf is None else []
     links = {link.attributes.get("name", ""): link for link in root.all("link")}
     joints = {joint.attributes.get("name", ""): joint for joint in root.all("joint")}
     lumped = _lumped(robot, joints, links)
@@ -90,6 +61,17 @@ def patched_urdf(m: Mechanism) -> tuple[str, tuple[str, ...]]:
         _set_inertial(edits, links[name], own)
         _set_friction(edits, joints[joint.name], m.damping[j], m.frictionloss[j])
     return edits.text(), tuple(notes)
+
+
+def _unlimited(root: Element) -> list[str]:
+    """Lines on the limits of a new URDF that the description does not have."""
+    joints = [(joint.attributes["name"], joint.child("limit")) for joint in root.all("joint")]
+    found = []
+    for key, ways in (("effort", "effort_nm, effort_n or saturation"), ("velocity", "speed_deg_s or speed_m_s")):
+        names = [name for name, limit in joints if limit and limit.attributes[key] == text_of(UNLIMITED)]
+        if names:
+            found.append(f"no {key} is known of {listed(names)}: {UNLIMITED:g} is written: state {ways}")
+    return found
 
 
 def _lumped(robot: Robot, joints: dict[str, Element], links: dict[str, Element]) -> dict[str, dict[str, Array]]:
