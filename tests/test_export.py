@@ -13,7 +13,7 @@ from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
 from acquisition.robot import load_robot, robot_from_files
-from acquisition.ros import quaternions, roll_pitch_yaw, rotation
+from acquisition.ros import UNLIMITED, quaternions, roll_pitch_yaw, rotation
 from identification.commands.program import main
 from identification.errors import IdentificationError
 from identification.export import Outputs, StoredModel, export_model, mechanism_of
@@ -93,7 +93,7 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
     robot = robot_named(name)
     model = InverseModel(robot)
     chi = values_of(model)
-    texts, _ = exported(model, chi, tmp_path)
+    texts, document = exported(model, chi, tmp_path)
     q, dq, ddq = states(robot.n)
     names = [joint.name for joint in robot.joints]
     found, loaded = in_pinocchio(texts["urdf"], names, q, dq, ddq)
@@ -110,6 +110,13 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
         limits = joint.si("position")
         if limits is not None:  # of joints with one coordinate each
             assert (loaded.lowerPositionLimit[j], loaded.upperPositionLimit[j]) == limits
+    known = {"emps": [10.0 * 35.15065188]}.get(name)  # N: saturation in V, drive gain in N/V
+    assert list(loaded.effortLimit) == (pytest.approx(known) if known else [UNLIMITED] * robot.n)
+    assert list(loaded.velocityLimit) == pytest.approx([joint.si("speed") for joint in robot.joints])
+    (section,) = [s for s in document.sections if s.title.startswith(str(tmp_path / "out.urdf"))]
+    told = [line for line in section.lines if "is known of" in line]
+    stated = "1e+09 is written: state effort_nm, effort_n or saturation"
+    assert told == ([] if known else [f"no effort is known of {', '.join(names)}: {stated}"])
 
 
 def inverse_in_mujoco(text, q, dq, ddq, *, friction):
