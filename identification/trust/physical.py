@@ -175,10 +175,9 @@ def _driving_findings(
     rows = np.flatnonzero(evidence.observed.fast[: len(dq), j])[:: max(1, len(dq) // POSES)]
     v = dq[rows, j]
     G = np.sign(v)[:, None] * friction_alone(idm, base.columns[among], j, v, np.abs(rigid[rows, j]))
-    of_part = np.array([[name in part.parameters for name in estimate.names] for part in evidence.parts])
-    G = (
-        G * of_part[np.repeat(np.arange(len(evidence.parts)), evidence.observed.parts)[rows]]
-    )  # own parameters: own rows
+    owner = np.repeat(np.arange(len(evidence.parts)), evidence.observed.parts)[rows]
+    own = np.array([[name in part.parameters for name in estimate.names] for part in evidence.parts])
+    G = G * own[owner]  # parameters of other recordings do not act in a row
     resists = G @ estimate.beta
     half = found.reach * np.sqrt(np.einsum("ri,ij,rj->r", G, found.covariance, G))
     drives = np.flatnonzero(resists < -half)
@@ -240,18 +239,19 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
         return []
-    system, weight = evidence.observed.system, evidence.rows.weight
-    G = np.zeros_like(system.W)  # a recording's own parameters have columns too
-    for name, column in zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True):
-        if name in system.names:
-            G[:, system.names.index(name)] = column.ravel()
-    left = []
-    for W in (system.W, system.W - G):
-        A = W * weight[:, None]
-        size = np.linalg.norm(A, axis=0)
-        A = A / np.where(size > 0, size, 1.0)
-        rho = evidence.rows.Y - A @ np.linalg.lstsq(A, evidence.rows.Y, rcond=1e-9)[0]
-        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(evidence.rows.Y)))
+    rows, system = evidence.rows, evidence.observed.system
+    weights = dict(zip(problem.base.names, at_rest.transpose(2, 1, 0), strict=True))
+    weighs = [i for i, name in enumerate(system.names) if name in weights and weights[name].any()]
+    G = np.array([weights[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
+    # Sums of the rows' columns are those of the R factor, which is small.
+    R: Array = np.asarray(np.linalg.qr(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y], mode="r"))
+    W, left = R[:, : len(system.names)].copy(), list[float]()
+    for weight in (0.0, R[:, len(system.names) : -1]):
+        W[:, weighs] -= weight
+        size = np.linalg.norm(W, axis=0)
+        A = W / np.where(size > 0, size, 1.0)
+        rho = R[:, -1] - A @ np.linalg.lstsq(A, R[:, -1], rcond=1e-9)[0]
+        left.append(100 * float(np.linalg.norm(rho) / np.linalg.norm(rows.Y)))
     if left[1] >= LIGHTER * left[0]:
         return []
     text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
