@@ -1,6 +1,7 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import (
+    InstrumentBlocks,
     Intervals,
     TimeBlocks,
     cosines,
@@ -40,7 +41,7 @@ from .estimators import (
 )
 from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
-from .system import System, undetermined_parameters
+from .system import Factors, System, combined, undetermined_parameters
 from .whitening import whitened
 
 __all__ = [
@@ -48,6 +49,8 @@ __all__ = [
     "MOVING",
     "Consistent",
     "Estimate",
+    "Factors",
+    "InstrumentBlocks",
     "InstrumentTests",
     "Intervals",
     "PhysicalParameters",
@@ -57,6 +60,7 @@ __all__ = [
     "TorqueError",
     "are_moving",
     "autocorrelation",
+    "combined",
     "consistent_parameters",
     "cosines",
     "deviations",

@@ -78,12 +78,9 @@ class Scores:
     cosines: int
 
 
-def intervals_of_scores(estimate: Estimate, recordings: Sequence[Scores], bread: Array | None = None) -> Intervals:
-    """Intervals from the scores of recordings: independent of one another, so variances and degrees of freedom add up.
-
-    `bread` (b, b) belongs to the Q of the scores' `grams`: that of the estimate by default.
-    """
-    bread = estimate.bread if bread is None else bread
+def intervals_of_scores(estimate: Estimate, recordings: Sequence[Scores]) -> Intervals:
+    """Intervals from the scores of recordings: independent of one another, so variances and degrees of freedom add up."""
+    bread = estimate.bread
     each = [deviations(own.scores, own.cosines) / np.sqrt(_share(bread, own.grams, own.cosines)) for own in recordings]
     sigma, freedom = np.hypot.reduce(each), sum(own.cosines for own in recordings)
     half = _reach(freedom) * sigma
@@ -177,22 +174,61 @@ class TimeBlocks:
                 W_k = W[j][:, rows]
                 self.products[k, j] += W_k @ np.c_[W_k.T, Y[j, rows]]
 
-    def weighted(self, estimate: Estimate) -> Array:
-        """W'[W Y] (K, b, b + 1) of the parameters estimated, joints weighted as the estimate was."""
+    def sums(self, estimate: Estimate) -> tuple[Array, Array]:
+        """W'W (K, b, b) of the parameters estimated and W'rho (K, b), joints weighted as the estimate was."""
         among = [self.names.index(name) for name in estimate.names]
-        return np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, among][..., [*among, -1]]
+        products = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, among]
+        gram = products[..., among]
+        return gram, products[..., -1] - gram @ estimate.beta
 
 
-def intervals_of_blocks(estimate: Estimate, recordings: Sequence[TimeBlocks]) -> Intervals:
-    """Intervals of an estimate by least squares, of all parameters or some, from the blocks of recordings.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class InstrumentBlocks:
+    """The same of instruments Z, for an estimate by instrumental variables.
 
-    Scores are (W'W)^-1 W'rho; an orthonormal basis of W is Q = W bread.
+    Attributes:
+        products: (K, b, 2b + 1) of block, Z'[Z W Y] of the weighted rows that count.
+        instants: T, how many the blocks share.
+        names: (b,) parameters.
     """
-    bread = estimate.bread
+
+    products: Array
+    instants: int
+    names: tuple[str, ...]
+
+    @classmethod
+    def none_yet(cls, instants: int, names: tuple[str, ...]) -> "InstrumentBlocks":
+        """Blocks to which `add` brings the rows of so many instants."""
+        b = len(names)
+        return cls(products=np.zeros((min(TIME_BLOCKS, instants), b, 2 * b + 1)), instants=instants, names=names)
+
+    def add(self, first: int, columns: Array) -> None:
+        """Add the instants from `first` on: Z W Y of weighted rows, zero where they do not count, (n, 2b + 1, rows)."""
+        K, b = len(self.products), len(self.names)
+        block = np.arange(first, first + columns.shape[-1]) * K // self.instants
+        for k in np.unique(block):
+            for own in columns[..., block == k]:
+                self.products[k] += own[:b] @ own.T
+
+    def sums(self, estimate: Estimate) -> tuple[Array, Array]:
+        """Z'Z (K, b, b) of the parameters estimated and Z'rho (K, b)."""
+        b, among = len(self.names), np.array([self.names.index(name) for name in estimate.names])
+        products = self.products[:, among]
+        return products[..., among], products[..., -1] - products[..., b + among] @ estimate.beta
+
+
+def intervals_of_blocks(
+    estimate: Estimate, recordings: Sequence[TimeBlocks | InstrumentBlocks], basis: Array | None = None
+) -> Intervals:
+    """Intervals of an estimate, of all parameters or some, from the blocks of recordings.
+
+    `basis` T (b, b) makes Z T the estimate's orthonormal Q, by default its `bread`: W bread is that of least squares.
+    Scores are bread Q'rho = bread T'Z'rho.
+    """
+    T = estimate.bread if basis is None else basis
     found = []
     for blocks in recordings:
-        products = blocks.weighted(estimate)
-        W_rho = products[..., -1] - products[..., :-1] @ estimate.beta
-        scores, grams = W_rho @ bread @ bread.T, bread.T @ products[..., :-1] @ bread
-        found.append(Scores(scores=scores, grams=grams, cosines=cosines(blocks.instants)))
-    return intervals_of_scores(estimate, found, bread)
+        gram, Z_rho = blocks.sums(estimate)
+        scores = Z_rho @ T @ estimate.bread.T
+        found.append(Scores(scores=scores, grams=T.T @ gram @ T, cosines=cosines(blocks.instants)))
+    return intervals_of_scores(estimate, found)

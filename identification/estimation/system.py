@@ -1,5 +1,6 @@
-"""The over-determined system that estimators take."""
+"""The over-determined system that estimators take; QR factors of its rows, where there are too many of them."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,6 +58,56 @@ class System:
         """W (r, b) and Y (r,) with rows of joint j times `weights` (n,), and zero where they do not count."""
         w = weights[self.joint_of_row] * self.used
         return self.W * w[:, None], self.Y * w
+
+
+class Factors:
+    """R of the rows so far [Z W Y], or [W Y], of each joint, and how many rows those were.
+
+    A product AᵀB of columns of the rows is that of the factor's, so that least squares and instrumental variables of the
+    factor give what those of the rows give; nothing is squared on the way.
+    """
+
+    def __init__(self, n: int, columns: int) -> None:
+        """Of n joints, without any rows yet."""
+        self._R: list[Array] = [np.empty((0, columns)) for _ in range(n)]
+        self.rows = np.zeros(n, dtype=np.intp)
+
+    def add(self, j: int, rows: Array, count: int | None = None) -> None:
+        """Add rows (r, columns) of joint j; they stand for `count` rows where they are a factor themselves."""
+        R: Array = np.asarray(np.linalg.qr(np.concatenate([self._R[j], rows]), mode="r"))
+        self._R[j] = R
+        self.rows[j] += len(rows) if count is None else count
+
+    def add_block(self, columns: Array, counts: NDArray[np.bool_]) -> None:
+        """Add instants: columns (n, columns, T) and which of them count (T, n)."""
+        for j, own in enumerate(columns):
+            self.add(j, own[:, counts[:, j]].T)
+
+    def system(self, names: tuple[str, ...]) -> tuple[System, Array | None]:
+        """W and Y as a system of these parameters, and Z in the same rows: None of rows [W Y]."""
+        stack, b = np.concatenate(self._R), len(names)
+        system = System(
+            W=np.ascontiguousarray(stack[:, -b - 1 : -1]),
+            Y=np.ascontiguousarray(stack[:, -1]),
+            joint_of_row=np.repeat(np.arange(len(self._R)), [len(R) for R in self._R]),
+            names=names,
+            used=np.ones(len(stack)),
+            rows=self.rows.copy(),
+        )
+        return system, np.ascontiguousarray(stack[:, :b]) if stack.shape[1] > b + 1 else None
+
+
+def combined(parts: Iterable[tuple[System, Array | None]]) -> tuple[System, Array | None]:
+    """One system with its instruments, if any, that stands for those of all parts, in their order."""
+    found: Factors | None = None
+    names: tuple[str, ...] = ()
+    for system, Z in parts:
+        stack = np.c_[system.W, system.Y] if Z is None else np.c_[Z, system.W, system.Y]
+        found, names = found or Factors(len(system.rows), stack.shape[1]), system.names
+        for j, count in enumerate(system.rows):
+            found.add(j, stack[(system.joint_of_row == j) & (system.used > 0)], int(count))
+    assert found is not None
+    return found.system(names)
 
 
 def refuse_rank_deficiency(W: Array, names: tuple[str, ...]) -> Array:

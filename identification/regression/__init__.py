@@ -2,10 +2,10 @@
 
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LinkSeries, LoadFriction, load_friction
-from .low_speed import fast_rows, lowest_nearby, measured_slip, refuse_slow_joints, slip_cutoff_hz
+from .low_speed import fast_rows, lowest_nearby, measured_slip, refuse_slow_joints
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .own import OwnParameters, base_name, own_parameters
-from .problem import Problem, make_problem, motion_blocks
+from .problem import Problem, RowBlock, make_problem, motion_blocks, row_blocks
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     Overrides,
@@ -22,6 +22,7 @@ from .system import (
     known_torque_rows,
     predicted_torque,
     regression_of_recording,
+    rows_of_block,
     stacked,
     torque_of_recording,
     torque_rate,
@@ -38,6 +39,7 @@ __all__ = [
     "OwnParameters",
     "Problem",
     "Regression",
+    "RowBlock",
     "Settings",
     "Span",
     "base_name",
@@ -59,9 +61,10 @@ __all__ = [
     "predicted_torque",
     "refuse_slow_joints",
     "regression_of_recording",
+    "row_blocks",
+    "rows_of_block",
     "rule_cutoff_hz",
     "sampled_at",
-    "slip_cutoff_hz",
     "stacked",
     "torque_of_recording",
     "torque_rate",

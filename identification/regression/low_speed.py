@@ -11,20 +11,22 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from .problem import Problem
-from .settings import rule_cutoff_hz
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
 _BLOCK = 200_000  # samples filtered at a time
 
 
-def fast_rows(slip: Array, noise: Array, directions: Array, percent: float | None) -> NDArray[np.bool_]:
+def fast_rows(
+    slip: Array, noise: Array, directions: Array, percent: float | None, peak: Array | None = None
+) -> NDArray[np.bool_]:
     """Which rows (rows, n) of each joint count, from the speeds `slip` (rows, c) of the directions (c, n) of Coulomb friction.
 
     A row is slow where a direction that acts on its joint is slower than `percent` of that direction's peak. None takes
-    4 % of the peak, or 4 deviations of the `noise` (c,) that the regressor's own speed carries where that is more.
+    4 % of the peak, or 4 deviations of the `noise` (c,) that the regressor's own speed carries where that is more. The `peak`
+    (c,) is that of the rows, where it is not given.
     """
-    peak = np.abs(slip).max(axis=0, initial=0.0)
+    peak = np.abs(slip).max(axis=0, initial=0.0) if peak is None else peak
     if percent is None:
         threshold = np.maximum(0.01 * LOW_SPEED_PERCENT * peak, LOW_SPEED_DEVIATIONS * noise)
     else:
@@ -42,7 +44,7 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     """
     signals, settings = problem.signals, problem.settings
     fs, start, stop = signals.sample_rate_hz, settings.start, settings.stop
-    cutoff_hz = slip_cutoff_hz(problem)
+    cutoff_hz = problem.slip_cutoff_hz
     blur = round(0.5 * fs / cutoff_hz)
     kept = start + settings.decimator.instants(stop - start)
     slip = np.empty((len(kept), len(directions)))
@@ -59,14 +61,6 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
             squares += (off**2).sum(axis=0)
     N = stop - start
     return slip, np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0))
-
-
-def slip_cutoff_hz(problem: Problem) -> float:
-    """Cut-off of the low-pass that speeds are judged behind: the fit's own, or the rule's where it goes without or higher."""
-    signals, settings = problem.signals, problem.settings
-    if settings.filtered and settings.cutoff_hz is not None:
-        return settings.cutoff_hz
-    return rule_cutoff_hz(signals.robot.bandwidth_hz, signals.sample_rate_hz)
 
 
 def lowest_nearby(speed: Array, at: NDArray[np.intp], reach: int) -> Array:

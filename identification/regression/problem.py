@@ -1,5 +1,6 @@
 """What a fit is about: a recording, the settings, the robot's model and its base parameters."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -9,11 +10,9 @@ from ..data import Signals
 from ..model import BaseParameters, InverseModel, base_parameters
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, sampled_at
-from .settings import Overrides, Settings, make_settings, torque_lag_s
+from .settings import Overrides, Settings, make_settings, rule_cutoff_hz, torque_lag_s
 
-_SERIES_BLOCK = (
-    12_000_000  # numbers of a block's regressor: 96 MB; a shorter block spends more on what reaches beyond it
-)
+_SERIES_BLOCK = 12_000_000  # numbers of a block's regressor, 96 MB; shorter, more is spent on what reaches beyond it
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -33,6 +32,14 @@ class Problem:
     model: InverseModel
     base: BaseParameters
     motion: FilteredMotion
+
+    @property
+    def slip_cutoff_hz(self) -> float:
+        """Cut-off of the low-pass that speeds are judged behind: the fit's own, or the rule's if it goes without or higher."""
+        settings = self.settings
+        if settings.filtered and settings.cutoff_hz is not None:
+            return settings.cutoff_hz
+        return rule_cutoff_hz(self.signals.robot.bandwidth_hz, self.signals.sample_rate_hz)
 
     def without_samples(self) -> "Problem":
         """The same for those who need its settings and model alone."""
@@ -57,24 +64,65 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     return Problem(signals=signals, settings=settings, model=model, base=base_parameters(model), motion=motion)
 
 
-def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
-    """Cut the span used into blocks: each block's motion, which of its decimated rows count, and the share done.
+@dataclass(frozen=True, kw_only=True)
+class RowBlock:
+    """Decimated rows `first` to `last` of so many `rows`, and those from `low` to `high` whose samples filters need for them.
 
-    A block reaches beyond the rows that count as far as the decimation filter does, so blocks give what one pass
-    would. Blocks are counted from the end, where decimation keeps its last sample.
+    Blocks reach as far beyond the rows that count as the filters do, so they give what one pass would. Samples are counted
+    from the end, where decimation keeps the last one.
     """
+
+    first: int
+    last: int
+    low: int
+    high: int
+    rows: int
+
+    @property
+    def inside(self) -> slice:
+        """Which of the rows from `low` to `high` count."""
+        return slice(self.first - self.low, self.last - self.low)
+
+    def samples(self, N: int, factor: int) -> slice:
+        """The samples of a series of N, `factor` to a row, from the rows `low` to `high`."""
+        return _samples(self.low, self.high, self.rows, N, factor)
+
+    def own_samples(self, N: int, factor: int) -> slice:
+        """Those of the rows that count: blocks share none."""
+        return _samples(self.first, self.last, self.rows, N, factor)
+
+
+def _samples(first: int, last: int, rows: int, N: int, factor: int) -> slice:
+    return slice(0 if first == 0 else N - (rows - first) * factor, N - (rows - last) * factor)
+
+
+def row_blocks(problem: Problem) -> list[RowBlock]:
+    """The rows of the span used, cut into blocks; the borders depend on the recording alone."""
     settings, series = problem.settings, len(problem.model.entries(problem.base.columns))
-    n_d, start, stop = settings.decimation, settings.start, settings.stop
-    margin = -(-decimation_reach(n_d) // n_d)  # in decimated rows
-    rows = -(-(stop - start) // n_d)
+    n_d, blur = settings.decimation, 0.5 * problem.signals.sample_rate_hz / problem.slip_cutoff_hz
+    margin = -(-max(decimation_reach(n_d), math.ceil(blur)) // n_d)  # in decimated rows
+    rows = -(-(settings.stop - settings.start) // n_d)
     size = max(4 * margin, _SERIES_BLOCK // (series * n_d), 1)
-    for first in range(0, rows, size):
+    found: list[RowBlock] = []
+    while not found or found[-1].last < rows:
+        first = found[-1].last if found else 0
         last = min(rows, first + size)
         if rows - last < margin:
             last = rows  # no block shorter than the filter's reach
-        low, high = max(0, first - margin), min(rows, last + margin)
-        begin, end = start if low == 0 else stop - (rows - low) * n_d, stop - (rows - high) * n_d
-        motion = problem.motion.between(begin, end, settings.cutoff_hz)
-        yield motion, slice(first - low, last - low), last / rows
-        if last == rows:
-            return
+        found.append(
+            RowBlock(first=first, last=last, low=max(0, first - margin), high=min(rows, last + margin), rows=rows)
+        )
+    return found
+
+
+def motion_of_block(problem: Problem, block: RowBlock) -> Motion:
+    """The recorded motion, low-passed, of the samples that a block needs."""
+    settings = problem.settings
+    samples = block.samples(settings.stop - settings.start, settings.decimation)
+    return problem.motion.between(settings.start + samples.start, settings.start + samples.stop, settings.cutoff_hz)
+
+
+def motion_blocks(problem: Problem) -> Iterator[tuple[Motion, slice, float]]:
+    """The span used block by block: each block's motion, which of its decimated rows count, and the share done."""
+    for block in row_blocks(problem):
+        yield motion_of_block(problem, block), block.inside, block.last / block.rows

@@ -7,19 +7,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import System, TimeBlocks
+from ..estimation import Factors, System, TimeBlocks, combined
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LinkSeries, load_friction
 from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
-from .problem import Problem, motion_blocks
+from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
-_LINKS_KEPT = (
-    12_000_000  # numbers of the links' columns before decimation, 96 MB; those of a longer recording are made anew
-)
+_LINKS_KEPT = 12_000_000  # numbers of the links' columns before decimation, 96 MB; beyond, they are made anew
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
@@ -68,37 +66,35 @@ def regression_of_recording(
     `share` is the number of recordings that share the memory for rows that are not reduced. Columns of load friction are
     zero, or W and Y are those about the parameters `beta` (b,), as of `load`.
     """
-    blocks: list[_Block] = []
-    kept, numbers = list[LinkSeries](), 0
-    reduced: Regression | None = None
-    (fast, slip_noise), done_rows = measured_fast_rows(problem), 0
+    blocks, kept, numbers = list[_Block](), list[LinkSeries](), 0
+    fast, slip_noise = measured_fast_rows(problem)
     if share == 1:  # another recording may move a joint that stands in this one
         names = tuple(joint.name for joint in problem.signals.robot.joints)
         refuse_slow_joints(fast, names, problem.signals.recording)
-    rows, n = fast.shape
+    (rows, n), base = fast.shape, problem.base
     long = is_long(rows, problem, share)
-    time_blocks = TimeBlocks.none_yet(rows, n, problem.base.names) if long else None
-    for motion, inside, done in motion_blocks(problem):
-        here = slice(done_rows, done_rows + inside.stop - inside.start)
-        done_rows = here.stop
-        block, links = _block(problem, motion, inside, fast[here], beta)
-        blocks.append(block)
+    factors, time_blocks = Factors(n, base.b + 1), TimeBlocks.none_yet(rows if long else 0, n, base.names)
+    for at in row_blocks(problem):
+        block, links = _block(problem, at, beta)
         numbers += links.series.size
         kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT else []
-        if time_blocks is not None:
-            time_blocks.add(here.start, blocks[-1].W, blocks[-1].Y, fast[here])
-        say(f"regressor: {done:.0%}")
-        if long and sum(block.W.size for block in blocks) > _NUMBERS_IN_MEMORY:
-            reduced = _reduce(_stacked(blocks, problem.base, slip_noise), reduced)
-            blocks = []
-    if blocks:
-        last = _stacked(blocks, problem.base, slip_noise)
-        if time_blocks is None:
-            return replace(last, links=tuple(kept))
-        reduced = _reduce(last, reduced)
-    assert reduced is not None
-    assert time_blocks is not None
-    return replace(reduced, parts=(rows,), time_blocks=(time_blocks,))
+        if long:
+            counts = fast[at.first : at.last]
+            factors.add_block(np.concatenate([block.W, block.Y[:, None]], axis=1), counts)
+            time_blocks.add(at.first, block.W, block.Y, counts)
+            block = replace(block, W=block.W[..., :0], Y=block.Y[..., :0])
+        blocks.append(block)
+        say(f"regressor: {at.last / rows:.0%}")
+    whole = _stacked(blocks, fast, base, slip_noise)
+    if not long:
+        return replace(whole, links=tuple(kept))
+    return replace(whole, system=factors.system(base.names)[0], time_blocks=(time_blocks,))
+
+
+def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
+    """W (n, b, rows) and Y (n, rows) of a block's rows that count, about the parameters `beta` (b,) as of `load`."""
+    made, _ = _block(problem, block, beta)
+    return made.W, made.Y
 
 
 def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
@@ -115,21 +111,24 @@ def stacked(regressions: Sequence[Regression]) -> Regression:
     if len(regressions) == 1:
         return regressions[0]
     n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
-    rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
+    if regressions[0].reduced:
+        system, _ = combined((one, None) for one in systems)
+    else:
+        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
 
-    def by_joint(name: str) -> Array:
-        values = [getattr(s, name) for s in systems]
-        return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
+        def by_joint(name: str) -> Array:
+            values = [getattr(s, name) for s in systems]
+            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
 
-    system = replace(
-        systems[0],
-        W=by_joint("W"),
-        Y=by_joint("Y"),
-        joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-        used=by_joint("used"),
-        rows=np.sum([s.rows for s in systems], axis=0),
-    )
-    whole = Regression(
+        system = replace(
+            systems[0],
+            W=by_joint("W"),
+            Y=by_joint("Y"),
+            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
+            used=by_joint("used"),
+            rows=np.sum([s.rows for s in systems], axis=0),
+        )
+    return Regression(
         system=system,
         fast=np.concatenate([part.fast for part in regressions]),
         tau=np.concatenate([part.tau for part in regressions]),
@@ -138,7 +137,6 @@ def stacked(regressions: Sequence[Regression]) -> Regression:
         parts=tuple(rows for part in regressions for rows in part.parts),
         time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
     )
-    return replace(_reduce(whole, None), parts=whole.parts, time_blocks=whole.time_blocks) if whole.reduced else whole
 
 
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
@@ -211,19 +209,17 @@ def _decimated(series: Array, dynamics: InverseModel, base: BaseParameters, deci
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Block:
-    """The decimated rows of a block: W (n, b, rows), Y and the torque tau (n, rows), speed and fast (rows, n)."""
+    """The decimated rows of a block: W (n, b, rows), Y and the torque tau (n, rows), and speed (rows, n)."""
 
     W: Array
     Y: Array
     tau: Array
     speed: Array
-    fast: NDArray[np.bool_]
 
 
-def _block(
-    problem: Problem, motion: Motion, inside: slice, fast: NDArray[np.bool_], beta: Array | None
-) -> tuple[_Block, LinkSeries]:
+def _block(problem: Problem, at: RowBlock, beta: Array | None) -> tuple[_Block, LinkSeries]:
     """A block, about the parameters `beta` (b,) or its columns of load friction zero; and what these depend on."""
+    motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base
     series, load = model.series(motion.q, motion.dq, motion.ddq, base.columns), load_friction(model, base)
     W, tau = _decimated(series, model, base, decimation), decimation.filtered(motion.tau.T)
@@ -231,58 +227,26 @@ def _block(
     if load and beta is not None:
         rigid = load.torque_of_links(links.entries, links.series, beta)
         load.linearise(W, Y, load.columns(rigid, motion.dq, decimation), beta)
-    block = _Block(
-        W=W[..., inside],
-        Y=Y[:, inside],
-        tau=tau[:, inside],
-        speed=decimation.kept(motion.dq)[inside],
-        fast=fast,
-    )
+    block = _Block(W=W[..., inside], Y=Y[:, inside], tau=tau[:, inside], speed=decimation.kept(motion.dq)[inside])
     return block, links
 
 
-def _stacked(blocks: list[_Block], base: BaseParameters, slip_noise: Array) -> Regression:
+def _stacked(blocks: list[_Block], fast: NDArray[np.bool_], base: BaseParameters, slip_noise: Array) -> Regression:
     """Blocks as one system, rows joint by joint."""
     W, Y, tau = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y", "tau"))
     n, rows = Y.shape
-    fast = np.concatenate([block.fast for block in blocks])
     return Regression(
         system=System(
             W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
             Y=Y.reshape(-1),
             joint_of_row=np.repeat(np.arange(n), rows),
             names=base.names,
-            used=fast.T.reshape(-1).astype(float),
+            used=fast[:rows].T.reshape(-1).astype(float),
             rows=fast.sum(axis=0),
         ),
         fast=fast,
         tau=tau.T,
         speed=np.concatenate([block.speed for block in blocks]),
         slip_noise=slip_noise,
-        parts=(rows,),
-    )
-
-
-def _reduce(new: Regression, before: Regression | None) -> Regression:
-    """Per joint the QR factor of the rows so far that count: b + 1 rows with the same normal equations."""
-    parts = [new] if before is None else [before, new]
-    n, factors = new.tau.shape[1], []
-    for j in range(n):
-        rows = [np.c_[s.W, s.Y][(s.joint_of_row == j) & (s.used > 0)] for s in (part.system for part in parts)]
-        factors.append(np.linalg.qr(np.concatenate(rows), mode="r"))
-    stack, fast = np.concatenate(factors), np.concatenate([part.fast for part in parts])
-    return Regression(
-        system=System(
-            W=np.ascontiguousarray(stack[:, :-1]),
-            Y=np.ascontiguousarray(stack[:, -1]),
-            joint_of_row=np.repeat(np.arange(n), [len(f) for f in factors]),
-            names=new.system.names,
-            used=np.ones(len(stack)),
-            rows=fast.sum(axis=0),
-        ),
-        fast=fast,
-        tau=np.concatenate([part.tau for part in parts]),
-        speed=np.concatenate([part.speed for part in parts]),
-        slip_noise=new.slip_noise,
-        parts=new.parts,
+        parts=(tau.shape[1],),
     )

@@ -9,7 +9,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import relative_error_percent
 from ..model import direct_model
-from ..regression import Decimation, Motion, decimated_regressor, lowest_nearby, slip_cutoff_hz
+from ..regression import Decimation, Motion, decimated_regressor, lowest_nearby
 from ..simulation import simulate, surrogate_loop
 from ..trust import inertias, nearest_consistent, not_positive
 from .experiment import LOST, Experiment
@@ -88,7 +88,7 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None) -
 
 def _slip(e: Experiment, motion: Motion) -> Array:
     """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
-    reach = round(0.5 / ((e.grid_s[1] - e.grid_s[0]) * slip_cutoff_hz(e.problem)))
+    reach = round(0.5 / ((e.grid_s[1] - e.grid_s[0]) * e.problem.slip_cutoff_hz))
     speed = np.abs(motion.dq @ e.problem.model.coulomb_directions.T)
     return lowest_nearby(speed, e.decimation.instants(len(speed)), reach)
 
