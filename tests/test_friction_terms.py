@@ -24,7 +24,7 @@ from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.model.joint_terms import JointTerm
-from identification.passes import settled_least_squares
+from identification.passes import Linearised, settled_least_squares
 from identification.regression import system
 from identification.regression.motion import Motion
 from identification.regression.problem import make_problem
@@ -221,8 +221,8 @@ def exact(arm):
 
 def test_exact_motion_gives_every_term_back(exact):
     problem, known = exact
-    settled = settled_least_squares(problem, regression_of_recording(problem))
-    assert settled.problem.settings.warnings == problem.settings.warnings  # nothing is left out
+    settled = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
+    assert settled.linearised.problem.settings.warnings == problem.settings.warnings  # nothing is left out
     np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8, atol=1e-8)
 
 
@@ -238,15 +238,15 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     robot = upright([[*USUAL, "root", "load"], [*USUAL, "load"]], "Fr1 = 0.5\nmu1 = 0.2\nmu2 = 0.3\n")
     t = np.arange(0.0, 12.0, 1 / 250.0)
     problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
-    whole = settled_least_squares(problem, regression_of_recording(problem))
+    whole = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
     monkeypatch.setattr(system, "_LINKS_KEPT", 0)
-    blocks = settled_least_squares(problem, regression_of_recording(problem))
+    blocks = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
     np.testing.assert_allclose(blocks.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
     monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
     plain = regression_of_recording(problem)
     assert plain.reduced
-    reduced = settled_least_squares(problem, plain)
+    reduced = settled_least_squares(Linearised.of_one(problem, plain))
     np.testing.assert_allclose(reduced.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
 
 
@@ -355,12 +355,12 @@ def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
 def test_root_friction_at_two_speeds_is_named_and_left_out():
     """Three columns of two speeds: Coulomb and viscous friction say all, the root nothing more."""
     problem, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0)
-    settled = settled_least_squares(problem, regression_of_recording(problem))
-    assert settled.problem.base.names == ("M1R", "Fv1", "Fc1") or settled.problem.base.names == ("M1", "Fv1", "Fc1")
-    (told,) = settled.problem.settings.warnings[-1:]
+    settled = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
+    assert settled.full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
+    (told,) = settled.linearised.problem.settings.warnings[-1:]
     assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
     three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
-    settled = settled_least_squares(three, regression_of_recording(three))
+    settled = settled_least_squares(Linearised.of_one(three, regression_of_recording(three)))
     np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8)
 
 
@@ -369,9 +369,11 @@ def test_load_friction_is_left_out_where_the_load_does_not_change(a_m_s2, left_o
     """A weight that hardly accelerates: its load friction is Coulomb friction."""
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
     problem, known = two_speeds(robot, a_m_s2)
-    settled = settled_least_squares(problem, regression_of_recording(problem))
+    settled = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
     told = [
-        warning for warning in settled.problem.settings.warnings if "load friction of joint axis left out" in warning
+        warning
+        for warning in settled.linearised.problem.settings.warnings
+        if "load friction of joint axis left out" in warning
     ]
     assert bool(told) == left_out
     if not left_out:
@@ -429,7 +431,7 @@ def test_held_out_errors_are_those_of_fits_of_the_other_rows():
     """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
     problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
     plain = regression_of_recording(problem)
-    trials = Trials(problem, plain)
+    trials = Trials(Linearised.of_one(problem, plain))
     trial = trials.of((NONE, NONE))
     weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
     T, n = plain.tau.shape
@@ -614,7 +616,7 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 def splits(signals, terms):
     """Mean held-out error of moving rows over the two halves and the five fifths."""
     problem = make_problem(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
-    trials = Trials(problem, regression_of_recording(problem))
+    trials = Trials(Linearised.of_one(problem, regression_of_recording(problem)))
     T = len(trials.plain.tau)
     first = np.arange(T) < T // 2
     return trials.held_out_percents(terms, [first, ~first, *trials.parts]).mean()

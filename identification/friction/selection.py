@@ -21,8 +21,8 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, identify_ls
-from ..passes import LinearisedRecording, alike, leave_out_untold, without
-from ..regression import Overrides, Problem, Regression, make_problem, regression_of_recording
+from ..passes import Linearised, alike, leave_out_untold
+from ..regression import Overrides, Problem, make_problem, regression_of_recording
 from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
 from .trials import Trial, Trials
 
@@ -83,9 +83,7 @@ def choose_terms(signals: Signals, overrides: Overrides, *, say: Callable[[str],
     plain = regression_of_recording(problem, say)
     if plain.reduced:
         raise IdentificationError("too long", place=signals.recording, expected="a part of it, or a larger --decimate")
-    warnings = len(problem.settings.warnings)
-    problem, plain = _told(problem, plain)
-    trials = Trials(problem, plain)
+    trials = Trials(_told(Linearised.of_one(problem, plain)))
     usual = trials.of(everywhere(robot.joints, frozenset()))
     level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
     for terms in _for_all_joints(robot):
@@ -95,11 +93,11 @@ def choose_terms(signals: Signals, overrides: Overrides, *, say: Callable[[str],
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         robot=robot,
-        problem=problem,
+        problem=trials.problem,
         trials=tuple(found),
         usual=usual,
         recommended=recommended(found, level),
-        left_out=(*problem.settings.warnings[warnings:], *trials.left_out.values()),
+        left_out=tuple(trials.left_out.values()),
     )
 
 
@@ -124,19 +122,17 @@ def recommended(trials: Iterable[Trial], level: float) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _told(problem: Problem, plain: Regression) -> tuple[Problem, Regression]:
-    """The identification without the terms that the recording cannot tell with all others at hand."""
-    problem, plain = leave_out_untold(problem, plain)
-    while True:
-        recording = LinearisedRecording(problem, plain)
-        if not recording.load:
-            return problem, plain
-        beta = Trials(problem, plain).links_of_usual()
-        names = [problem.base.names[i] for i in recording.load.places]
-        untold = alike(problem, recording.at(beta).system, names)
+def _told(linearised: Linearised) -> Linearised:
+    """W and Y without the terms that the recording cannot tell with all others at hand."""
+    linearised = leave_out_untold(linearised)
+    while load := linearised.load:
+        beta, names = Trials(linearised).links_of_usual(), linearised.parameters.names
+        among = [names[place] for place in linearised.load_places(load)]
+        untold = alike(linearised.problem, linearised.at(beta).system, among)
         if not untold:
-            return problem, plain
-        problem, plain = without(problem, plain, untold)
+            break
+        linearised = linearised.without(untold)
+    return linearised
 
 
 def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:

@@ -24,8 +24,8 @@ from ..estimation import (
     relative_error_percent,
     weighted_least_squares,
 )
-from ..passes import LinearisedRecording, load_passes
-from ..regression import Problem, Regression
+from ..passes import Linearised, load_passes
+from ..regression import Regression
 from .sets import TermSet, parameters_of
 
 PARTS = 5  # of a recording that are held out in turn
@@ -87,11 +87,11 @@ class Trial:
 class Trials:
     """Trials of sets of terms on one recording; each set is tried once."""
 
-    def __init__(self, problem: Problem, plain: Regression) -> None:
-        """`problem` and `plain` are of the robot with all terms that are tried; columns of load friction are zero."""
-        self.problem, self.plain = problem, plain
+    def __init__(self, linearised: Linearised) -> None:
+        """`linearised` is of the robot with all terms that are tried."""
+        self.problem, self.plain = problem, plain = linearised.problem, linearised.plain
         self.parameters = parameters_of(problem.model, problem.base)
-        self._recording = LinearisedRecording(problem, plain)
+        self._linearised = linearised
         self._names = problem.base.names
         added = {name for names in self.parameters.values() for name in names}
         self._usual = [i for i, name in enumerate(self._names) if name not in added]
@@ -102,7 +102,7 @@ class Trials:
         self._moving = are_moving(plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
         self._done: dict[TermSet, Trial] = {}
-        self.left_out: dict[str, str] = {}
+        self.left_out = dict(linearised.left_out)
 
     def links_of_usual(self) -> Array:
         """Parameters (b,) of the fit with the usual terms."""
@@ -176,16 +176,16 @@ class Trials:
     def _fit(self, terms: TermSet, rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
         """Least squares of the rows (T,), and which load friction did not settle."""
         used, columns = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self._columns(terms)
-        load = self._recording.load.of(columns.tolist())
+        load = self._linearised.load.of(columns.tolist())
 
         def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
             return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))
 
         beta = self._starts.get(start)
         if beta is None:
-            beta = solve(self.plain, np.setdiff1d(columns, load.places)).among(self._names)
+            beta = solve(self.plain, np.setdiff1d(columns, self._linearised.load_places(load))).among(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
-        passes = load_passes(self.problem, self._recording, solve, without_others, load)
+        passes = load_passes(self._linearised, solve, without_others, load)
         self._starts[start] = passes.estimate.among(self._names)
         return passes.observed, passes.estimate, passes.unsettled
 

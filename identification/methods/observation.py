@@ -8,6 +8,8 @@ import numpy as np
 from ..arrays import Array
 from ..data import RecordingFile, Signals
 from ..estimation import one_thread
+from ..model import SHAPES
+from ..passes import RowStates, row_states
 from ..regression import (
     Overrides,
     Problem,
@@ -34,6 +36,7 @@ class Observation:
         poses: (P, n) positions at which M is looked at.
         replay: its described control law against the recorded effort.
         t_s: (rows,) instants of its decimated rows, s.
+        states: some rows and the motion at them; None where friction has the usual terms alone.
     """
 
     problem: Problem
@@ -41,6 +44,7 @@ class Observation:
     poses: Array
     replay: TrustLine
     t_s: Array
+    states: RowStates | None
 
     def part(self, parameters: tuple[str, ...]) -> Part:
         """What it brings to the evidence before anything is simulated; its base parameters have these names."""
@@ -50,6 +54,7 @@ class Observation:
             slip_noise=self.regression.slip_noise,
             poses=self.poses,
             replay=self.replay,
+            states=self.states,
         )
 
 
@@ -73,10 +78,18 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     # Decimation keeps the last sample and every n_d-th before it.
     kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
     poses, replay = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
-    t_s = signals.t_s[kept]
+    shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
+    states = row_states(problem) if shaped else None
     if share > 1 and regression.reduced:
         problem = problem.without_samples()
-    return Observation(problem=problem, regression=regression, poses=np.array(poses), replay=replay, t_s=t_s)
+    return Observation(
+        problem=problem,
+        regression=regression,
+        poses=np.array(poses),
+        replay=replay,
+        t_s=signals.t_s[kept],
+        states=states,
+    )
 
 
 @one_thread

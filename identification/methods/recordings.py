@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..errors import IdentificationError
-from ..estimation import Estimate, ordinary_least_squares, slices, weighted_least_squares
-from ..passes import LinearisedRecording, settled_least_squares, untold_terms, without
+from ..estimation import Estimate, slices
+from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
+    ALL_REDUCED,
     Overrides,
     OwnParameters,
     Problem,
@@ -20,13 +20,10 @@ from ..regression import (
     make_problem,
     own_parameters,
     refuse_slow_joints,
-    stacked,
 )
 from ..replica import Bench, Lab, Place
 from ..trust import Part
 from .observation import Observation, Say, observation_of, observe, predict, regression_at
-
-ALL_REDUCED = 10**9  # so many share the memory for rows that all are reduced
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -36,26 +33,27 @@ class Observed:
     Attributes:
         recordings: as they were given, in the order of the digests; `overrides` the settings they were observed with.
         observations: one by one.
-        regression: the system that they make together.
         order: places of the recordings as the user gave them.
-        parameters: those that the recordings share, and those of each.
-        linearised: W and Y about any parameters, of one recording; None of several, and before least squares has settled.
-        left_out: friction terms of the description that several recordings cannot tell.
+        linearised: W and Y about any parameters.
+        regression: the system that they make together, about the parameters of `at`; columns of load friction are zero before.
     """
 
     recordings: Recordings
     overrides: Overrides
     observations: tuple[Observation, ...]
-    regression: Regression
     order: tuple[int, ...]
-    parameters: OwnParameters
-    linearised: LinearisedRecording | None = None
-    left_out: tuple[str, ...] = ()
+    linearised: Linearised
+    regression: Regression
 
     @property
     def problem(self) -> Problem:
         """That of the recording given first: robot, model and base parameters are those of all."""
         return self.observations[self.order[0]].problem
+
+    @property
+    def parameters(self) -> OwnParameters:
+        """Those that the recordings share, and those of each."""
+        return self.linearised.parameters
 
     @property
     def parts(self) -> tuple[slice, ...]:
@@ -68,15 +66,12 @@ class Observed:
         return tuple(one.part(names) for one, names in zip(self.observations, self.parameters.of, strict=True))
 
     def places(self) -> list[Place]:
-        """Where tasks find the recordings: the problem where it is at hand and need not be sent, or the file."""
-        found = []
-        for source, one in zip(self.recordings.sources, self.observations, strict=True):
-            without_samples = not len(one.problem.signals.q)
-            in_file = isinstance(source, RecordingFile) and self.recordings.work.remote
-            at_hand = None if in_file or without_samples else one.problem
-            settings = self.settings_of(one)
-            found.append(Place(source=source, overrides=settings, at_hand=at_hand, left_out=self.left_out))
-        return found
+        """Where tasks find the recordings, without the terms that are left out."""
+        left_out = tuple(self.linearised.left_out)
+        return [
+            replace(_place(self.recordings, source, self.overrides, one.problem), left_out=left_out)
+            for source, one in zip(self.recordings.sources, self.observations, strict=True)
+        ]
 
     def lab(self, prior: Array, *, gain_update: bool) -> Lab:
         """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
@@ -93,62 +88,42 @@ class Observed:
     @property
     def load_places(self) -> NDArray[np.intp]:
         """Where the parameters of load friction are among those of the system."""
-        return np.array([], dtype=np.intp) if self.linearised is None else self.linearised.load.places
+        return self.linearised.load_places()
 
     def at(self, beta: Array) -> "Observed":
         """The same with W and Y about values of all parameters, by which load friction goes; the same without any."""
-        if self.linearised is None or not self.linearised.load:
+        if not self.linearised.load:
             return self
-        return replace(self, regression=self.linearised.at(beta))
+        whole, each = self.linearised.at(beta), self.linearised.each_at(beta)
+        observations = (replace(one, regression=own) for one, own in zip(self.observations, each, strict=True))
+        return replace(self, observations=tuple(observations), regression=whole)
 
     def settled(self, method: Literal["ols", "wls"] = "wls") -> tuple["Observed", Estimate]:
         """Least squares of all parameters, and the same without the friction terms that are not told, W and Y about them.
 
         Raises `IdentificationError` as of the estimators.
         """
-        if len(self.observations) == 1:
-            (one,) = self.observations
-            found = settled_least_squares(one.problem, one.regression, method)
-            observed = self._of([(found.problem, found.recording.plain)], found.observed)
-            return replace(observed, linearised=found.recording), found.full
-        observed, solve = self, weighted_least_squares if method == "wls" else ordinary_least_squares
-        if untold := untold_terms(self.problem, self.regression.system):
-            each = [without(one.problem, one.regression, untold) for one in self.observations]
-            observed = self._of(each, without(self.problem, self.regression, untold)[1])
-            observed = replace(observed, left_out=tuple(untold))
-        return observed, solve(observed.regression.system)
-
-    def _of(self, each: Sequence[tuple[Problem, Regression]], regression: Regression) -> "Observed":
-        """The same recordings as other problems and regressions, and the system that they make together."""
-        return replace(
-            self,
-            observations=tuple(
-                replace(one, problem=problem, regression=own)
-                for one, (problem, own) in zip(self.observations, each, strict=True)
-            ),
-            regression=regression,
-            parameters=own_parameters([problem for problem, _ in each]),
-            linearised=None,
+        found = settled_least_squares(self.linearised, method)
+        told = found.linearised
+        observations = (
+            replace(one, problem=without_terms(one.problem, told.left_out), regression=own)
+            for one, own in zip(self.observations, told.each, strict=True)
         )
+        observed = replace(self, observations=tuple(observations), linearised=told, regression=told.plain)
+        return observed.at(found.about), found.full
 
     def at_cutoff(self, cutoff_hz: float) -> "Observed":
-        """The same recordings behind another low-pass."""
+        """The same recordings behind another low-pass; columns of load friction are zero."""
         tasks = [
             (place, replace(place.overrides, cutoff_hz=cutoff_hz), len(self.observations)) for place in self.places()
         ]
-        each = list(self.recordings.work.run(regression_at, tasks))
-        return self._of(
-            [
-                (replace(one.problem, settings=settings), own)
-                for one, (settings, own) in zip(self.observations, each, strict=True)
-            ],
-            stacked([self.parameters.widened(own, k) for k, (_, own) in enumerate(each)]),
+        observations = (
+            replace(one, problem=replace(one.problem, settings=settings), regression=regression)
+            for one, (settings, regression) in zip(
+                self.observations, self.recordings.work.run(regression_at, tasks), strict=True
+            )
         )
-
-    def settings_of(self, observation: Observation) -> Overrides:
-        """What a recording was observed with: the options, and the cut-off and decimation that are common to all."""
-        settings = observation.problem.settings
-        return replace(self.overrides, cutoff_hz=settings.cutoff_hz or 0.0, decimation=settings.decimation)
+        return _observed(self.recordings, self.overrides, tuple(observations), self.order)
 
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
@@ -159,13 +134,50 @@ class Observed:
         return observed.predicted(estimate.among(observed.system.names))
 
 
+def _observed(
+    recordings: Recordings, overrides: Overrides, observations: tuple[Observation, ...], order: tuple[int, ...]
+) -> Observed:
+    """The recordings and the system that they make together; columns of load friction are zero."""
+    linearised = Linearised(
+        problem=observations[order[0]].problem,
+        each=tuple(one.regression for one in observations),
+        places=tuple(
+            _place(recordings, source, overrides, one.problem)
+            for source, one in zip(recordings.sources, observations, strict=True)
+        ),
+        parameters=own_parameters([one.problem for one in observations]),
+        work=recordings.work,
+    )
+    return Observed(
+        recordings=recordings,
+        overrides=overrides,
+        observations=observations,
+        order=order,
+        linearised=linearised,
+        regression=linearised.plain,
+    )
+
+
+def _place(recordings: Recordings, source: Signals | RecordingFile, overrides: Overrides, problem: Problem) -> Place:
+    """Where tasks find a recording: its problem where it is at hand and need not be sent, or the file.
+
+    It is observed with the options, and with the cut-off and decimation that are common to all.
+    """
+    settings = problem.settings
+    without_samples, in_file = not len(problem.signals.q), isinstance(source, RecordingFile) and recordings.work.remote
+    return Place(
+        source=source,
+        overrides=replace(overrides, cutoff_hz=settings.cutoff_hz or 0.0, decimation=settings.decimation),
+        at_hand=None if in_file or without_samples else problem,
+    )
+
+
 def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> Observed:
     """W and Y of one recording or several, filtered and decimated one by one, and stacked.
 
     Cut-off and decimation are common, the lowest cut-off and the lowest rate of rows that the rules give.
 
-    Raises `IdentificationError` where the recordings are not of one robot, or several with load friction, or as
-    `make_problem`.
+    Raises `IdentificationError` where the recordings are not of one robot, or as `make_problem`.
     """
     if isinstance(given, Signals):
         given = Recordings(sources=(given,))
@@ -173,48 +185,24 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
         one = observation_of(make_problem(signals, overrides), 1, say)
-        return Observed(
-            recordings=Recordings(sources=(signals,)),
-            overrides=overrides,
-            observations=(one,),
-            regression=one.regression,
-            order=(0,),
-            parameters=own_parameters([one.problem]),
-        )
+        return _observed(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
     given, found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
-    _refuse_load(found[0].problem.signals)
     found = _alike(given, found, overrides)
     by_digest = sorted(
         range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
     )
     found = [found[k] for k in by_digest]
-    parameters = own_parameters([one.problem for one in found])
-    regression = stacked([parameters.widened(one.regression, k) for k, one in enumerate(found)])
-    joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
-    refuse_slow_joints(regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
-    return Observed(
-        recordings=replace(given, sources=tuple(given.sources[k] for k in by_digest)),
-        overrides=overrides,
-        observations=tuple(found),
-        regression=regression,
-        order=tuple(by_digest.index(k) for k in range(len(found))),
-        parameters=parameters,
+    observed = _observed(
+        replace(given, sources=tuple(given.sources[k] for k in by_digest)),
+        overrides,
+        tuple(found),
+        tuple(by_digest.index(k) for k in range(len(found))),
     )
-
-
-def _refuse_load(signals: Signals) -> None:
-    """Refuse load friction of several recordings: its W and Y are about an estimate, and these are made of one recording."""
-    for joint in signals.robot.joints:
-        if "load" in joint.terms:
-            raise IdentificationError(
-                "load friction is fitted of one recording",
-                place=f"robot {signals.robot.name}",
-                key=f"joint {joint.name}: friction",
-                value="load",
-                expected="its list without load where several recordings are fitted together, or one recording",
-            )
+    joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
+    refuse_slow_joints(observed.regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
+    return observed
 
 
 def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:

@@ -1,28 +1,19 @@
-"""Least squares in passes: friction by load depends on the estimate before, and terms that a recording cannot tell go."""
+"""Least squares in passes: friction by load depends on the estimate before, and terms that recordings cannot tell go."""
 
-from .linearised import LinearisedRecording, links_at_rows
-from .settled import (
-    Settled,
-    alike,
-    leave_out_untold,
-    load_passes,
-    settled_least_squares,
-    told_apart,
-    untold_terms,
-    without,
-    without_load,
-)
+from .linearised import Linearised, without_terms
+from .links import RowStates, links_at_rows, row_states, torque_of_links
+from .settled import Settled, alike, leave_out_untold, load_passes, settled_least_squares
 
 __all__ = [
-    "LinearisedRecording",
+    "Linearised",
+    "RowStates",
     "Settled",
     "alike",
     "leave_out_untold",
     "links_at_rows",
     "load_passes",
+    "row_states",
     "settled_least_squares",
-    "told_apart",
-    "untold_terms",
-    "without",
-    "without_load",
+    "torque_of_links",
+    "without_terms",
 ]

@@ -16,6 +16,7 @@ from .settings import (
     rule_cutoff_hz,
 )
 from .system import (
+    ALL_REDUCED,
     Regression,
     decimated_regressor,
     is_long,
@@ -29,6 +30,7 @@ from .system import (
 )
 
 __all__ = [
+    "ALL_REDUCED",
     "CUTOFF_PER_BANDWIDTH",
     "Decimation",
     "FilteredMotion",

@@ -1,6 +1,6 @@
 """Parameters that each of several recordings has for itself, such as an offset: Off1@A beside Off1@B in place of Off1."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -40,6 +40,11 @@ class OwnParameters:
     def places(self, k: int) -> NDArray[np.intp]:
         """(b,) where the base parameters of recording k are among all."""
         return np.array([self.names.index(name) for name in self.of[k]])
+
+    def without(self, names: Collection[str]) -> "OwnParameters":
+        """The same without parameters that the recordings share."""
+        of = tuple(tuple(name for name in one if name not in names) for one in self.of)
+        return OwnParameters(of=of, names=tuple(name for name in self.names if name not in names))
 
     def columns(self, X: Array, k: int) -> Array:
         """X (r, b) of recording k in the columns of all parameters; zero in those of other recordings."""

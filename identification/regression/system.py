@@ -17,7 +17,8 @@ from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_bloc
 
 _NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
-_LINKS_KEPT = 12_000_000  # numbers of the links' columns before decimation, 96 MB; beyond, they are made anew
+_LINKS_KEPT = 12_000_000  # numbers of all links' columns before decimation, 96 MB; beyond, they are made anew
+ALL_REDUCED = 10**9  # so many recordings share the memory for rows that all are reduced
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
@@ -32,7 +33,8 @@ class Regression:
         speed: (rows, n) joint speeds at the same instants.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         parts: numbers of decimated samples of the recordings, which stand one after the other.
-        links: what load friction depends on, block by block; empty where there is too much of it, or none is needed.
+        links: what load friction depends on, block by block; empty where there is too much of it, or none is needed, and
+            in another process than the one that made it.
         time_blocks: of a system that is held reduced, what the residual's scores follow from, by recording; empty of others.
 
     The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
@@ -47,6 +49,9 @@ class Regression:
     parts: tuple[int, ...]
     links: tuple[LinkSeries, ...] = ()
     time_blocks: tuple[TimeBlocks, ...] = ()
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "links": ()}  # many times as large as the rows: made anew where it is needed
 
     @property
     def reduced(self) -> bool:
@@ -77,7 +82,7 @@ def regression_of_recording(
     for at in row_blocks(problem):
         block, links = _block(problem, at, beta)
         numbers += links.series.size
-        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT else []
+        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT // share else []
         if long:
             counts = fast[at.first : at.last]
             factors.add_block(np.concatenate([block.W, block.Y[:, None]], axis=1), counts)

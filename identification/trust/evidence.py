@@ -8,6 +8,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import Estimate, Intervals, System
+from ..passes import RowStates
 from ..regression import Decimation, Motion, Problem, Regression
 from .lines import TrustLine
 
@@ -22,6 +23,7 @@ class Part:
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort.
+        states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
         simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
             `decimation` to the rows; None where there is none.
         reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
@@ -32,6 +34,7 @@ class Part:
     slip_noise: Array
     poses: Array
     replay: TrustLine
+    states: RowStates | None = None
     simulated: Motion | None = None
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None

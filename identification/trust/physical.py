@@ -23,6 +23,7 @@ from ..estimation import (
     consistent_parameters,
     intervals,
     intervals_of_blocks,
+    slices,
     weighted_least_squares,
 )
 from ..model import (
@@ -35,7 +36,7 @@ from ..model import (
     friction_alone,
     physical_parameters,
 )
-from ..passes import links_at_rows
+from ..passes import torque_of_links
 from ..regression import Problem, base_name
 from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
@@ -119,8 +120,8 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     )
     shaped = _joints_of(idm, SHAPES)
     if shaped:
-        at_rows = _at_rows(evidence, estimate)
-        findings += [x for j in sorted(shaped) for x in _driving_findings(evidence, j, at_rows, estimate, found)]
+        rigid = [torque_of_links(p.problem, estimate.among(p.parameters), p.states) for p in evidence.parts if p.states]
+        findings += [x for j in sorted(shaped) for x in _driving_findings(evidence, j, rigid, estimate, found)]
     below: dict[int, list[tuple[str, float, bool]]] = {}  # by joint: name and value, in half-widths, whether it resists
     half = found.reach * np.sqrt(np.diag(found.covariance))
     for i, name, value, width in zip(among, estimate.names, estimate.beta, half, strict=True):
@@ -154,30 +155,25 @@ def _joints(terms: Iterable[tuple[int, int] | JointTerm]) -> set[int]:
     return {int(j) for term in terms if isinstance(term, JointTerm) for j in term.rows}
 
 
-def _at_rows(evidence: Evidence, estimate: Estimate) -> tuple[Array, Array]:
-    """Speeds and torque of the links (rows, n) at the rows; of several recordings, which have no load friction, zeros."""
-    problem, speed = evidence.problem, evidence.observed.speed
-    several = len(evidence.parts) > 1
-    return (speed, np.zeros_like(speed)) if several else links_at_rows(problem, estimate.among(problem.base.names))
-
-
 def _driving_findings(
-    evidence: Evidence, j: int, at_rows: tuple[Array, Array], estimate: Estimate, found: Intervals
+    evidence: Evidence, j: int, rigid: list[Array], estimate: Estimate, found: Intervals
 ) -> list[_Finding]:
     """Whether friction would drive joint j, moving alone, at a speed and load of a row that counts.
 
-    `at_rows` are the speeds and the links' torques (rows, n) there.
+    `rigid` are the torques (k, n) of the links at the states of each recording.
     Of friction that has a shape no single term tells that: the root of speed may be below zero where viscous friction makes up
-    for it. Constant offsets are no friction.
+    for it. Constant offsets are no friction. A recording's own parameters are judged in its own rows.
     """
     idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.signals.robot
-    among, (dq, rigid) = [base.names.index(base_name(name)) for name in estimate.names], at_rows
-    rows = np.flatnonzero(evidence.observed.fast[: len(dq), j])[:: max(1, len(dq) // POSES)]
-    v = dq[rows, j]
-    G = np.sign(v)[:, None] * friction_alone(idm, base.columns[among], j, v, np.abs(rigid[rows, j]))
-    owner = np.repeat(np.arange(len(evidence.parts)), evidence.observed.parts)[rows]
-    own = np.array([[name in part.parameters for name in estimate.names] for part in evidence.parts])
-    G = G * own[owner]  # parameters of other recordings do not act in a row
+    columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
+    speeds, resisting = [], []
+    for part, rows, tau in zip(evidence.parts, slices(evidence.observed.parts), rigid, strict=True):
+        assert part.states is not None
+        fast = evidence.observed.fast[rows][part.states.rows, j]
+        v, of_part = part.states.dq[fast, j], [name in part.parameters for name in estimate.names]
+        speeds.append(v)
+        resisting.append(np.sign(v)[:, None] * friction_alone(idm, columns, j, v, np.abs(tau[fast, j])) * of_part)
+    v, G = np.concatenate(speeds), np.concatenate(resisting)
     resists = G @ estimate.beta
     half = found.reach * np.sqrt(np.einsum("ri,ij,rj->r", G, found.covariance, G))
     drives = np.flatnonzero(resists < -half)
