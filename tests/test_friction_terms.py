@@ -546,20 +546,12 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, t
     assert np.abs((fit.estimate.beta - usual.estimate.beta) / usual.intervals.half).max() < 1e-2
 
 
-def test_load_friction_of_several_recordings_is_refused(tmp_path, capsys):
+def test_friction_takes_one_recording_at_a_time(tmp_path, capsys):
     robot = described("scara", [["viscous", "coulomb"], ["viscous", "coulomb", "load"]], "mu2 = 0.3\n")
     files = []
     for signals in simulated(robot, 3, 4).sources:
         files.append(str(tmp_path / signals.recording))
         write_signals(tmp_path / signals.recording, signals, source="simulated")
-    assert main(["fit", *files, "--workers", "1"]) == 1
-    (line,) = [line for line in capsys.readouterr().err.splitlines() if "load friction" in line]
-    joint = robot.joints[1].name
-    assert f"joint {joint}: friction" in line
-    assert "load" in line
-    assert "one recording" in line
-    assert main(["fit", files[0]]) == 0
-    capsys.readouterr()
     assert main(["friction", *files]) == 1
     assert "expected one recording at a time" in capsys.readouterr().err
 
