@@ -67,11 +67,7 @@ class Observed:
 
     def places(self) -> list[Place]:
         """Where tasks find the recordings, without the terms that are left out."""
-        left_out = tuple(self.linearised.left_out)
-        return [
-            replace(_place(self.recordings, source, self.overrides, one.problem), left_out=left_out)
-            for source, one in zip(self.recordings.sources, self.observations, strict=True)
-        ]
+        return _places(self.recordings, self.overrides, self.observations, tuple(self.linearised.left_out))
 
     def lab(self, prior: Array, *, gain_update: bool) -> Lab:
         """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
@@ -123,7 +119,8 @@ class Observed:
                 self.observations, self.recordings.work.run(regression_at, tasks), strict=True
             )
         )
-        return _observed(self.recordings, self.overrides, tuple(observations), self.order)
+        left_out = tuple(self.linearised.left_out)
+        return _observed(self.recordings, self.overrides, tuple(observations), self.order, left_out)
 
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
@@ -135,16 +132,19 @@ class Observed:
 
 
 def _observed(
-    recordings: Recordings, overrides: Overrides, observations: tuple[Observation, ...], order: tuple[int, ...]
+    recordings: Recordings,
+    overrides: Overrides,
+    observations: tuple[Observation, ...],
+    order: tuple[int, ...],
+    left_out: tuple[str, ...] = (),
 ) -> Observed:
-    """The recordings and the system that they make together; columns of load friction are zero."""
+    """The recordings and the system that they make together, columns of load friction zero; `left_out` are terms that the
+    observations are without.
+    """
     linearised = Linearised(
         problem=observations[order[0]].problem,
         each=tuple(one.regression for one in observations),
-        places=tuple(
-            _place(recordings, source, overrides, one.problem)
-            for source, one in zip(recordings.sources, observations, strict=True)
-        ),
+        places=tuple(_places(recordings, overrides, observations, left_out)),
         parameters=own_parameters([one.problem for one in observations]),
         work=recordings.work,
     )
@@ -158,18 +158,21 @@ def _observed(
     )
 
 
-def _place(recordings: Recordings, source: Signals | RecordingFile, overrides: Overrides, problem: Problem) -> Place:
-    """Where tasks find a recording: its problem where it is at hand and need not be sent, or the file.
+def _places(
+    recordings: Recordings, overrides: Overrides, observations: Sequence[Observation], left_out: tuple[str, ...]
+) -> list[Place]:
+    """Where tasks find recordings: the problem where it is at hand and need not be sent, or the file.
 
-    It is observed with the options, and with the cut-off and decimation that are common to all.
+    A file is observed with the options, and with the cut-off and decimation that are common to all.
     """
-    settings = problem.settings
-    without_samples, in_file = not len(problem.signals.q), isinstance(source, RecordingFile) and recordings.work.remote
-    return Place(
-        source=source,
-        overrides=replace(overrides, cutoff_hz=settings.cutoff_hz or 0.0, decimation=settings.decimation),
-        at_hand=None if in_file or without_samples else problem,
-    )
+    found = []
+    for source, problem in zip(recordings.sources, (one.problem for one in observations), strict=True):
+        without_samples, settings = not len(problem.signals.q), problem.settings
+        in_file = isinstance(source, RecordingFile) and recordings.work.remote
+        common = replace(overrides, cutoff_hz=settings.cutoff_hz or 0.0, decimation=settings.decimation)
+        at_hand = None if in_file or without_samples else problem
+        found.append(Place(source=source, overrides=common, at_hand=at_hand, left_out=left_out))
+    return found
 
 
 def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> Observed:

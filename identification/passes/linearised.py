@@ -162,9 +162,8 @@ def load_columns(
 
     `links` are the recording's, where they are at hand; they are made anew otherwise, and never sent to another process.
     """
-    problem = replace(place.problem(), base=base)
-    parts = []
-    for block in links or _blocks(problem, load):
+    problem, parts = place.problem(), []
+    for block in links or _blocks(problem, base, load):
         rigid = load.torque_of_links(block.entries, block.series, beta)
         parts.append(load.columns(rigid, block.dq, problem.settings.decimator)[..., block.inside])
     return np.concatenate(parts, axis=-1)
@@ -176,10 +175,9 @@ def reduced_regression_at(place: Place, base: BaseParameters, beta: Array) -> Re
     return regression_of_recording(replace(place.problem(), base=base), share=ALL_REDUCED, beta=beta)
 
 
-def _blocks(problem: Problem, load: LoadFriction) -> Iterator[LinkSeries]:
-    """The links' part of the regressor before decimation, block by block."""
-    model, base = problem.model, problem.base
-    links = np.flatnonzero(base.links)
+def _blocks(problem: Problem, base: BaseParameters, load: LoadFriction) -> Iterator[LinkSeries]:
+    """The links' part of the regressor before decimation, in the blocks in which the problem's regressor was made."""
+    model, links = problem.model, np.flatnonzero(base.links)
     entries = model.entries(base.columns[links])
     entries[:, 1] = links[entries[:, 1]]
     for motion, inside, _ in motion_blocks(problem):
