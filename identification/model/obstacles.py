@@ -6,6 +6,7 @@ Meshes are taken as their convex hulls. Links that follow each other are not loo
 import xml.etree.ElementTree as ET
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,10 @@ from acquisition.robot import Capsule
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from .bounding import Bounding, bounding_capsule, segments_apart
 from .inverse import InverseModel
+
+_REQUEST = coal.DistanceRequest()
 
 Find = Callable[[str], Path | None]
 """From the name of a mesh in the URDF to its file; None where there is none."""
@@ -34,6 +38,11 @@ class Shape:
 
     def __post_init__(self) -> None:
         self.geometry.computeLocalAABB()
+
+    @cached_property
+    def bounding(self) -> Bounding:
+        """The capsule about it."""
+        return bounding_capsule(self.geometry)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -64,29 +73,58 @@ class Obstacles:
         -------
         Distances (N,) in m, negative inside, `far` at most; derivatives (N, n), zero from `far` on; names (N,).
         """
-        model, data = self.model, self.model.createData()
-        d, slopes, names = np.full(len(q), far), np.zeros(q.shape), []
-        shapes, every = {id(shape): shape for pair in self.pairs for shape in pair}, self.names
-        for k, qk in enumerate(np.ascontiguousarray(q)):
-            pin.computeJointJacobians(model, data, qk)
-            places = {key: data.oMi[shape.link] * shape.placement for key, shape in shapes.items()}
-            least = [_at_least(a, places[id(a)], b, places[id(b)]) for a, b in self.pairs]
-            best, found = 0, None
-            for p in np.argsort(least):
-                if least[p] >= (far if found is None else found.min_distance):
+        model, data, q = self.model, self.model.createData(), np.ascontiguousarray(q)
+        d, slopes, every = np.full(len(q), far), np.zeros(q.shape), self.names
+        least = self._at_least(q)
+        nearest_first = np.argsort(least, axis=1)
+        names = []
+        for k, qk in enumerate(q):
+            best, found = int(nearest_first[k, 0]), None
+            for p in nearest_first[k]:
+                if least[k, p] >= (far if found is None else found.min_distance):
                     break
-                a, b = self.pairs[p]
-                here = _distance(a, places[id(a)], b, places[id(b)])
+                if found is None:
+                    pin.computeJointJacobians(model, data, qk)
+                here = _distance(data, *self.pairs[p])
                 if found is None or here.min_distance < found.min_distance:
                     best, found = int(p), here
             names.append(every[best])
             if found is not None and found.min_distance < far:
-                d[k] = found.min_distance
                 a, b = self.pairs[best]
-                apart = _velocity(model, data, b, found.getNearestPoint2())
-                apart -= _velocity(model, data, a, found.getNearestPoint1())
-                slopes[k] = found.normal @ apart
+                d[k] = found.min_distance
+                slopes[k] = _along(model, data, b, found.getNearestPoint2(), found.normal)
+                slopes[k] -= _along(model, data, a, found.getNearestPoint1(), found.normal)
         return d, slopes, tuple(names)
+
+    def _at_least(self, q: Array) -> Array:
+        """Distances (N, P) that the pairs have at least at the positions q (N, n), by the capsules about the shapes."""
+        model, data = self.model, self.model.createData()
+        origins, turns = np.empty((len(q), model.njoints, 3)), np.empty((len(q), model.njoints, 3, 3))
+        for k, qk in enumerate(q):
+            pin.forwardKinematics(model, data, qk)
+            for i, placement in enumerate(data.oMi):
+                origins[k, i], turns[k, i] = placement.translation, placement.rotation
+        ends = {
+            shape: origins[:, None, shape.link] + self._ends[shape] @ turns[:, shape.link].swapaxes(1, 2)
+            for shape in self._ends
+        }
+        least = np.empty((len(q), len(self.pairs)))
+        for p, (a, b) in enumerate(self.pairs):
+            if isinstance(a.geometry, coal.Halfspace):
+                least[:, p] = (ends[b] @ a.geometry.n).min(axis=1) - a.geometry.d - b.bounding.radius
+            else:
+                least[:, p] = segments_apart(ends[a], ends[b]) - a.bounding.radius - b.bounding.radius
+        return least
+
+    @cached_property
+    def _ends(self) -> dict[Shape, Array]:
+        """Ends (2, 3) of the capsules' axes in the frames of their links."""
+        shapes = dict.fromkeys(shape for pair in self.pairs for shape in pair)
+        return {
+            shape: shape.bounding.ends @ shape.placement.rotation.T + shape.placement.translation
+            for shape in shapes
+            if not isinstance(shape.geometry, coal.Halfspace)
+        }
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles | None:
@@ -129,32 +167,26 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     return Obstacles(model=model, pairs=kept, near=near, missing=tuple(missing))
 
 
-def _at_least(a: Shape, at_a: Any, b: Shape, at_b: Any) -> float:
-    """A distance that two shapes have at least, by the spheres about them."""
-    if isinstance(a.geometry, coal.Halfspace):
-        height = a.geometry.n @ at_b.act(b.geometry.aabb_center) - a.geometry.d
-        return float(height - b.geometry.aabb_radius)
-    apart = np.linalg.norm(at_a.act(a.geometry.aabb_center) - at_b.act(b.geometry.aabb_center))
-    return float(apart - a.geometry.aabb_radius - b.geometry.aabb_radius)
-
-
-def _distance(a: Shape, at_a: Any, b: Shape, at_b: Any) -> Any:
+def _distance(data: Any, a: Shape, b: Shape) -> Any:
+    at_a, at_b = (data.oMi[shape.link] * shape.placement for shape in (a, b))
     found = coal.DistanceResult()
     coal.distance(
         a.geometry,
         coal.Transform3s(at_a.rotation, at_a.translation),
         b.geometry,
         coal.Transform3s(at_b.rotation, at_b.translation),
-        coal.DistanceRequest(),
+        _REQUEST,
         found,
     )
     return found
 
 
-def _velocity(model: Any, data: Any, shape: Shape, point: Array) -> Array:
-    """Velocity (3, n) of a point of a shape in the base frame, per joint speed."""
-    J = pin.getJointJacobian(model, data, shape.link, pin.ReferenceFrame.WORLD)
-    return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
+def _along(model: Any, data: Any, shape: Shape, point: Array, normal: Array) -> Array:
+    """Speed (n,) of a point of a shape along a normal in the base frame, per joint speed."""
+    J = np.asarray(pin.getJointJacobian(model, data, shape.link, pin.ReferenceFrame.WORLD)).reshape(6, -1)
+    (x, y, z), (u, v, w) = point, normal
+    lever = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+    return np.asarray(normal @ J[:3] + lever @ J[3:])
 
 
 def _capsules(dynamics: InverseModel) -> Iterator[Shape]:
