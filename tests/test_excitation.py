@@ -21,7 +21,7 @@ from identification.excitation.knowledge import earlier_information, knowledge_o
 from identification.excitation.limits import limits_of
 from identification.excitation.series import Series, motion_of
 from identification.model import InverseModel, base_parameters, direct_model, obstacles_of
-from identification.model.derivatives import regressor_gradient, smooth_torque
+from identification.model.derivatives import regressor_gradient, sliding_apart, torque_of_links
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, truth, write_signals
@@ -135,7 +135,8 @@ def test_a_gradient_of_the_regressor_needs_no_physical_parameters():
 def test_the_jacobian_of_the_limits_is_that_of_differences(robot):
     *_, direct = modelled(robot)
     limits, basis, x = limits_of(robot, direct, 0.8, "here"), SERIES.basis(40), random_x(robot)
-    J = limits.jacobian(limits.used_and_slopes(motion_of(x, basis))[1], basis)
+    every = np.tile(np.arange(40)[:, None], (1, 24))
+    J = limits.jacobian(limits.used_and_slopes(motion_of(x, basis))[1], basis, every)
     assert J.shape == (40 * (18 + 6), x.size)
     rng, h = np.random.default_rng(4), 1e-5
     for _ in range(4):
@@ -152,7 +153,8 @@ def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
     motion = tuple(np.random.default_rng(0).standard_normal((3, 30, 6)))
     u = motion[1] @ direct.directions.T
     coulomb = (direct.up * (u > 0) - direct.down * (u < 0)) @ direct.directions
-    assert smooth_torque(direct, motion)[0] + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
+    smooth = sliding_apart(direct, motion, torque_of_links(direct, motion))[0]
+    assert smooth + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
 
 
 def test_efforts_count_friction_at_its_full_size():
@@ -311,13 +313,13 @@ def test_earlier_recordings_add_what_their_least_squares_know(earlier):
     knowledge, _ = knowledge_of(SCARA, after=[earlier, earlier])
     _, base, _ = modelled(SCARA)
     noise = np.array([0.2, 0.01])
-    M = earlier_information(base, noise, knowledge.recordings[:1])
-    assert earlier_information(base, noise, knowledge.recordings) == pytest.approx(2 * M)
+    M = earlier_information(base, noise, knowledge.recordings[:1], None)
+    assert earlier_information(base, noise, knowledge.recordings, knowledge.beta) == pytest.approx(2 * M)
     system = regression_of_recording(make_problem(knowledge.recordings[0], Overrides())).system
     rows = system.W[system.used > 0] / noise[system.joint_of_row[system.used > 0], None]
     assert pytest.approx(rows.T @ rows) == M
     with pytest.raises(IdentificationError, match=r"robot = .SCARA.: expected a recording of the described robot"):
-        earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings)
+        earlier_information(base_parameters(InverseModel(TX40)), np.ones(6), knowledge.recordings, None)
 
 
 def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, capsys, monkeypatch):

@@ -149,16 +149,25 @@ def test_direct_and_inverse_model_agree_with_every_term(arm):
 
 
 def test_slopes_of_the_terms_are_differences_of_their_columns(arm):
+    """Of friction with a sign, those of the rounded column; this is the column itself but near rest."""
     model, _, _ = model_of(arm)
     dq = np.random.default_rng(2).uniform(0.2, 1.0, (30, 6)) * np.random.default_rng(3).choice([-1.0, 1.0], (30, 1))
-    step = 1e-6
-    for term in (s for s in model.sources if isinstance(s, JointTerm) and s.kind in ("asymmetric", "root", "stribeck")):
-        for j in term.rows:
-            slopes, none = term.entry_slopes(int(j), dq)
-            off = [np.eye(6)[i] * step for i in range(6)]
-            expected = [(term.entry(j, dq + d, dq) - term.entry(j, dq - d, dq)) / (2 * step) for d in off]
-            np.testing.assert_allclose(slopes, np.transpose(expected), rtol=5e-3, atol=5e-4)
-            assert not none.any()
+    creep, steps = np.linspace(0.1, 0.3, 6), 1e-5 * np.eye(6)
+    kinds = ("coulomb", "asymmetric", "root", "stribeck")
+    for term in (s for s in model.sources if isinstance(s, JointTerm) and s.kind in kinds):
+        (j, *_) = (int(j) for j in term.rows)
+        slopes, none = term.entry_slopes(j, dq)
+        assert not none.any()
+        if term.kind == "asymmetric":
+            below, above = ([term.entry(j, dq + side * d, dq) for d in steps] for side in (-1, 1))
+        else:
+            assert not slopes.any()
+            slopes = np.outer(term.rounded(dq, creep)[1], term.direction)
+            below, above = ([term.rounded(dq + side * d, creep)[0] for d in steps] for side in (-1, 1))
+            fast, _ = term.rounded(dq, 1e-6 * creep)
+            np.testing.assert_allclose(fast, term.entry(j, dq, dq), rtol=3e-3)
+        expected = (np.array(above) - below).T / 2e-5
+        np.testing.assert_allclose(slopes, expected, rtol=1e-6, atol=1e-8)
 
 
 def test_export_counts_what_a_format_cannot_say_of_these_terms():

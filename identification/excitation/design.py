@@ -1,7 +1,7 @@
 """References that tell most of a robot's base parameters, within its limits."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,9 +15,11 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
+from ..regression import load_friction
 from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, MARGIN_M, Limits, limits_of
+from .load import given_load
 from .search import FINER, SAMPLES_PER_PERIOD, TOLERANCE, Problem, best_series, shrunk
 from .series import Motion, Series, motion_of
 
@@ -127,7 +129,8 @@ def excite(
     model = InverseModel(robot)
     every = base_parameters(model)
     direct = None if knowledge.beta is None else direct_model(model, every.standard_parameters(knowledge.beta))
-    base = every.without(load_parameters(every))
+    mus = load_parameters(every)
+    base = every if direct is not None else every.without(mus)
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
@@ -140,13 +143,15 @@ def excite(
     plain_series = Series(period_s=settings.period_s, harmonics=few)
     plain = [_random(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
     noise, noise_from = torque_noise(robot, direct, knowledge, plain)
+    creep = CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints])
     information = Information(
         model=model,
         base=base,
         noise=noise,
         rows=rows_per_s(robot) * settings.period_s * settings.periods,
-        earlier=earlier_information(base, noise, knowledge.recordings),
-        creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
+        earlier=earlier_information(base, noise, knowledge.recordings, knowledge.beta),
+        creep=creep,
+        load=given_load(load_friction(model, base), direct, knowledge.beta, plain, creep),
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
     problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
@@ -167,7 +172,7 @@ def excite(
         nearest=_nearest(limits, fine),
         beta=knowledge.beta,
         beta_from=knowledge.beta_from,
-        warnings=_warnings(limits),
+        warnings=_warnings(limits, mus),
     )
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
@@ -277,8 +282,8 @@ def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
     return names[int(apart.argmin())], float(apart.min())
 
 
-def _warnings(limits: Limits) -> tuple[str, ...]:
-    """What of torque and distances was not checked."""
+def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
+    """What of torque and distances was not checked; without parameters the criterion lacks load friction `mus`."""
     found = []
     if limits.obstacles is not None and limits.obstacles.missing:
         missing = (
@@ -289,7 +294,13 @@ def _warnings(limits: Limits) -> tuple[str, ...]:
         near = "; ".join(limits.obstacles.near)
         found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
-        return (*found, "torque was not checked: neither a fit nor [parameters] give it")
+        found.append("torque was not checked: neither a fit nor [parameters] give it")
+        if mus:
+            found.append(
+                f"load friction ({', '.join(mus)}) is not in the criterion: its columns depend on the parameters of the links, "
+                "which neither a fit nor [parameters] give"
+            )
+        return tuple(found)
     if not limits.robot.gain_known:
         found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
     if not len(limits.effort.limits):

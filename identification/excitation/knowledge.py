@@ -126,16 +126,18 @@ def rows_per_s(robot: Robot) -> float:
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
-def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count.
+def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals], beta: Array | None) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count, load friction about the parameters beta (b,).
+
+    Without parameters `base` lacks load friction.
 
     Raises `IdentificationError` where a recording is of a robot with other base parameters, or cannot be fitted.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
-        linear = problem.base.without(load_parameters(problem.base))
-        known = (linear.names, linear.units, linear.expressions)
+        own = problem.base if beta is not None else problem.base.without(load_parameters(problem.base))
+        known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             raise IdentificationError(
                 place=signals.recording,
@@ -143,6 +145,6 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
                 value=signals.robot.name,
                 expected="a recording of the described robot: its base parameters are others",
             )
-        W, _ = regression_of_recording(replace(problem, base=linear)).system.weighted(1 / noise)
+        W, _ = regression_of_recording(replace(problem, base=own), beta=beta).system.weighted(1 / noise)
         M += W.T @ W
     return M

@@ -1,14 +1,16 @@
 """The limits that a reference keeps, as shares of what they allow: position, speed, acceleration, effort."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.robot import EffortLimits, Robot, effort_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, Obstacles, smooth_torque
+from ..model import DirectModel, Obstacles, sliding_apart, torque_of_links
 from .series import Motion
 
 MARGIN_M = 0.02  # that links keep from each other and from the ground
@@ -20,7 +22,8 @@ KINDS = ("position", "speed", "acceleration")
 class Limits:
     """Limits of a robot's motion; a share of 1 or -1 is all of what may be used of a limit.
 
-    Coulomb friction counts at its full size against the motion: this holds for both signs of a speed, and has no jumps.
+    Friction with the sign of a speed, that by load too, counts at its full size against the motion: this holds for both signs
+    of a speed, and has no jumps.
 
     Attributes:
         robot: whose limits they are.
@@ -47,6 +50,12 @@ class Limits:
         """(m,) what the limits of the efforts leave for all but Coulomb friction."""
         return self.share * self.effort.limits - self.coulomb
 
+    @cached_property
+    def load(self) -> Array:
+        """(n,) size of the joints' load friction per torque of the links."""
+        assert self.model is not None
+        return np.abs(self.model.shapes.load @ self.model.directions)
+
     @property
     def names(self) -> tuple[str, ...]:
         """(L,) what is limited: position, speed and acceleration of each joint, the efforts, the distance of links."""
@@ -62,7 +71,14 @@ class Limits:
 
     def used(self, motion: Motion) -> Array:
         """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
-        return self.used_and_slopes(motion)[0]
+        return self._shares(motion, self._apart(motion, FAR_M + MARGIN_M))
+
+    def most_used(self, motion: Motion) -> float:
+        """The largest share of a limit in use; 1 where shapes that are looked at keep their margin, whatever their distance."""
+        most = float(np.abs(self._shares(motion, None)).max())
+        if most > 1 or not self.checks_distance:
+            return most
+        return max(most, float(self._shares(motion, self._apart(motion, MARGIN_M))[:, -1].max()))
 
     def share_of_whole(self, motion: Motion) -> Array:
         """The largest share of each whole limit that a motion uses, Coulomb friction included; distances left out."""
@@ -73,30 +89,58 @@ class Limits:
 
     def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
         """The shares (N, L), and derivatives (3, N, m, n) by q, dq and ddq of the m that are of efforts and the distance."""
-        q, dq, ddq = motion
-        parts, slopes = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]], []
+        q, slopes = motion[0], []
         if self.model is not None:
-            tau, by_joint = smooth_torque(self.model, motion)
+            links = torque_of_links(self.model, motion)
+            tau, by_joint = sliding_apart(self.model, motion, links)
             scaled = self.effort.directions / self.allowed[:, None]
-            parts.append(tau @ scaled.T)
-            slopes.append(scaled @ by_joint)
+            sides = _sides(tau @ scaled.T)
+            by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
+            slopes.append(scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load))
+        apart = None
         if self.obstacles is not None and self.checks_distance:
             apart, by_q, _ = self.obstacles.nearest(q, FAR_M + MARGIN_M)
-            parts.append(1 - (apart[:, None] - MARGIN_M) / FAR_M)
             slopes.append(np.array([-by_q / FAR_M, np.zeros(by_q.shape), np.zeros(by_q.shape)])[:, :, None])
         whole = np.concatenate(slopes, axis=2) if slopes else np.zeros((3, len(q), 0, self.robot.n))
-        return np.concatenate(parts, axis=1), whole
+        return self._shares(motion, apart), whole
 
-    def jacobian(self, slopes: Array, basis: Motion) -> Array:
-        """Derivatives (N L, n K) of the shares by the coefficients (n, K) of a series, from `slopes` along its motion."""
-        n, (N, K) = self.robot.n, basis[0].shape
-        m = slopes.shape[2]
-        J = np.zeros((N, 3 * n + m, n, K))
+    def _apart(self, motion: Motion, far_m: float) -> Array | None:
+        return (
+            self.obstacles.nearest(motion[0], far_m)[0] if self.obstacles is not None and self.obstacles.pairs else None
+        )
+
+    def _shares(self, motion: Motion, apart: Array | None) -> Array:
+        """The shares (N, L) along a motion; without distances `apart` (N,) those of the other limits."""
+        q, dq, ddq = motion
+        parts = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]]
+        if self.model is not None:
+            rigid = self.model.torques_of_links(*motion)
+            scaled = self.effort.directions / self.allowed[:, None]
+            shares = (rigid + self.model.without_sliding(dq, ddq)) @ scaled.T
+            parts.append(shares + _sides(shares) * ((self.load * np.abs(rigid)) @ np.abs(scaled).T))
+        if apart is not None:
+            parts.append(1 - (apart[:, None] - MARGIN_M) / FAR_M)
+        return np.concatenate(parts, axis=1)
+
+    def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:
+        """Derivatives (B L, n K) by the coefficients (n, K) of a series, of the shares at the samples `at` (B, L).
+
+        `slopes` are those along the motion, `basis` its (N, K).
+        """
+        n, K = self.robot.n, basis[0].shape[1]
+        efforts = at[:, 3 * n :]
+        J = np.zeros((*at.shape, n, K))
         for kind, A in enumerate(basis):
             for j in range(n):
-                J[:, kind * n + j, j] = A / self.most[kind, j]
-            J[:, 3 * n :] += slopes[kind][..., None] * A[:, None, None]
-        return J.reshape(N * (3 * n + m), n * K)
+                J[:, kind * n + j, j] = A[at[:, kind * n + j]] / self.most[kind, j]
+            by_joint = slopes[kind][efforts, np.arange(efforts.shape[1])]  # (B, m, n)
+            J[:, 3 * n :] += by_joint[..., None] * A[efforts][:, :, None]
+        return J.reshape(at.size, n * K)
+
+
+def _sides(shares: Array) -> Array:
+    """The sides, 1 or -1, on which friction by load adds to shares of efforts."""
+    return np.where(shares < 0, -1.0, 1.0)
 
 
 def limits_of(

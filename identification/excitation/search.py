@@ -7,6 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from .information import Information
@@ -14,6 +15,7 @@ from .limits import Limits
 from .series import Motion, Series, motion_of
 
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
+WINDOW = 3  # samples that a search looks at the largest share of
 FINER = 10  # times as many samples check what lies between those of the search
 ITERATIONS = 50  # of a search
 ROUNDS = 10  # that a search among obstacles has these iterations in
@@ -67,21 +69,23 @@ def best_series(problem: Problem, start: Array, say: Callable[[float], None]) ->
         by_x = sum((g.T @ A for g, A in zip(gradients, basis, strict=True)), start=np.zeros(unit.shape))
         return value, (by_x * unit).ravel()
 
-    shares: tuple[Array, Array, Array] | None = None  # of the coefficients looked at last: z, used, slopes
+    last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None  # coefficients, used, slopes, samples of the peaks
 
-    def at_last(z: Array) -> tuple[Array, Array]:
-        nonlocal shares
-        if shares is None or not np.array_equal(shares[0], z):
-            shares = (z.copy(), *limits.used_and_slopes(at(z)))
-        return shares[1:]
+    def at_last(z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        nonlocal last
+        if last is None or not np.array_equal(last[0], z):
+            used, slopes = limits.used_and_slopes(at(z))
+            last = z.copy(), used, slopes, _peaks(used)
+        return last[1:]
 
     def slack(z: Array) -> Array:
-        used = at_last(z)[0].ravel()
-        return np.concatenate([1 - used, 1 + used])
+        used, _, peaks = at_last(z)
+        return np.asarray(1 - np.abs(np.take_along_axis(used, peaks, axis=0)).ravel())
 
     def slack_slopes(z: Array) -> Array:
-        J = limits.jacobian(at_last(z)[1], basis) * unit.ravel()
-        return np.concatenate([-J, J])
+        used, slopes, peaks = at_last(z)
+        signs = np.sign(np.take_along_axis(used, peaks, axis=0)).ravel()
+        return np.asarray(-signs[:, None] * limits.jacobian(slopes, basis, peaks) * unit.ravel())
 
     def from_there(x: Array, iterations: int) -> Array:
         done = minimize(
@@ -123,7 +127,7 @@ def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Arra
         still = towards
 
     def most(scale: float) -> float:
-        return float(np.abs(limits.used(motion_of(still + scale * (x - still), basis))).max())
+        return limits.most_used(motion_of(still + scale * (x - still), basis))
 
     low, high = 0.0, 1.0
     if most(1.0) <= 1.0:
@@ -133,3 +137,9 @@ def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Arra
             middle = (low + high) / 2
             low, high = (middle, high) if most(middle) <= 1.0 else (low, middle)
     return still + low * (x - still), most(low)
+
+
+def _peaks(used: Array) -> NDArray[np.intp]:
+    """Samples (N / WINDOW, L) at which each limit is used most, of each window of the samples (N, L)."""
+    windows = np.abs(used).reshape(-1, WINDOW, used.shape[1])
+    return np.asarray(windows.argmax(axis=1) + WINDOW * np.arange(len(windows))[:, None])

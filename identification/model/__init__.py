@@ -1,10 +1,10 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
 from .base import BaseParameters, base_parameters, load_parameters
-from .derivatives import regressor_gradient, smooth_torque
+from .derivatives import regressor_gradient, sliding_apart, torque_of_links
 from .direct import DirectModel, Shapes, direct_model
 from .inverse import LINK, InverseModel
-from .joint_terms import SHAPES, JointTerm
+from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
 from .physical import (
     DISSIPATING,
@@ -22,6 +22,7 @@ __all__ = [
     "LINK",
     "RESISTING",
     "SHAPES",
+    "SLIDING",
     "BaseParameters",
     "DirectModel",
     "ExpectedLinks",
@@ -39,5 +40,6 @@ __all__ = [
     "obstacles_of",
     "physical_parameters",
     "regressor_gradient",
-    "smooth_torque",
+    "sliding_apart",
+    "torque_of_links",
 ]

@@ -53,22 +53,21 @@ def regressor_gradient(
     inertias[..., _MASS] += dummy
     unit = [pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))] * n
     derivatives = pin.computeRNEADerivatives
+    made = np.empty((n + 1, 3, *q.shape, n))  # of the dummy and of each joint's inertias: derivatives by q, dq, ddq
     for k in range(len(q)):
         state = rigid, data, q[k], dq[k], ddq[k]
-        _put(rigid, unit)
-        derivatives(*state)
-        own = np.array([data.dtau_dq, data.dtau_dv, _symmetric(data.M)])
-        for j in range(n):
-            _put(rigid, [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, j]])
+        for i in range(n + 1):
+            _put(rigid, unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]])
             derivatives(*state)
-            out[0, k] += data.dtau_dq[j] - dummy[k, j] * own[0, j]
-            out[1, k] += data.dtau_dv[j] - dummy[k, j] * own[1, j]
-            out[2, k] += _symmetric(data.M)[j] - dummy[k, j] * own[2, j]
+            made[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
+    made[:, 2] = _symmetric(made[:, 2])
+    for j in range(n):
+        out += made[j, :, :, j] - dummy[:, j] * made[n, :, :, j]
     return out[0], out[1], out[2]
 
 
-def smooth_torque(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Torque without Coulomb friction (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis.
+def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis.
 
     Parameters
     ----------
@@ -76,18 +75,32 @@ def smooth_torque(model: DirectModel, motion: tuple[Array, Array, Array]) -> tup
     motion : q, dq, ddq, each (N, n).
     """
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
-    n = q.shape[1]
+    rigid, data, n = model.rigid, model.data, q.shape[1]
     tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
-    rigid, data = model.rigid, model.data
     for k in range(len(q)):
         pin.computeRNEADerivatives(rigid, data, q[k], dq[k], ddq[k])
         tau[k] = data.tau
-        slopes[:, k] = data.dtau_dq, data.dtau_dv, _symmetric(data.M)
-    up, down = model.viscous_up, model.viscous_down
-    tau += ddq @ model.rotor.T + dq @ model.viscous.T + np.maximum(dq, 0) @ up.T + np.minimum(dq, 0) @ down.T
+        slopes[:, k] = data.dtau_dq, data.dtau_dv, data.M
+    slopes[2] = _symmetric(slopes[2])
+    return tau, slopes
+
+
+def sliding_apart(
+    model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Torque without friction that has the sign of a speed (N, n), and its derivatives (3, N, n, n) by q, dq, ddq.
+
+    Parameters
+    ----------
+    model : the equation of motion with given parameters.
+    motion : q, dq, ddq, each (N, n).
+    of_links : the links' torque and its derivatives, as `torque_of_links` gives them.
+    """
+    _, dq, ddq = motion
+    slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down
     slopes[2] += model.rotor
     slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
-    return tau + model.offset, slopes
+    return of_links[0] + model.without_sliding(dq, ddq), slopes
 
 
 def _put(rigid: pin.Model, inertias: list[pin.Inertia]) -> None:
@@ -96,5 +109,5 @@ def _put(rigid: pin.Model, inertias: list[pin.Inertia]) -> None:
 
 
 def _symmetric(M: Array) -> Array:
-    """The whole matrix, of which pinocchio fills the upper triangle."""
-    return np.triu(M) + np.triu(M, 1).T
+    """The whole matrices (..., n, n), of which pinocchio fills the upper triangles."""
+    return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)

@@ -101,10 +101,20 @@ class DirectModel:
 
     def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
         """Torque (N, n) along a motion q, dq, ddq (N, n)."""
+        rigid = self.torques_of_links(q, dq, ddq)
+        return rigid + self._of_joints(dq, ddq, dq, rigid)
+
+    def torques_of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """tau_rigid (N, n) along a motion q, dq, ddq (N, n)."""
         tau, compute, model, data = np.empty(q.shape), pin.rnea, self.rigid, self.data
         for k, state in enumerate(zip(*(np.ascontiguousarray(x) for x in (q, dq, ddq)), strict=True)):
             tau[k] = compute(model, data, *state)
-        return tau + self._of_joints(dq, ddq, dq, tau)
+        return tau
+
+    def without_sliding(self, dq: Array, ddq: Array) -> Array:
+        """What rotors, offsets and friction without the sign of a speed add (..., n) to the torque of the links."""
+        one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
+        return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array, rigid: Array) -> Array:
         """What rotors and friction add (..., n) to the torque of the links `rigid` (..., n)."""
@@ -112,10 +122,7 @@ class DirectModel:
         sliding = self.up * (u > 0) - self.down * (u < 0)
         if self.shapes.any():
             sliding = sliding + np.sign(u) * self.shapes.friction(u, rigid @ self.directions.T)
-        one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
-        return np.asarray(
-            ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + sliding @ self.directions + self.offset
-        )
+        return np.asarray(self.without_sliding(dq, ddq) + sliding @ self.directions)
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:

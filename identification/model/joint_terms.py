@@ -21,7 +21,7 @@ the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) +
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -39,7 +39,7 @@ SLIDING: tuple[Kind, ...] = (
     "load",
 )  # have the sign of a speed, and jump or are steep at 0
 
-STEEPEST = 1e-3  # rad/s or m/s beside the speed under a root whose slope is asked for
+STEEPEST = 1e-3  # rad/s or m/s beside the speed under a rounded root
 SHAPES: tuple[Kind, ...] = ("asymmetric", "root", "stribeck", "load")  # what friction has beside the usual terms
 
 
@@ -107,9 +107,9 @@ class JointTerm:
         return sign
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
-        """Derivatives of `entry` by speed (N, n) and by acceleration (n,); a jump of friction at rest has none.
+        """Derivatives of `entry` by speed (N, n) and by acceleration (n,).
 
-        The root of speed is infinitely steep at rest: its slope is that of sqrt(abs(u) + STEEPEST).
+        None of terms that have the sign of a speed: in their place stands `rounded`.
         """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
@@ -117,16 +117,27 @@ class JointTerm:
         elif self.kind == "viscous":
             acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
             by_speed = acts * self.matrix[j]
-        elif self.kind in ("asymmetric", "root", "stribeck"):
-            u = dq @ self.direction
-            if self.kind == "asymmetric":
-                slope = np.sign(u)
-            elif self.kind == "root":
-                slope = 0.5 / np.sqrt(np.abs(u) + STEEPEST)
-            else:
-                slope = -2 * np.abs(u) / self.speed**2 * np.exp(-((u / self.speed) ** 2))
-            by_speed = self.direction[j] * np.outer(slope, self.direction)
+        elif self.kind == "asymmetric":
+            by_speed = self.direction[j] * np.outer(np.sign(dq @ self.direction), self.direction)
         return by_speed, by_acceleration
+
+    def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
+        """Coulomb, root or Stribeck friction along the direction at speeds dq (N, n), without jumps, and its slope, (N,) each.
+
+        The sign of a speed u is x / sqrt(1 + x²), x in units of the creep speed, of joints (n,), along the direction; the root
+        is sqrt(abs(u) + STEEPEST). The slope is the derivative by u.
+        """
+        u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))
+        x = u / slow
+        sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
+        if self.kind == "root":
+            size = np.sqrt(np.abs(u) + STEEPEST)
+            return size * sign, 0.5 * np.sign(u) / size * sign + size * steepness
+        if self.kind == "stribeck":
+            size = np.exp(-((u / self.speed) ** 2))
+            return size * sign, size * (steepness - 2 * u / self.speed**2 * sign)
+        share = 0.5 if self.side else 1.0  # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
+        return share * (sign + self.side), share * steepness
 
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
@@ -138,7 +149,9 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     coupled = np.count_nonzero(r) > 1
     effort, length = robot.effort_units[j], joint.position_unit
     viscous_unit = f"{effort} s/{length}"
-    nothing, none = np.zeros((n, n)), np.zeros(n)
+    blank = JointTerm(
+        name="", joint=j, unit="", kind="offset", matrix=np.zeros((n, n)), direction=np.zeros(n), given_away=np.zeros(n)
+    )
 
     def through_matrix(
         name: str, unit: str, kind: Literal["rotor", "viscous"], whole: Array, taken: Sequence[int] = (), side: int = 0
@@ -146,30 +159,14 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
         matrix = whole.copy()
         matrix[list(taken), list(taken)] = 0.0
         given_away = np.diag(whole - matrix)
-        return JointTerm(
-            name=f"{name}{j + 1}",
-            joint=j,
-            unit=unit,
-            kind=kind,
-            matrix=matrix,
-            direction=none,
-            given_away=given_away,
-            side=side,
+        return replace(
+            blank, name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, given_away=given_away, side=side
         )
 
     def along(name: str, kind: Kind, direction: Array, side: int = 0) -> JointTerm:
         unit = {"asymmetric": viscous_unit, "root": f"{effort} (s/{length})^½", "load": ""}.get(kind, effort)
-        return JointTerm(
-            name=f"{name}{j + 1}",
-            joint=j,
-            unit=unit,
-            kind=kind,
-            matrix=nothing,
-            direction=direction,
-            given_away=none,
-            side=side,
-            speed=joint.si("stribeck_speed") if kind == "stribeck" else float("nan"),
-        )
+        speed = joint.si("stribeck_speed") if kind == "stribeck" else float("nan")
+        return replace(blank, name=f"{name}{j + 1}", unit=unit, kind=kind, direction=direction, side=side, speed=speed)
 
     terms: list[JointTerm] = []
     if joint.rotor_inertia:
