@@ -15,7 +15,7 @@ from acquisition.robot.robot import load_robot, robot_from_files
 from acquisition.trajectory.reference import check_limits, fourier_reference, table_reference
 from identification.commands.program import main
 from identification.errors import IdentificationError
-from identification.excitation import design, excitation_document
+from identification.excitation import design, excitation_document, search
 from identification.excitation.information import Information
 from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
 from identification.excitation.limits import limits_of
@@ -190,7 +190,7 @@ def tx40_excitation():
     robot = with_text("tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1)
     settings = design.Settings(period_s=5.0, harmonics=5, periods=1)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "STARTS", 1)
+        patch.setattr(search, "STARTS", 1)
         said = []
         found = design.excite(robot, settings, knowledge_of(robot)[0], "here", said.append)
     return robot, found, said
@@ -224,7 +224,7 @@ def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_e
 def test_the_same_seed_gives_the_same_reference():
     settings = design.Settings(period_s=2.0, harmonics=3, seed=4)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "STARTS", 1)
+        patch.setattr(search, "STARTS", 1)
         one, two, other = (
             design.excite(SCARA, replace(settings, seed=seed), knowledge_of(SCARA)[0], "here") for seed in (4, 4, 5)
         )
@@ -249,7 +249,7 @@ def test_the_same_seed_gives_the_same_reference():
 )
 def test_what_cannot_be_is_refused_in_one_line(text, settings, says, monkeypatch):
     robot = with_text("scara", *text, 1)
-    monkeypatch.setattr(design, "STARTS", 1)
+    monkeypatch.setattr(search, "STARTS", 1)
     knowledge, _ = knowledge_of(robot)
     with pytest.raises((IdentificationError, AcquisitionError)) as caught:
         design.excite(robot, design.Settings(**settings), knowledge, "here")
@@ -273,7 +273,7 @@ def test_without_parameters_the_torque_is_said_not_to_be_checked():
     knowledge, _ = knowledge_of(robot)
     assert knowledge.beta is None
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "STARTS", 1)
+        patch.setattr(search, "STARTS", 1)
         found = design.excite(robot, design.Settings(period_s=2.0, harmonics=2), knowledge, "here")
     assert found.warnings == ("torque was not checked: neither a fit nor [parameters] give it",)
     assert found.noise.tolist() == [1.0, 1.0]
@@ -323,7 +323,7 @@ def test_earlier_recordings_add_what_their_least_squares_know(earlier):
 
 
 def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(design, "STARTS", 1)
+    monkeypatch.setattr(search, "STARTS", 1)
     out, rrd = tmp_path / "ref.csv", tmp_path / "ref.rrd"
     toml = REPLAY / "scara" / "robot.toml"
     options = ["--period", "3", "--harmonics", "3", "--periods", "2", "--after", str(earlier), "--rrd", str(rrd)]
@@ -399,7 +399,7 @@ def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differen
 
 
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
-    monkeypatch.setattr(design, "STARTS", 1)
+    monkeypatch.setattr(search, "STARTS", 1)
     robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4)
     found = design.excite(robot, settings, knowledge_of(robot)[0], "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]

@@ -10,7 +10,7 @@ from test_friction_terms import ALL, USUAL, described, upright
 
 from acquisition.robot import robot_from_files
 from acquisition.trajectory import fourier_reference
-from identification.excitation import Settings, design, excite, knowledge_of
+from identification.excitation import Settings, excite, knowledge_of, search
 from identification.excitation.knowledge import earlier_information
 from identification.excitation.limits import limits_of
 from identification.excitation.load import given_load
@@ -119,7 +119,7 @@ def test_efforts_count_load_friction_against_the_motion(known):
 @pytest.fixture(scope="module")
 def designed():
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(design, "STARTS", 1)
+        patch.setattr(search, "STARTS", 1)
         settings = Settings(period_s=4.0, harmonics=5, periods=1)
         return excite(scara(), settings, knowledge_of(scara())[0], "here")
 
@@ -145,7 +145,7 @@ def test_a_designed_reference_tells_more_of_load_friction_than_a_plain_one(desig
 
 
 def test_without_parameters_load_friction_is_said_to_be_left_out(monkeypatch):
-    monkeypatch.setattr(design, "STARTS", 1)
+    monkeypatch.setattr(search, "STARTS", 1)
     text = scara().files["robot.toml"].decode().split("[parameters]")[0]
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
     found = excite(robot, Settings(period_s=2.0, harmonics=2), knowledge_of(robot)[0], "here")

@@ -9,7 +9,7 @@ import numpy as np
 
 from acquisition.files import find_mesh
 from acquisition.robot import Robot, refuse_out_of_range, resolve
-from acquisition.trajectory import HARMONICS, LIMIT_SHARE, FourierReference, fourier_reference
+from acquisition.trajectory import HARMONICS, LIMIT_SHARE, FourierReference
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -20,13 +20,11 @@ from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, MARGIN_M, Limits, limits_of
 from .load import given_load
-from .search import FINER, SAMPLES_PER_PERIOD, TOLERANCE, Problem, best_series, shrunk
+from .search import FINER, SAMPLES_PER_PERIOD, Problem, best_of_searches, random_within
 from .series import Motion, Series, motion_of
 
-PLAIN = 20  # random references, whose geometric mean the criterion is relative to
-STARTS = 3  # of the search, from random references of other seeds
+PLAIN = 20  # random references of seeds from 0 on, whose geometric mean the criterion is relative to
 POSES = 200  # at which links that are always near each other are found, and room to start
-START_SHARE = 0.9  # of the limits, which a search starts within
 BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
 CREEP_SHARE = 0.05  # of a joint's speed limit
 FEWEST_HARMONICS = 2  # with one, nothing is left by zero speed and acceleration at the ends
@@ -141,7 +139,7 @@ def excite(
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
     few = min(HARMONICS, settings.harmonics)
     plain_series = Series(period_s=settings.period_s, harmonics=few)
-    plain = [_random(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
+    plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
     noise, noise_from = torque_noise(robot, direct, knowledge, plain)
     creep = CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints])
     information = Information(
@@ -155,7 +153,7 @@ def excite(
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
     problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
-    x, sigma = _best(problem, settings, place, say)
+    x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
     fine = motion_of(x, series.basis(FINER * problem.samples))
     found = Excitation(
@@ -178,67 +176,6 @@ def excite(
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
         refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
     return found
-
-
-def _best(problem: Problem, settings: Settings, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
-    """Coefficients of the best of several searches that keeps the limits between samples too, and its deviations (b,)."""
-    best: tuple[float, Array, Array] | None = None
-    worst = ""
-    basis = problem.series.basis(problem.samples)
-    for i in range(STARTS):
-        start = _random(problem.limits, problem.series, STARTS * settings.seed + i + PLAIN)
-        x = START_SHARE * problem.series.coefficients(start)
-        x[:, 0] /= START_SHARE
-        if problem.limits.checks_distance:
-            x[:, 0] = _roomiest(problem.limits, settings.seed + i)
-            x, _ = shrunk(x, problem.series, problem.limits, problem.samples)
-        text = f"search {i + 1} of {STARTS}"
-        say(text)
-        try:
-            x = best_series(problem, x, partial(_tell, say, text))
-        except IdentificationError as error:  # it strayed to where nothing is excited
-            worst = str(error)
-            continue
-        x, most = shrunk(x, problem.series, problem.limits, FINER * problem.samples)
-        if most > 1 + TOLERANCE:
-            used = problem.limits.used(motion_of(x, basis))
-            worst = (
-                f"{problem.limits.names[int(np.abs(used).max(axis=0).argmax())]} is left by {100 * (most - 1):.3g} %"
-            )
-            continue
-        sigma = problem.information.sigma(motion_of(x, basis))
-        f = float(np.mean((sigma / problem.plain) ** 2))
-        if best is None or f < best[0]:
-            best = f, x, sigma
-    if best is None:
-        raise IdentificationError(
-            f"no reference keeps the limits: {worst}",
-            place=place,
-            expected="wider limits, another --seed or --harmonics",
-        )
-    return best[1], best[2]
-
-
-def _roomiest(limits: Limits, seed: int) -> Array:
-    """Of random poses (n,) about the middle of the ranges that may be used, the one whose links are farthest apart."""
-    poses = limits.middle + np.random.default_rng(seed).uniform(-0.5, 0.5, (POSES, limits.robot.n)) * limits.most[0]
-    still = np.zeros(poses.shape)
-    used = np.abs(limits.used((poses, still, still)))
-    return np.asarray(poses[int(used.max(axis=1).argmin())])
-
-
-def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
-    say(f"{text}: deviations {math.exp(criterion / 2):.2f} times those of the plain reference")
-
-
-def _random(limits: Limits, series: Series, seed: int) -> FourierReference:
-    """A random reference that uses the same share of all limits, torque too; distances of links are not looked at."""
-    robot, limits = limits.robot, replace(limits, obstacles=None)
-    found = fourier_reference(
-        robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
-    )
-    x, _ = shrunk(series.coefficients(found), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
-    return series.reference(x)
 
 
 def _refuse_fast(robot: Robot, settings: Settings, place: str) -> None:

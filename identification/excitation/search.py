@@ -3,13 +3,18 @@
 Kraft, A software package for sequential quadratic programming, DFVLR-FB 88-28 (1988), as scipy has it.
 """
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.trajectory import FourierReference, fourier_reference
+
 from ..arrays import Array
+from ..errors import IdentificationError
 from .information import Information
 from .limits import Limits
 from .series import Motion, Series, motion_of
@@ -17,6 +22,10 @@ from .series import Motion, Series, motion_of
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 WINDOW = 3  # samples that a search looks at the largest share of
 FINER = 10  # times as many samples check what lies between those of the search
+STARTS = 3  # from random references of other seeds
+FIRST_SEED = 20  # of these: those before are of plain references
+START_SHARE = 0.9  # of the limits, which a search starts within
+POSES = 200  # of which the one with most room is started from
 ITERATIONS = 50  # of a search
 ROUNDS = 10  # that a search among obstacles has these iterations in
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
@@ -40,6 +49,83 @@ class Problem:
     def samples(self) -> int:
         """Of a period, in the search."""
         return SAMPLES_PER_PERIOD * self.series.harmonics
+
+
+def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
+    """Coefficients (n, K) of the best of several searches that keeps the limits between samples too, and deviations (b,).
+
+    Parameters
+    ----------
+    problem : the criterion and the limits.
+    seed : of the random references that they start from.
+    place : the name of the description in errors.
+    say : called with a line of text as a search goes on.
+
+    Raises
+    ------
+    IdentificationError : where no search keeps the limits.
+    """
+    best: tuple[float, Array, Array] | None = None
+    worst = ""
+    basis = problem.series.basis(problem.samples)
+    for i in range(STARTS):
+        text = f"search {i + 1} of {STARTS}"
+        say(text)
+        try:
+            start = _start(problem, STARTS * seed + i)
+            x = best_series(problem, start, partial(_tell, say, text))
+            x, most = shrunk(x, problem.series, problem.limits, FINER * problem.samples)
+            if most > 1 + TOLERANCE:
+                used = np.abs(problem.limits.used(motion_of(x, basis))).max(axis=0)
+                worst = f"{problem.limits.names[int(used.argmax())]} is left by {100 * (most - 1):.3g} %"
+                continue
+            sigma = problem.information.sigma(motion_of(x, basis))
+        except IdentificationError as error:  # it strayed to where nothing is excited
+            worst = str(error)
+            continue
+        f = float(np.mean((sigma / problem.plain) ** 2))
+        if best is None or f < best[0]:
+            best = f, x, sigma
+    if best is None:
+        raise IdentificationError(
+            f"no reference keeps the limits: {worst}",
+            place=place,
+            expected="wider limits, another --seed or --harmonics",
+        )
+    return best[1], best[2]
+
+
+def random_within(limits: Limits, series: Series, seed: int) -> FourierReference:
+    """A random reference that uses the same share of all limits, torque too; distances of links are not looked at."""
+    robot, limits = limits.robot, replace(limits, obstacles=None)
+    found = fourier_reference(
+        robot, period_s=series.period_s, seed=seed, harmonics=series.harmonics, share=limits.share
+    )
+    x, _ = shrunk(series.coefficients(found), series, limits, SAMPLES_PER_PERIOD * series.harmonics)
+    return series.reference(x)
+
+
+def _start(problem: Problem, seed: int) -> Array:
+    """Coefficients (n, K) of a random reference within a share of the limits, its links as far apart as may be."""
+    limits, series = problem.limits, problem.series
+    x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
+    x[:, 0] /= START_SHARE
+    if limits.checks_distance:
+        x[:, 0] = _roomiest(limits, seed)
+        x, _ = shrunk(x, series, limits, problem.samples)
+    return x
+
+
+def _roomiest(limits: Limits, seed: int) -> Array:
+    """Of random poses (n,) about the middle of the ranges that may be used, the one whose links are farthest apart."""
+    poses = limits.middle + np.random.default_rng(seed).uniform(-0.5, 0.5, (POSES, limits.robot.n)) * limits.most[0]
+    still = np.zeros(poses.shape)
+    used = np.abs(limits.used((poses, still, still)))
+    return np.asarray(poses[int(used.max(axis=1).argmin())])
+
+
+def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
+    say(f"{text}: deviations {math.exp(criterion / 2):.2f} times those of the plain reference")
 
 
 def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
