@@ -16,7 +16,7 @@ from identification.estimation.estimators import (
     weighted_least_squares,
 )
 from identification.estimation.f_test import f_tail, independent_share
-from identification.estimation.system import System
+from identification.estimation.system import System, condensed
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -46,6 +46,22 @@ def test_instruments_of_two_joints_worked_out_on_paper():
     s2, inverse, ZZ = norm2 / 2, np.array([[2, -4], [-1, 11]]) / 18, np.diag([4.0 + 9.0, 1.0])
     np.testing.assert_allclose(fit.covariance, float(s2) * inverse @ ZZ @ inverse.T, rtol=1e-12)
     assert fit.rows == 3
+
+
+def test_a_condensed_system_has_the_same_least_squares():
+    """Two joints, of which the second feels two of the parameters alone; some rows do not count."""
+    _, W, Y = system(8, 60, 4)
+    W[20:, :2] = 0.0
+    whole = System.whole(W, Y, np.repeat([0, 1], [20, 40]), tuple("abcd")).with_rows(
+        (np.arange(60) % 3 > 0).astype(float)
+    )
+    few = condensed(whole)
+    assert few.W.shape == (5 + 3, 4)
+    np.testing.assert_array_equal(few.joint_of_row, np.repeat([0, 1], [5, 3]))
+    for solve in (ordinary_least_squares, weighted_least_squares):
+        expected, found = solve(whole), solve(few)
+        for name in ("beta", "covariance", "weights", "residual_norm", "condition_number_scaled", "rows"):
+            np.testing.assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-10, atol=1e-14)
 
 
 def test_instruments_with_weights_and_left_out_rows_are_the_formula():

@@ -15,6 +15,7 @@ from acquisition.robot.robot import robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings
 from identification.data.in_memory import signals_from_arrays
+from identification.estimation import System
 from identification.export.losses import random_states, sayable
 from identification.export.mechanism import mechanism_of
 from identification.friction import Trials, choose_terms, friction_of_joints, with_friction, with_terms
@@ -24,7 +25,7 @@ from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.model.joint_terms import JointTerm
-from identification.passes import Linearised, settled_least_squares
+from identification.passes import Linearised, settled_least_squares, told_apart
 from identification.regression import system
 from identification.regression.motion import Motion
 from identification.regression.problem import make_problem
@@ -359,6 +360,24 @@ def two_speeds(robot, a_m_s2: float, speeds=(0.1, 0.2)):
     ddq = a_m_s2 * np.sin(np.arange(len(dq)) / 7.0)[:, None]
     q = np.cumsum(dq, axis=0) / rate
     return exact_problem(robot, (q, dq, ddq), rate_hz=rate)
+
+
+def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
+    """Of columns nearly alike, exactly alike, and of zeros."""
+    W = np.random.default_rng(3).normal(size=(50, 6))
+    W[:, 1] = W[:, 0] + 1e-3 * W[:, 1]
+    W[:, 3], W[:, 4] = 1e3 * W[:, 2] - 2 * W[:, 5], 0.0
+    names = tuple("abcdef")
+    system = System.whole(W, W[:, 0], np.repeat([0, 1], 25), names)
+    expected = {}
+    for i, name in enumerate(names):
+        others = np.delete(W, [i, 4], axis=1)
+        rho = W[:, i] - others @ np.linalg.lstsq(others, W[:, i], rcond=1e-12)[0]
+        expected[name] = np.linalg.norm(rho) / np.linalg.norm(W[:, i]) if name != "e" else 0.0
+    assert 5e-4 < expected["a"] < 2e-3
+    found = told_apart(system, names[1:])
+    assert set(found) == set(names[1:])
+    np.testing.assert_allclose(list(found.values()), [expected[name] for name in names[1:]], rtol=1e-6, atol=1e-8)
 
 
 def test_root_friction_at_two_speeds_is_named_and_left_out():

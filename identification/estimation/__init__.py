@@ -41,7 +41,7 @@ from .estimators import (
 )
 from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
-from .system import Factors, System, combined, undetermined_parameters
+from .system import Factors, System, combined, condensed, undetermined_parameters
 from .whitening import whitened
 
 __all__ = [
@@ -61,6 +61,7 @@ __all__ = [
     "are_moving",
     "autocorrelation",
     "combined",
+    "condensed",
     "consistent_parameters",
     "cosines",
     "deviations",

@@ -74,8 +74,11 @@ class Factors:
 
     def add(self, j: int, rows: Array, count: int | None = None) -> None:
         """Add rows (r, columns) of joint j; they stand for `count` rows where they are a factor themselves."""
-        R: Array = np.asarray(np.linalg.qr(np.concatenate([self._R[j], rows]), mode="r"))
-        self._R[j] = R
+        stack = np.concatenate([self._R[j], rows])
+        own = stack.any(axis=0)  # a joint feels a part of the parameters alone
+        R: Array = np.asarray(np.linalg.qr(stack[:, own], mode="r"))
+        self._R[j] = np.zeros((len(R), stack.shape[1]))
+        self._R[j][:, own] = R
         self.rows[j] += len(rows) if count is None else count
 
     def add_block(self, columns: Array, counts: NDArray[np.bool_]) -> None:
@@ -95,6 +98,11 @@ class Factors:
             rows=self.rows.copy(),
         )
         return system, np.ascontiguousarray(stack[:, :b]) if stack.shape[1] > b + 1 else None
+
+
+def condensed(system: System) -> System:
+    """Per joint the QR factor of the rows of [W Y] that count: at most b + 1 rows, which have the same least squares."""
+    return combined([(system, None)])[0]
 
 
 def combined(parts: Iterable[tuple[System, Array | None]]) -> tuple[System, Array | None]:

@@ -63,7 +63,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
         curves = []
         for level in loads:
             G = friction_alone(problem.model, columns, j, speed, np.full(len(speed), np.nan_to_num(level)))
-            half = fit.intervals.reach * np.sqrt(np.einsum("ri,ij,rj->r", G, covariance, G))
+            half = fit.intervals.reach * np.sqrt(np.maximum(np.sum((G @ covariance) * G, axis=1), 0.0))
             curves.append(FrictionCurve(load=float(level), speed=speed, torque=G @ beta, half=half))
         found.append(
             JointFriction(

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import Estimate, System, ordinary_least_squares, weighted_least_squares
+from ..estimation import Estimate, System, condensed, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, JointTerm
 from ..regression import LoadFriction, Problem, Regression
 from .linearised import Linearised
@@ -113,19 +113,20 @@ def load_passes(
 def _settle(linearised: Linearised, method: Literal["ols", "wls"]) -> tuple[Settled | None, dict[str, str]]:
     """Pass by pass; or else which load friction does not settle, or is not told apart, and why."""
     solve = weighted_least_squares if method == "wls" else ordinary_least_squares
-    load, names = linearised.load, linearised.parameters.names
-    beta = np.zeros(len(names))
+    load, names, system = linearised.load, linearised.parameters.names, linearised.plain.system
+    about = np.zeros(len(names))
     if load:
         places = linearised.load_places()
-        plain = linearised.plain.system
-        beta = solve(plain.with_columns(np.setdiff1d(np.arange(len(names)), places))).among(names)
-        untold = alike(linearised.problem, linearised.at(beta).system, [names[i] for i in places])
+        start = solve(condensed(system.with_columns(np.setdiff1d(np.arange(len(names)), places))))
+        about = start.among(names)
+        untold = alike(linearised.problem, linearised.at(about).system, [names[i] for i in places])
         if untold:
             return None, untold
-    passes = load_passes(linearised, lambda observed: solve(observed.system), beta, load)
-    if not passes.settled:
-        return None, passes.unsettled
-    return Settled(linearised=linearised, about=passes.about, full=passes.estimate), {}
+        passes = load_passes(linearised, lambda observed: solve(condensed(observed.system)), about, load)
+        if not passes.settled:
+            return None, passes.unsettled
+        about, system = passes.about, passes.observed.system
+    return Settled(linearised=linearised, about=about, full=solve(system)), {}
 
 
 def leave_out_untold(linearised: Linearised) -> Linearised:
@@ -165,15 +166,12 @@ def told_apart(system: System, names: Collection[str]) -> dict[str, float]:
     """By parameter the share of its column's norm that the other columns leave, in the rows that count."""
     if not names:
         return {}
-    W, _ = system.weighted(np.ones(len(system.rows)))
-    norms = np.linalg.norm(W, axis=0)
+    system = condensed(system)
+    norms = np.linalg.norm(system.W, axis=0)
     seen = norms > 1e-12 * norms.max()
-    R: Array = np.asarray(np.linalg.qr(W[:, seen] / norms[seen], mode="r"))
-    kept = [name for name, s in zip(system.names, seen, strict=True) if s]
+    _, singular, Vt = np.linalg.svd(np.linalg.qr(system.W[:, seen] / norms[seen], mode="r"))
+    # Row i of the inverse is normal to all other columns, and has the share of column i as 1 over its length.
+    left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
     shares = dict.fromkeys(names, 0.0)
-    for name in names:
-        if name in kept:
-            i = kept.index(name)
-            others = np.delete(R, i, axis=1)
-            shares[name] = float(np.linalg.norm(R[:, i] - others @ np.linalg.lstsq(others, R[:, i], rcond=1e-12)[0]))
-    return shares
+    of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
+    return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}

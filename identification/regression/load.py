@@ -26,7 +26,8 @@ class LinkSeries:
     """The links' part of a block's regressor before decimation, in the rows of joints with load friction.
 
     Attributes:
-        entries: (E, 2) joint, and place among the base parameters; `series` (E, N) their columns.
+        entries: (E, 2) joint, and place among the base parameters, joints ascending; -1 and 0 for what is of no link or of
+            another joint. `series` (E, N) are their columns.
         dq: (N, n) speeds; `inside` the decimated rows that count.
     """
 
@@ -55,6 +56,8 @@ class LoadFriction:
     def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> LinkSeries:
         """The links' part, of these joints, of a block's regressor: its entries (E, 2) and their series (E, N)."""
         own = self.links[entries[:, 1]] & np.isin(entries[:, 0], self.joints)
+        if own.mean() > 0.5:  # to copy most of it takes longer than to keep all
+            return LinkSeries(entries=np.where(own[:, None], entries, (-1, 0)), series=series, dq=dq, inside=inside)
         return LinkSeries(entries=entries[own], series=series[own], dq=dq, inside=inside)
 
     def torque_of_links(self, entries: NDArray[np.intp], series: Array, beta: Array) -> Array:
@@ -62,9 +65,10 @@ class LoadFriction:
         of_links = self.links[entries[:, 1]]
         rigid = np.zeros((len(self.joints), series.shape[1]))
         for i, j in enumerate(self.joints):
-            own = np.flatnonzero(of_links & (entries[:, 0] == j))
-            together = slice(own[0], own[-1] + 1) if len(own) == np.ptp(own) + 1 else own  # a slice is not copied
-            rigid[i] = beta[entries[own, 1]] @ series[together]
+            own = of_links & (entries[:, 0] == j)
+            together = slice(own.argmax(), len(own) - own[::-1].argmax())  # a slice is not copied
+            values = np.where(own, beta[entries[:, 1]], 0.0)[together]
+            rigid[i] = np.einsum("e,en->n", values, series[together])  # term by term: zeros in between change no bit
         return rigid
 
     def columns(self, rigid: Array, dq: Array, decimation: Decimation) -> Array:

@@ -37,8 +37,8 @@ class Regression:
             in another process than the one that made it.
         time_blocks: of a system that is held reduced, what the residual's scores follow from, by recording; empty of others.
 
-    The system of a long recording is held reduced: per joint the b + 1 rows of the QR factor of those rows of [W Y] that
-    count for least squares, which have the same normal equations.
+    The system of a long recording is held reduced: per joint the rows, at most b + 1, of the QR factor of those rows of [W Y]
+    that count for least squares, which have the same normal equations.
     """
 
     system: System

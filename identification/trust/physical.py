@@ -175,7 +175,7 @@ def _driving_findings(
         resisting.append(np.sign(v)[:, None] * friction_alone(idm, columns, j, v, np.abs(tau[fast, j])) * of_part)
     v, G = np.concatenate(speeds), np.concatenate(resisting)
     resists = G @ estimate.beta
-    half = found.reach * np.sqrt(np.einsum("ri,ij,rj->r", G, found.covariance, G))
+    half = found.reach * np.sqrt(np.maximum(np.sum((G @ found.covariance) * G, axis=1), 0.0))
     drives = np.flatnonzero(resists < -half)
     if not drives.size:
         return []
