@@ -25,7 +25,8 @@ from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.model.joint_terms import JointTerm
-from identification.passes import Linearised, settled_least_squares, told_apart
+from identification.passes import Linearised, settled_least_squares
+from identification.passes.settled import told_apart
 from identification.regression import system
 from identification.regression.motion import Motion
 from identification.regression.problem import make_problem
