@@ -197,10 +197,17 @@ def test_rows_of_other_settings_content_or_versions_are_made_again(fleet, tmp_pa
     names = [row.file.rsplit("/", 1)[1] for row in run(folder, tmp_path / "kept")]
     assert fits[6:] == ["1.mcap"]
     assert sorted(names) == ["1.mcap", "moved.mcap"]
+    shutil.copy(folder / "1.mcap", folder / ".1.mcap.partial.mcap")  # as it is while it is written
+    assert len(run(folder, tmp_path / "kept")) == 2
     for file in (tmp_path / "kept").iterdir():
         file.write_text(file.read_text()[:100])
     run(folder, tmp_path / "kept")
     assert len(fits) == 9, "damaged rows are made again"
+    settings = FleetSettings().digest[:16]
+    one, other = (tmp_path / "kept" / f"{row.sha256[:32]}-{settings}.json" for row in run(folder, tmp_path / "kept"))
+    shutil.copy(one, other)
+    run(folder, tmp_path / "kept")
+    assert len(fits) == 10, "a row of another recording is not taken for this one's"
 
 
 def test_recordings_of_a_folder_are_fitted_together(fleet, tmp_path):
@@ -247,6 +254,23 @@ def test_a_recording_that_changes_while_the_fleet_is_fitted_is_not_kept_as_anoth
     assert "has changed since the run began" in row.reason
     (row,) = run(folder, tmp_path / "kept")
     assert row.is_fitted
+
+
+def test_a_recording_that_vanishes_while_the_fleet_is_fitted_is_a_row(fleet, tmp_path):
+    folder = tmp_path / "arm"
+    folder.mkdir()
+    for name in ("1.mcap", "2.mcap"):
+        shutil.copy(fleet / "2026" / name, folder)
+
+    @contextmanager
+    def late(tasks):
+        (folder / "1.mcap").unlink(missing_ok=True)
+        yield Serial()
+
+    rows = {Path(row.file).name: row for row in run(folder, tmp_path / "kept", open_work=late)}
+    assert rows["1.mcap"].status == "failed"
+    assert rows["1.mcap"].reason == f"{folder / '1.mcap'}: cannot be read: No such file or directory"
+    assert rows["2.mcap"].is_fitted
 
 
 class Deadly:

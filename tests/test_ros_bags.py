@@ -9,6 +9,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.commands import main
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.ros import urdf_of
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
@@ -222,6 +223,34 @@ def test_what_is_wrong_with_a_bag_is_told(tmp_path, whole, capsys):
     assert "has gripper: expected the joints shoulder, elbow of robot.toml" in foreign
 
 
+def test_doubts_about_a_bag_are_told_and_kept(tmp_path, capsys):
+    """Stamps of a clock that is read late, a message that is there twice, velocities that are no numbers."""
+    late_ns = np.random.default_rng(4).integers(0, 4_000_000, N).tolist()
+    unknown = DQ * np.where(np.arange(N) == 7, np.nan, 1)[:, None]
+    messages = [
+        message(k, stamp_ns=FIRST_NS + k * 10_000_000 + late, velocity=unknown) for k, late in enumerate(late_ns)
+    ]
+    messages.insert(50, messages[49])
+    status, out = imported(bag(tmp_path / "late", messages), out=tmp_path / "out.mcap")
+    assert status == 0
+    recording = read_recording(out)
+    assert "velocity" not in recording.samples.dtype.names
+    texts = [event.text for event in recording.events]
+    assert texts[0] == "velocities that are not finite numbers are left out"
+    assert texts[1].startswith("stamps jitter by 1.71 ms, more than the motion allows")
+    assert texts[1].endswith("import a table whose map states sample_rate_hz")
+    assert ", 1 doubled rows left out" in recording.metadata["times"]
+    printed = capsys.readouterr().out
+    assert all(f"warning: {text}" in printed for text in texts)
+
+
+def test_values_in_some_of_the_messages_only_are_refused(tmp_path, capsys):
+    for kind, values in (("velocity", DQ), ("effort", EFFORT)):
+        some = [message(k, **{kind: None if k == 5 else values}) for k in range(40)]
+        told = refusal(bag(tmp_path / kind, some), capsys)
+        assert f"/joint_states: {kind} in 39 of 40 messages: expected {kind} in all or in none" in told
+
+
 def test_several_publishers_and_time_that_runs_backwards(tmp_path, capsys):
     two = [message(k // 2, frame="" if k % 2 else "left") for k in range(40)]
     told = refusal(bag(tmp_path / "frames", two), capsys)
@@ -301,6 +330,13 @@ def test_rosbags_reads_what_is_exported_sample_by_sample(tmp_path, robot, veloci
     assert "250 of /joint_states, 250 of /joint_states/reference, 50 of /tf" in out
     found = read_back(tmp_path / "bag")
     assert [stamp for stamp, _ in found["/joint_states"]] == samples["stamp_ns"].tolist()
+    with AnyReader([tmp_path / "bag"]) as reader:
+        latched = {
+            connection.topic
+            for connection in reader.connections
+            if any(qos.durability.name == "TRANSIENT_LOCAL" for qos in connection.ext.offered_qos_profiles)
+        }
+    assert latched == {"/robot_description"}
     states = [m for _, m in found["/joint_states"]]
     assert [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in states] == samples["stamp_ns"].tolist()
     assert all(m.name == [j.name for j in robot.joints] for m in states)
@@ -332,7 +368,9 @@ def test_a_robot_in_amperes_has_no_effort_in_its_bag(tmp_path, capsys):
     text = TOML.read_text()
     lines = [line for line in text.splitlines() if not line.startswith(("drive_gain", "effort_unit"))]
     toml = "\n".join(lines).replace("[[motor]]", '[[motor]]\neffort_unit = "A"')
-    robot = replace(robot, motors=motors, files={"robot.toml": toml.encode()})
+    joints = tuple(msgspec.structs.replace(joint, effort_nm=30.0) for joint in robot.joints)
+    robot = replace(robot, motors=motors, joints=joints, files={"robot.toml": toml.encode()})
+    assert urdf_of(robot).count('effort="30.0"') == robot.n  # stated in N m, whatever the motors are recorded in
     path, _ = recorded(tmp_path, robot, velocity=False)
     assert main(["export", str(path), "--bag", str(tmp_path / "bag")]) == 0
     assert not any(len(m.effort) for _, m in read_back(tmp_path / "bag")["/joint_states"])

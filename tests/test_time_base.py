@@ -108,21 +108,21 @@ def test_stamps_of_a_clock_read_late_are_told_from_uneven_rows():
     even = np.arange(600) / 100
     stamps = even + 0.0015 * RNG.standard_normal(600)
     noise = 1e-6 * RNG.standard_normal((600, 2))
-    told = stamps_warning(stamps, motion(even) + noise)
+    told = stamps_warning(stamps, motion(even) + noise, "go")
     assert told is not None
     assert "more than the motion allows" in told
     by_row, by_stamp = (float(part.split(" ms")[0]) for part in told.split(" within ")[1:])
     assert by_row < 0.1
     assert by_stamp == pytest.approx(1.5, rel=0.2)
-    assert stamps_warning(stamps, motion(stamps) + noise) is None
-    assert stamps_warning(even, motion(even) + noise) is None
-    assert stamps_warning(stamps, 0 * motion(even)) is None
+    assert stamps_warning(stamps, motion(stamps) + noise, "go") is None
+    assert stamps_warning(even, motion(even) + noise, "go") is None
+    assert stamps_warning(stamps, 0 * motion(even), "go") is None
     # Noise of the position, 0.5 ms of motion here, leaves it to be seen; more of it hides it.
-    assert stamps_warning(stamps, motion(even) + 5e-4 * RNG.standard_normal((600, 2))) is not None
-    assert stamps_warning(stamps, motion(even) + 0.02 * RNG.standard_normal((600, 2))) is None
+    assert stamps_warning(stamps, motion(even) + 5e-4 * RNG.standard_normal((600, 2)), "go") is not None
+    assert stamps_warning(stamps, motion(even) + 0.02 * RNG.standard_normal((600, 2)), "go") is None
     # With a row missing, numbers of rows are counted on.
     kept = np.delete(np.arange(600), [100, 300, 301])
-    assert stamps_warning(stamps[kept], (motion(even) + noise)[kept]) is not None
+    assert stamps_warning(stamps[kept], (motion(even) + noise)[kept], "go") is not None
 
 
 def test_stamps_off_by_a_tick_are_found_and_no_others():
@@ -161,6 +161,7 @@ def test_grids_coarser_or_much_finer_than_the_rows_are_told():
 
     assert doubts(100.0) == doubts(200.0) == []
     assert doubts(80.0)[0].startswith("resample_hz = 80 is below the rows' 100 Hz")
+    assert doubts(260.0)[0].startswith("resample_hz = 260 is 2.6 times the rows' 100 Hz")
     assert doubts(1000.0)[0].startswith("resample_hz = 1000 is 10 times the rows' 100 Hz")
     assert rate_doubts(report_of(UNEVEN)) == []
 

@@ -5,6 +5,7 @@ import signal
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -88,6 +89,32 @@ def test_a_worker_that_dies_unnoticed_is_noticed(monkeypatch):
     monkeypatch.setattr(Overlooking, "opened", 0)
     assert list(Pool(Overlooking).run(slowly_squared, [(k,) for k in range(4)])) == [0, 1, 4, 9]
     assert Overlooking.opened == 2
+
+
+class Breaking:
+    """Its first executor breaks with task 2, which the next one does; `given` has what each was given."""
+
+    def __init__(self, given):
+        self.given, self.breaks = given, not given
+        given.append([])
+
+    def submit(self, function, *arguments):
+        self.given[-1].append(*arguments)
+        future = Future()
+        if self.breaks and arguments == (2,):
+            future.set_exception(BrokenProcessPool())
+        else:
+            future.set_result(function(*arguments))
+        return future
+
+    def shutdown(self, wait=True, cancel_futures=False):
+        pass
+
+
+def test_tasks_that_are_done_are_not_done_again():
+    given: list[list[int]] = []
+    assert list(Pool(lambda: Breaking(given)).run(slowly_squared, [(k,) for k in range(4)])) == [0, 1, 4, 9]
+    assert given == [[0, 1, 2, 3], [2]]
 
 
 def test_a_task_that_kills_its_worker_three_times_is_an_error(tmp_path):

@@ -71,7 +71,8 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
     grid = resample(time_s, parts, rate_hz=choice.resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
     assert grid.report is not None
     growing = np.concatenate([[True], np.diff(time_s) > 0])
-    warning = stamps_warning(time_s[growing], states.position[growing])
+    way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
+    warning = stamps_warning(time_s[growing], states.position[growing], way_out)
     clock = "times of reception" if states.received else "header stamps"
     samples = Samples(
         robot=robot,

@@ -14,8 +14,8 @@ _PASSES = 4  # a stamp that is off hides those beside it
 _LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
 
 
-def stamps_warning(time_s: Array, q: Array) -> str | None:
-    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows.
+def stamps_warning(time_s: Array, q: Array, way_out: str) -> str | None:
+    """A warning where growing times (N,) jitter more than the motion q (N, n), rad or m, allows; `way_out` ends it.
 
     Each position is compared with the cubic through two rows before and two after it, once by the times and once by the row
     numbers. The deviation over the speed is an error of time. Rows that are evenly spaced in truth, with stamps of a clock that
@@ -37,8 +37,8 @@ def stamps_warning(time_s: Array, q: Array) -> str | None:
         return None
     return (
         f"stamps jitter by {1e3 * np.std(steps):.3g} ms, more than the motion allows: positions lie on a smooth path within "
-        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; take a "
-        "counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+        f"{1e3 * by_row[joint]:.2g} ms by their row numbers, within {1e3 * by_stamp[joint]:.2g} ms by their stamps; "
+        f"{way_out}"
     )
 
 

@@ -133,7 +133,8 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
         )
         raise AcquisitionError(place=place, key="sample_rate_hz", value=given, expected=expected)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
-    warning = stamps_warning(time_s[growing], parts["position"][growing])
+    way_out = "take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+    warning = stamps_warning(time_s[growing], parts["position"][growing], way_out)
     doubts = [*rate_doubts(timed.report), *([warning] if warning else [])]
     assert timed.report is not None
     return _Timed(

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from acquisition.robot import Robot, robot_from_files
 
+from ..errors import IdentificationError
 from ..work import Serial, Work
 from .signals import Signals, load_signals
 
@@ -36,8 +37,16 @@ class RecordingFile:
         return self.content is not None or Path(self.path).exists()
 
     def with_content(self) -> "RecordingFile":
-        """The same with the file's content, to be sent to where the path does not lead to it."""
-        return replace(self, content=Path(self.path).read_bytes())
+        """The same with the file's content, to be sent to where the path does not lead to it.
+
+        Raises
+        ------
+        IdentificationError : where this process cannot read it either.
+        """
+        try:
+            return replace(self, content=Path(self.path).read_bytes())
+        except OSError as error:
+            raise IdentificationError(f"cannot be read: {error.strerror}", place=self.path) from error
 
     def load(self) -> Signals:
         """The signals of the recording. Raises as `load_signals`."""
