@@ -1,17 +1,36 @@
-"""Load friction of several recordings: by hand, and the truth inside."""
+"""Load friction of several recordings: by hand, cut, long, on any workers, left out, told by the trust block."""
 
 import dataclasses
+import json
+import pickle
 from functools import cache
 
 import msgspec
 import numpy as np
 import pytest
-from test_friction_terms import described, model_of, simulated
+from fits_of_records import signals_of
+from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
+from identification.commands import main
+from identification.data import RecordingFile, Recordings, signals_from_arrays
+from identification.friction import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.regression import Overrides, make_problem, regression_of_recording
+from identification.passes import AtHand, Linearised, settled_least_squares
+from identification.regression import (
+    Overrides,
+    make_problem,
+    own_parameters,
+    regression_of_recording,
+    system,
+    torque_of_recording,
+)
+from identification.study.noise import Noise
+from identification.study.synthetic import closed_loop, periodic_reference, random_reference, write_signals
+from identification.work import processes
+from identification.work.dask_cluster import cluster
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
+CELL = Noise(encoder_step=1e-6, effort_percent=2.0)
 VALUES = "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n"
 
 
@@ -44,11 +63,17 @@ def off(fit, values) -> np.ndarray:
     return np.abs(fit.estimate.beta - expected) / fit.intervals.half
 
 
-def about(problem, beta):
-    """W (n, rows, b) and Y (n, rows) of a recording about beta, by the formulas, from the whole regressor."""
-    s, model, base = problem.settings, problem.model, problem.base
+@cache
+def series_of(problem):
+    """The whole regressor (N, n, b) before decimation, and the motion."""
+    s = problem.settings
     m = problem.motion.between(s.start, s.stop, s.cutoff_hz)
-    series = model.regressor(m.q, m.dq, m.ddq)[:, :, base.columns]  # (N, n, b)
+    return problem.model.regressor(m.q, m.dq, m.ddq)[:, :, problem.base.columns], m
+
+
+def about(problem, beta):
+    """W (n, rows, b) and Y (n, rows) of a recording about beta, by the formulas."""
+    s, base, (series, m) = problem.settings, problem.base, series_of(problem)
     W = np.stack([s.decimator.filtered(series[:, j].T).T for j in range(series.shape[1])])
     Y = s.decimator.filtered(m.tau.T)
     for j in range(len(W)):
@@ -115,3 +140,177 @@ def test_the_truth_is_inside_and_no_test_warns(method, own):
     levels = {line.test: line.level for line in fit.trust.lines}
     assert set(levels.values()) <= {"ok", "cannot tell", "not made"}, levels
     assert levels["physical"] == levels["held-out blocks"] == "ok"
+
+
+def halves(signals) -> Recordings:
+    """A recording as two."""
+    N = len(signals.q)
+    parts = []
+    for name, part in (("a.mcap", slice(0, N // 2)), ("b.mcap", slice(N // 2, N))):
+        arrays = {key: x[part] for key in ("q", "q_ref", "effort") if (x := getattr(signals, key)) is not None}
+        t_s = signals.t_s[part] - signals.t_s[part][0]
+        parts.append(
+            dataclasses.replace(signals, t_s=t_s, track=None, recording=name, sha256=name.encode().hex(), **arrays)
+        )
+    return Recordings(sources=tuple(parts))
+
+
+def test_a_recording_cut_in_two_gives_nearly_the_uncut_fit():
+    """Rows at the cut are lost, and each part is filtered by itself."""
+    robot, _ = scara()
+    q_ref = random_reference(robot, duration_s=16.0, sample_rate_hz=1000.0, seed=3)
+    signals = closed_loop(robot, q_ref, 1000.0, noise=CELL, seed=3)
+    whole, found = identify_ls(signals, Overrides()), identify_ls(halves(signals), Overrides())
+    assert (np.abs(found.estimate.beta - whole.estimate.beta) / whole.intervals.half).max() < 0.15
+    errors = [fit.errors[-1].moving_relative_error_percent for fit in (found, whole)]
+    assert errors[0] == pytest.approx(errors[1], rel=0.02)
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("load")
+    paths = [folder / signals.recording for signals in scara()[1].sources]
+    for path, signals in zip(paths, scara()[1].sources, strict=True):
+        write_signals(path, signals, source="test")
+    return paths
+
+
+def bits(fit) -> list[bytes]:
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.sigma_hac, fit.rows.tau_predicted
+    return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
+
+
+def test_the_same_bits_with_one_and_two_workers(files):
+    sources = tuple(RecordingFile.at(path) for path in files[:2])
+    alone = [bits(fitted(Recordings(sources=sources), method)) for method in ("wls", "iv")]
+    with processes(2) as work:
+        both = [bits(fitted(Recordings(sources=sources[::-1], work=work), method)) for method in ("wls", "iv")]
+    assert both == alone
+
+
+def test_the_same_bits_on_dask(files):
+    distributed = pytest.importorskip("distributed")
+    sources = tuple(RecordingFile.at(path) for path in files[:2])
+    with (
+        distributed.LocalCluster(n_workers=1, processes=False, dashboard_address=None) as dask,
+        cluster(dask.scheduler_address) as work,
+    ):
+        found = fitted(Recordings(sources=sources, work=work), "wls")
+    assert bits(found) == bits(fitted(Recordings(sources=sources), "wls"))
+
+
+def test_series_before_decimation_are_not_sent_to_another_process():
+    problem = make_problem(scara()[1].sources[0], Overrides())
+    regression = regression_of_recording(problem)
+    assert regression.links[0].series.nbytes > 3 * regression.system.W.nbytes
+    sent = pickle.dumps(regression)
+    assert len(sent) < 1.5 * regression.system.W.nbytes + 1e5
+    assert pickle.loads(sent).links == ()
+
+
+@pytest.mark.parametrize("blocks", [False, True])
+def test_long_recordings_give_the_same(monkeypatch, blocks):
+    """In blocks whose series are made anew by each pass, or as QR factors: fit, trust block, errors held out."""
+    given = scara()[1]
+    wanted = identify_ls(given, Overrides())
+    monkeypatch.setattr(system, "_LINKS_KEPT", 0)
+    if blocks:
+        monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
+    else:
+        monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 500)
+    found, tolerance = identify_ls(given, Overrides()), 1e-6 if blocks else 1e-9
+    assert bool(len(found.problem.signals.q)) == blocks
+    assert (np.abs(found.estimate.beta - wanted.estimate.beta) / wanted.intervals.half).max() < tolerance
+    for one, other in zip(found.recordings, wanted.recordings, strict=True):
+        assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-6 if blocks else 1e-9)
+        assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-5)
+    assert found.trust.line("physical").level == "ok"
+
+
+def test_held_out_is_predicted_by_the_fit_of_the_others():
+    """Its load friction is linearised about the fit of all: nearly the error of a fit that knows the others alone."""
+    sources = scara()[1].sources
+    fit = identify_ls(scara()[1], Overrides())
+    for k, one in enumerate(fit.recordings):
+        others = identify_ls(Recordings(sources=(*sources[:k], *sources[k + 1 :])), Overrides())
+        problem = make_problem(sources[k], Overrides())
+        tau, predicted, _ = torque_of_recording(problem, others.beta)
+        fast = regression_of_recording(problem).fast
+        error = 100 * np.linalg.norm((tau - predicted)[fast]) / np.linalg.norm(tau[fast])
+        assert one.held_out.error_percent == pytest.approx(error, rel=0.02)
+        own = 100 * np.linalg.norm((tau - torque_of_recording(problem, fit.beta)[1])[fast]) / np.linalg.norm(tau[fast])
+        assert one.held_out.trained_percent == pytest.approx(own, rel=1e-3)
+
+
+@pytest.mark.parametrize(("a_m_s2", "left_out"), [(0.1, True), (4.0, False)])
+def test_load_friction_that_recordings_cannot_tell_is_left_out_of_all(a_m_s2, left_out):
+    """A weight that hardly accelerates: its load friction is Coulomb friction."""
+    robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
+    problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), (0.05, 0.15))]
+    linearised = Linearised(
+        problem=problems[0],
+        each=tuple(regression_of_recording(problem) for problem in problems),
+        places=tuple(AtHand(at_hand=problem) for problem in problems),
+        parameters=own_parameters(problems),
+    )
+    settled = settled_least_squares(linearised)
+    told = [text for text in settled.linearised.left_out.values() if "load friction of joint axis left out" in text]
+    assert bool(told) == left_out
+    assert set(told) <= set(settled.linearised.problem.settings.warnings)
+    assert ("mu1" in settled.full.names) != left_out
+    if not left_out:
+        np.testing.assert_allclose(settled.full.beta, model_of(robot)[2], rtol=1e-8)
+
+
+def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():
+    """Coulomb friction of 20 N against 0.3 of the weight: in the recording of a fast motion, whose load is the largest."""
+    robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=10.0, Fc=20.0, mu=-0.3)
+    model, base, beta = model_of(robot)
+    sources = []
+    for k in (2, 3):
+        motion = periodic_reference(robot, duration_s=6.0, seed=k).at(np.arange(0.0, 6.0, 1e-3))
+        tau = direct_of(model, base, beta).torque(*motion)
+        tau = tau + np.random.default_rng(k).normal(0, 1.0, tau.shape)
+        signals = signals_from_arrays(motion[0], tau, 1000.0, robot)
+        sources.append(dataclasses.replace(signals, recording=f"r{k}.mcap", sha256=f"{k:064x}"))
+    fit = identify_ls(Recordings(sources=tuple(sources)), Overrides(torque_lag_s="none", edges="smooth"))
+    line = fit.trust.line("physical")
+    assert line.level == "do not use"
+    assert "friction would drive joint axis at " in line.text
+    resists, load = float(line.text.split("/s: ")[1].split(" ")[0]), 0.3 * 95.0 * 9.81
+    assert resists < -0.5 * load + 20.0  # with the links' torque there; 20 N and more without
+
+
+def test_consistent_parameters_and_validation_take_the_same_terms(files, tmp_path):
+    fit, out = tmp_path / "fit.json", tmp_path / "validation.json"
+    assert main(["fit", *map(str, files[:2]), "--workers", "1", "--consistent", "--json", str(fit)]) == 0
+    stored = json.loads(fit.read_text())
+    consistent, error = stored["consistent"], stored["relative_error_percent"]
+    assert {"mu1", "mu2"} < {one["name"] for one in stored["standard_parameters"]}
+    assert consistent["relative_error_percent"] == pytest.approx(error, rel=0.05)
+    assert main(["validate", str(fit), *map(str, files), "--json", str(out)]) == 0
+    each = json.loads(out.read_text())["recordings"]
+    assert max(one["relative_error_percent"] for one in each) < 1.2 * error
+
+
+# --- the real record
+
+
+@pytest.mark.parametrize("method", ["wls", "iv"])
+def test_the_real_tx40_record_cut_in_two(tx40, method):
+    """The recommended terms: joint 3 is fitted as well as in one piece, and its load friction is the same."""
+    terms = [frozenset({"root"})] * 4 + [frozenset(), frozenset({"root"})]
+    terms[2] |= {"load"}
+    signals = signals_of(tx40)
+    signals = dataclasses.replace(signals, robot=with_terms(signals.robot, tuple(terms)))
+    whole, found = fitted(signals, method), fitted(halves(signals), method)
+    assert found.status == whole.status == ("converged" if method == "iv" else "solved")
+    mu = found.estimate.names.index("mu3")
+    assert found.estimate.names == whole.estimate.names
+    assert found.estimate.beta[mu] == pytest.approx(whole.estimate.beta[mu], abs=0.3 * whole.intervals.half[mu])
+    assert found.intervals.half[mu] == pytest.approx(whole.intervals.half[mu], rel=0.2)
+    for joint, most in ((2, 3.2), (-1, 3.7)):
+        errors = [fit.errors[joint].moving_relative_error_percent for fit in (found, whole)]
+        assert errors[0] == pytest.approx(errors[1], rel=0.05)
+        assert errors[0] < most
+    assert found.trust.line("physical").level == "ok"

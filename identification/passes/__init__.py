@@ -1,10 +1,11 @@
 """Least squares in passes: friction by load depends on the estimate before, and terms that recordings cannot tell go."""
 
-from .linearised import Linearised, without_terms
+from .linearised import AtHand, Linearised, without_terms
 from .links import RowStates, links_at_rows, row_states, torque_of_links
 from .settled import Settled, alike, leave_out_untold, load_passes, settled_least_squares
 
 __all__ = [
+    "AtHand",
     "Linearised",
     "RowStates",
     "Settled",

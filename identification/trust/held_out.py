@@ -92,7 +92,7 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
         beta, undetermined = _solved(
             np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
         )
-        torque, trained = float(np.linalg.norm(Y)), float(np.linalg.norm(Y - W @ evidence.estimate.beta))
+        torque, trained = _torque_of(evidence, k), float(np.linalg.norm(Y - W @ evidence.estimate.beta))
         error = None
         if beta is not None:
             rho = Y - W[:, ~own] @ beta
@@ -120,6 +120,14 @@ def _rows_of(evidence: Evidence, k: int) -> tuple[Array, Array, Array, NDArray[n
     W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
     joints = np.repeat(np.arange(n), part.stop - part.start)
     return Z[:, among] * used[:, None], W[:, among] * used[:, None], Y * used, joints
+
+
+def _torque_of(evidence: Evidence, k: int) -> float:
+    """Norm of recording k's torque in the rows that count; Y is another torque, where W is linearised."""
+    observed = evidence.observed
+    part, n = slices(observed.parts)[k], observed.tau.shape[1]
+    counts = observed.fast[part] if observed.reduced else part_of(evidence.used, n, part).reshape(n, -1).T
+    return float(np.linalg.norm(observed.tau[part] * counts))
 
 
 def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
