@@ -210,12 +210,12 @@ def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_e
     q, dq, ddq = motion = found.reference.at(np.linspace(0, 5, 5001))
     for j, joint in enumerate(robot.joints):
         low, high = joint.si("position")
-        assert np.abs(q[:, j] - (low + high) / 2).max() <= 0.8001 * (high - low) / 2
-        assert np.abs(dq[:, j]).max() <= 0.8001 * joint.si("speed")
-        assert np.abs(ddq[:, j]).max() <= 0.8001 * joint.si("acceleration")
+        assert np.abs(q[:, j] - (low + high) / 2).max() <= 0.8 * (high - low) / 2
+        assert np.abs(dq[:, j]).max() <= 0.8 * joint.si("speed")
+        assert np.abs(ddq[:, j]).max() <= 0.8 * joint.si("acceleration")
     *_, direct = modelled(robot)
     torque = np.abs(direct.torque(*motion))[:, 0].max()
-    assert 0.5 * 60 < torque <= 0.8001 * 60
+    assert 0.5 * 60 < torque <= 0.8 * 60
     assert found.used.max() == pytest.approx(0.8, abs=1e-3)  # something is used to its limit
     names = dict(zip(found.limits.names, found.used, strict=True))
     assert names["effort of joint joint_1"] >= torque / 60 - 1e-3
@@ -230,6 +230,23 @@ def test_the_same_seed_gives_the_same_reference():
         )
     assert np.array_equal(one.table()[1], two.table()[1])
     assert not np.array_equal(one.table()[1], other.table()[1])
+
+
+def test_what_leaves_the_limits_is_drawn_to_what_keeps_them_even_if_its_rest_does_not():
+    """The position at the ends is a hair beyond its limit: drawn to rest there nothing would be left of the motion."""
+    limits = limits_of(SCARA, None, 0.8, "here")
+    start = random_x(SCARA, share=0.4)
+    x = 2.5 * start
+    x[0, 0] = limits.middle[0] + limits.most[0, 0] * (1 + 1e-9)
+    rest, most = search.shrunk(x, SERIES, limits, 400)
+    assert most > 1
+    assert not rest[:, 1:].any()
+    found, most = search.shrunk(x, SERIES, limits, 400, start, 0.99)
+    assert 0.98 < most <= 0.99
+    assert limits.most_used(motion_of(found, SERIES.basis(400))) == most
+    share = (found - start)[x != start] / (x - start)[x != start]
+    assert share == pytest.approx(share.mean())
+    assert share.mean() > 0.05
 
 
 @pytest.mark.parametrize(
@@ -400,7 +417,7 @@ def test_distances_are_those_of_geometry_and_their_derivatives_those_of_differen
 
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
     monkeypatch.setattr(search, "STARTS", 1)
-    robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4)
+    robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4, seed=2)
     found = design.excite(robot, settings, knowledge_of(robot)[0], "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]
     s = np.linspace(0.2, 1.0, 81)
@@ -480,4 +497,4 @@ def test_the_report_has_the_intervals_and_the_limits_in_use(tx40_excitation):
     )
     assert limits.warnings[-1] == "a warning"
     assert [row[0] for row in limits.table.rows] == [*(f"joint_{j}" for j in range(1, 7)), "motor motor_5"]
-    assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.1)
+    assert limits.table.rows[0][4].exact == pytest.approx(80.0, abs=0.5)

@@ -74,11 +74,11 @@ class Limits:
         return self._shares(motion, self._apart(motion, FAR_M + MARGIN_M))
 
     def most_used(self, motion: Motion) -> float:
-        """The largest share of a limit in use; 1 where shapes that are looked at keep their margin, whatever their distance."""
+        """The largest share of a limit in use; that of distances is exact where shapes are little farther than their margin."""
         most = float(np.abs(self._shares(motion, None)).max())
         if most > 1 or not self.checks_distance:
             return most
-        return max(most, float(self._shares(motion, self._apart(motion, MARGIN_M))[:, -1].max()))
+        return max(most, float(self._shares(motion, self._apart(motion, 1.1 * MARGIN_M))[:, -1].max()))
 
     def share_of_whole(self, motion: Motion) -> Array:
         """The largest share of each whole limit that a motion uses, Coulomb friction included; distances left out."""

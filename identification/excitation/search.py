@@ -22,11 +22,15 @@ from .series import Motion, Series, motion_of
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 WINDOW = 3  # samples that a search looks at the largest share of
 FINER = 10  # times as many samples check what lies between those of the search
+# A sum of harmonics is above its largest sample by (pi / samples of a period of the highest)² / 2 at most (Bernstein).
+ALL = 1 - (math.pi / (FINER * SAMPLES_PER_PERIOD)) ** 2 / 2
 STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: those before are of plain references
 START_SHARE = 0.9  # of the limits, which a search starts within
 POSES = 200  # of which the one with most room is started from
 ITERATIONS = 50  # of a search
+POLISHING = 10  # iterations more, with what limits are left by between the samples
+LEAST_TIGHTENED = 0.5  # shares below are not looked at between the samples
 ROUNDS = 10  # that a search among obstacles has these iterations in
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
 BISECTIONS = 10
@@ -67,16 +71,16 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
     """
     best: tuple[float, Array, Array] | None = None
     worst = ""
-    basis = problem.series.basis(problem.samples)
+    basis, finer = (problem.series.basis(times * problem.samples) for times in (1, FINER))
     for i in range(STARTS):
         text = f"search {i + 1} of {STARTS}"
         say(text)
         try:
             start = _start(problem, STARTS * seed + i)
             x = best_series(problem, start, partial(_tell, say, text))
-            x, most = shrunk(x, problem.series, problem.limits, FINER * problem.samples)
-            if most > 1 + TOLERANCE:
-                used = np.abs(problem.limits.used(motion_of(x, basis))).max(axis=0)
+            fine = motion_of(x, finer)
+            if (most := problem.limits.most_used(fine)) > 1 + TOLERANCE:
+                used = np.abs(problem.limits.used(fine)).max(axis=0)
                 worst = f"{problem.limits.names[int(used.argmax())]} is left by {100 * (most - 1):.3g} %"
                 continue
             sigma = problem.information.sigma(motion_of(x, basis))
@@ -112,8 +116,7 @@ def _start(problem: Problem, seed: int) -> Array:
     x[:, 0] /= START_SHARE
     if limits.checks_distance:
         x[:, 0] = _roomiest(limits, seed)
-        x, _ = shrunk(x, series, limits, problem.samples)
-    return x
+    return shrunk(x, series, limits, FINER * problem.samples, share=ALL)[0]
 
 
 def _roomiest(limits: Limits, seed: int) -> Array:
@@ -129,72 +132,94 @@ def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
 
 
 def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
-    """Coefficients x (n, K) of least criterion; limits are kept at the samples of the search, or as nearly as can be.
+    """Coefficients x (n, K) of least criterion; limits are kept between the samples too, or as nearly as can be.
 
     Parameters
     ----------
     problem : the criterion and the limits.
-    start : (n, K) coefficients to start from.
+    start : (n, K) coefficients to start from, which keep the limits.
     say : called with the criterion after each iteration.
     """
-    from scipy.optimize import minimize
+    search, limits, between = _Search(problem, say), problem.limits, FINER * problem.samples
+    if not limits.checks_distance:
+        x = search.from_there(start, ITERATIONS)
+    else:  # Distances are not convex: after a few iterations back to what keeps all limits, on the way from where they did.
+        x = start
+        for _ in range(ROUNDS):
+            x, _ = shrunk(search.from_there(x, ITERATIONS // ROUNDS), problem.series, limits, problem.samples, x)
+    search.tighten(x)
+    safe, _ = shrunk(x, problem.series, limits, between, start, ALL)
+    return shrunk(search.from_there(x, POLISHING), problem.series, limits, between, safe, ALL)[0]
 
-    basis, limits = problem.series.basis(problem.samples), problem.limits
-    # A coefficient of 1 takes its joint to the first limit: all have like effects then.
-    peaks = np.array([np.abs(A).max(axis=0) for A in basis])
-    unit = 1 / (peaks[:, None] / limits.most[..., None]).max(axis=0)
 
-    def at(z: Array) -> Motion:
-        return motion_of(z.reshape(unit.shape) * unit, basis)
+class _Search:
+    """The criterion and the limits as functions of the coefficients z (n K,), in units in which all have like effects."""
 
-    value = np.inf
+    def __init__(self, problem: Problem, say: Callable[[float], None]) -> None:
+        self._problem, self._say, self._basis = problem, say, problem.series.basis(problem.samples)
+        self._value = math.inf
+        # A coefficient of 1 takes its joint to the first limit.
+        peaks = np.array([np.abs(A).max(axis=0) for A in self._basis])
+        self._unit = 1 / (peaks[:, None] / problem.limits.most[..., None]).max(axis=0)
+        self._tight = np.ones(len(problem.limits.names))  # (L,) shares at the samples count by so much
+        self._last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None
 
-    def objective(z: Array) -> tuple[float, Array]:
-        nonlocal value
-        value, gradients = problem.information.criterion(at(z), problem.plain)
-        by_x = sum((g.T @ A for g, A in zip(gradients, basis, strict=True)), start=np.zeros(unit.shape))
-        return value, (by_x * unit).ravel()
+    def from_there(self, x: Array, iterations: int) -> Array:
+        """Coefficients (n, K) after some iterations from others."""
+        from scipy.optimize import minimize
 
-    last: tuple[Array, Array, Array, NDArray[np.intp]] | None = None  # coefficients, used, slopes, samples of the peaks
-
-    def at_last(z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
-        nonlocal last
-        if last is None or not np.array_equal(last[0], z):
-            used, slopes = limits.used_and_slopes(at(z))
-            last = z.copy(), used, slopes, _peaks(used)
-        return last[1:]
-
-    def slack(z: Array) -> Array:
-        used, _, peaks = at_last(z)
-        return np.asarray(1 - np.abs(np.take_along_axis(used, peaks, axis=0)).ravel())
-
-    def slack_slopes(z: Array) -> Array:
-        used, slopes, peaks = at_last(z)
-        signs = np.sign(np.take_along_axis(used, peaks, axis=0)).ravel()
-        return np.asarray(-signs[:, None] * limits.jacobian(slopes, basis, peaks) * unit.ravel())
-
-    def from_there(x: Array, iterations: int) -> Array:
         done = minimize(
-            objective,
-            (x / unit).ravel(),
+            self._objective,
+            (x / self._unit).ravel(),
             jac=True,
             method="SLSQP",
-            constraints={"type": "ineq", "fun": slack, "jac": slack_slopes},
+            constraints={"type": "ineq", "fun": self._slack, "jac": self._slack_slopes},
             options={"maxiter": iterations, "ftol": TOLERANCE},
-            callback=lambda z: say(value),
+            callback=lambda z: self._say(self._value),
         )
-        return np.asarray(done.x.reshape(unit.shape) * unit)
+        return np.asarray(done.x.reshape(self._unit.shape) * self._unit)
 
-    if not limits.checks_distance:
-        return from_there(start, ITERATIONS)
-    # Distances are not convex: after a few iterations back to what keeps all limits, on the way from where they did.
-    x = start
-    for _ in range(ROUNDS):
-        x, _ = shrunk(from_there(x, ITERATIONS // ROUNDS), problem.series, limits, problem.samples, x)
-    return x
+    def tighten(self, x: Array) -> None:
+        """From now on count shares at the samples by what those of a series (n, K) rise between them."""
+        finer = self._problem.series.basis(FINER * self._problem.samples)
+        coarse, fine = (np.abs(self._problem.limits.used(motion_of(x, b))).max(axis=0) for b in (self._basis, finer))
+        self._tight = np.maximum(fine, LEAST_TIGHTENED) / np.maximum(coarse, LEAST_TIGHTENED)
+
+    def _at(self, z: Array) -> Motion:
+        return motion_of(z.reshape(self._unit.shape) * self._unit, self._basis)
+
+    def _objective(self, z: Array) -> tuple[float, Array]:
+        self._value, gradients = self._problem.information.criterion(self._at(z), self._problem.plain)
+        by_x = sum((g.T @ A for g, A in zip(gradients, self._basis, strict=True)), start=np.zeros(self._unit.shape))
+        return self._value, (by_x * self._unit).ravel()
+
+    def _at_last(self, z: Array) -> tuple[Array, Array, NDArray[np.intp]]:
+        """Shares, their slopes, and the samples of their peaks, of the coefficients looked at last."""
+        if self._last is None or not np.array_equal(self._last[0], z):
+            used, slopes = self._problem.limits.used_and_slopes(self._at(z))
+            self._last = z.copy(), used, slopes, _peaks(used)
+        return self._last[1:]
+
+    def _slack(self, z: Array) -> Array:
+        used, _, peaks = self._at_last(z)
+        return np.asarray(1 - (self._tight * np.abs(np.take_along_axis(used, peaks, axis=0))).ravel())
+
+    def _slack_slopes(self, z: Array) -> Array:
+        used, slopes, peaks = self._at_last(z)
+        signs = (self._tight * np.sign(np.take_along_axis(used, peaks, axis=0))).ravel()
+        J = self._problem.limits.jacobian(slopes, self._basis, peaks)
+        return np.asarray(-signs[:, None] * J * self._unit.ravel())
 
 
-def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Array | None = None) -> tuple[Array, float]:
+def _peaks(used: Array) -> NDArray[np.intp]:
+    """Samples (N / WINDOW, L) at which each limit is used most, of each window of the samples (N, L)."""
+    windows = np.abs(used).reshape(-1, WINDOW, used.shape[1])
+    return np.asarray(windows.argmax(axis=1) + WINDOW * np.arange(len(windows))[:, None])
+
+
+def shrunk(
+    x: Array, series: Series, limits: Limits, samples: int, towards: Array | None = None, share: float = 1.0
+) -> tuple[Array, float]:
     """A series moved towards another until it keeps all limits at so many samples of a period.
 
     Parameters
@@ -202,10 +227,11 @@ def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Arra
     x : (n, K) its coefficients.
     series, limits, samples : what they are of, what is kept, and at how many samples.
     towards : (n, K) the other; None for rest at its own position at the ends.
+    share : of the limits that is kept.
 
     Returns
     -------
-    Coefficients x (n, K), and the largest share used of a limit: above 1 where the other leaves one too.
+    Coefficients x (n, K), and the largest share used of a limit: above `share` where the other leaves it too.
     """
     basis, still = series.basis(samples), x.copy()
     still[:, 1:] = 0.0
@@ -216,16 +242,10 @@ def shrunk(x: Array, series: Series, limits: Limits, samples: int, towards: Arra
         return limits.most_used(motion_of(still + scale * (x - still), basis))
 
     low, high = 0.0, 1.0
-    if most(1.0) <= 1.0:
+    if most(1.0) <= share:
         low = 1.0
     else:
         for _ in range(BISECTIONS):
             middle = (low + high) / 2
-            low, high = (middle, high) if most(middle) <= 1.0 else (low, middle)
+            low, high = (middle, high) if most(middle) <= share else (low, middle)
     return still + low * (x - still), most(low)
-
-
-def _peaks(used: Array) -> NDArray[np.intp]:
-    """Samples (N / WINDOW, L) at which each limit is used most, of each window of the samples (N, L)."""
-    windows = np.abs(used).reshape(-1, WINDOW, used.shape[1])
-    return np.asarray(windows.argmax(axis=1) + WINDOW * np.arange(len(windows))[:, None])
