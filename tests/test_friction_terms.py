@@ -27,7 +27,7 @@ from identification.model.inverse import InverseModel
 from identification.model.joint_terms import JointTerm
 from identification.passes import Linearised, settled_least_squares
 from identification.passes.settled import told_apart
-from identification.regression import system
+from identification.regression import LoadFriction, system
 from identification.regression.motion import Motion
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
@@ -259,6 +259,39 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     assert plain.reduced
     reduced = settled_least_squares(Linearised.of_one(problem, plain))
     np.testing.assert_allclose(reduced.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
+
+
+def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
+    """Root friction follows the links' columns: without it these stay where they are."""
+    whole = upright([["load"], ["root", "load"]], "mu1 = 0.3\nmu2 = 0.3\n")
+    more = dataclasses.replace(whole, parameters={k: v for k, v in whole.parameters.items() if k[0] != "F"})
+    less = with_terms(more, (frozenset({"load"}),) * 2)
+    x = periodic_reference(less, duration_s=3.0, seed=5).at(np.arange(0.0, 3.0, 1 / 250.0))
+    known = []
+    for robot in (more, less):
+        problem, beta = exact_problem(robot, x)
+        linearised = Linearised.of_one(problem, regression_of_recording(problem))
+        known.append((linearised.without({"Fr2": "a test"}) if robot is more else linearised, beta))
+    (without, _), (never, beta) = known
+    assert without.parameters.names == never.parameters.names
+    assert without.plain.links[0].series.shape[0] > never.plain.links[0].series.shape[0]  # it is among what is held
+    for name in ("W", "Y"):
+        found, expected = (getattr(one.at(beta).system, name) for one in (without, never))
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_torque_of_links_has_the_same_bits_whatever_lies_between_them():
+    """A process that makes the series anew has the links alone."""
+    rng = np.random.default_rng(0)
+    links, series = rng.random(40) < 0.7, rng.normal(size=(40, 5000))
+    load, entries = (
+        LoadFriction(joints=np.array([0]), places=np.array([0]), links=links),
+        np.c_[[0] * 40, np.arange(40)],
+    )
+    beta = rng.normal(size=40)
+    held, alone = load.torque_of_links(entries, series, beta), load.torque_of_links(entries[links], series[links], beta)
+    np.testing.assert_array_equal(held, alone)
+    np.testing.assert_allclose(held[0], (beta * links) @ series, rtol=1e-9, atol=1e-9)
 
 
 # --- simulated motion
