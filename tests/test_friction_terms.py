@@ -18,7 +18,7 @@ from identification.data.in_memory import signals_from_arrays
 from identification.estimation import System
 from identification.export.losses import random_states, sayable
 from identification.export.mechanism import mechanism_of
-from identification.friction import Trials, choose_terms, friction_of_joints, with_friction, with_terms
+from identification.friction import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
@@ -493,8 +493,8 @@ def test_held_out_errors_are_those_of_fits_of_the_other_rows():
     """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
     problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
     plain = regression_of_recording(problem)
-    trials = Trials(Linearised.of_one(problem, plain))
-    trial = trials.of((NONE, NONE))
+    linearised = Linearised.of_one(problem, plain)
+    trial = Trials(linearised, parts_of(linearised, ["log.mcap"])).of((NONE, NONE))
     weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
     T, n = plain.tau.shape
     W, Y = plain.system.W.reshape(n, T, -1), plain.system.Y.reshape(n, T)
@@ -608,16 +608,6 @@ def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, t
     assert np.abs((fit.estimate.beta - usual.estimate.beta) / usual.intervals.half).max() < 1e-2
 
 
-def test_friction_takes_one_recording_at_a_time(tmp_path, capsys):
-    robot = described("scara", [["viscous", "coulomb"], ["viscous", "coulomb", "load"]], "mu2 = 0.3\n")
-    files = []
-    for signals in simulated(robot, 3, 4).sources:
-        files.append(str(tmp_path / signals.recording))
-        write_signals(tmp_path / signals.recording, signals, source="simulated")
-    assert main(["friction", *files]) == 1
-    assert "expected one recording at a time" in capsys.readouterr().err
-
-
 # --- the command
 
 
@@ -670,10 +660,11 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 def splits(signals, terms):
     """Mean held-out error of moving rows over the two halves and the five fifths."""
     problem = make_problem(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
-    trials = Trials(Linearised.of_one(problem, regression_of_recording(problem)))
-    T = len(trials.plain.tau)
+    linearised = Linearised.of_one(problem, regression_of_recording(problem))
+    fifths, T = parts_of(linearised, ["log.mcap"]), len(linearised.plain.tau)
     first = np.arange(T) < T // 2
-    return trials.held_out_percents(terms, [first, ~first, *trials.parts]).mean()
+    halves = [dataclasses.replace(fifths[0], rows=rows) for rows in (first, ~first)]
+    return Trials(linearised, fifths).held_out_percents(terms, [*halves, *fifths]).mean()
 
 
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):

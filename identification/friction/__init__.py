@@ -1,6 +1,7 @@
 """Which friction terms predict a recording: sets of terms, their trials with parts held out, the recommended one."""
 
 from .curves import FrictionCurve, JointFriction, friction_of_joints
+from .parts import Part, parts_of
 from .report import FrictionFile, friction_document, friction_file, friction_line
 from .selection import TermChoice, choose_terms, fits_with, recommended
 from .sets import TermSet, described_terms, with_terms
@@ -11,6 +12,7 @@ __all__ = [
     "FrictionCurve",
     "FrictionFile",
     "JointFriction",
+    "Part",
     "TermChoice",
     "TermSet",
     "Trial",
@@ -22,6 +24,7 @@ __all__ = [
     "friction_file",
     "friction_line",
     "friction_of_joints",
+    "parts_of",
     "recommended",
     "with_friction",
     "with_terms",

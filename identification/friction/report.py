@@ -4,7 +4,6 @@ import msgspec
 
 from acquisition.robot import FrictionTerm, Robot
 
-from ..data import Signals
 from ..report import Document, Number, ResultFile, Section, Table, columns, document_json
 from .selection import TermChoice
 from .sets import TRIED, described_terms, tried_terms
@@ -26,24 +25,41 @@ class TermSetFile(msgspec.Struct, frozen=True, kw_only=True):
     condition_number_scaled: float
 
 
-class FrictionFile(ResultFile, frozen=True, kw_only=True):
-    """The JSON file of `friction`: all sets, best first, and the recommended terms by joint."""
+class RecordingOfChoice(msgspec.Struct, frozen=True, kw_only=True):
+    """One of several recordings."""
 
     recording: str
     sha256: str
+
+
+class FrictionFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
+
+    Attributes:
+        recording, sha256: of the first; `recordings` are all, where they are several.
+        held_out: names of the parts held out, which `held_out_percents` of a set are of.
+    """
+
+    recording: str
+    sha256: str
+    recordings: list[RecordingOfChoice] | msgspec.UnsetType = msgspec.UNSET
     robot: str
+    held_out: list[str]
     sets: list[TermSetFile]
     recommended: Lists
     left_out: list[str]
 
 
-def friction_file(signals: Signals, choice: TermChoice, report: Document) -> FrictionFile:
+def friction_file(choice: TermChoice, report: Document) -> FrictionFile:
     """A choice of terms as it goes into its JSON file; an error that does not exist is null."""
-    names = [joint.name for joint in choice.robot.joints]
+    names, first = [joint.name for joint in choice.robot.joints], choice.recordings[0]
+    each = [RecordingOfChoice(recording=one.recording, sha256=one.sha256) for one in choice.recordings]
     return FrictionFile(
-        recording=signals.recording,
-        sha256=signals.sha256,
+        recording=first.recording,
+        sha256=first.sha256,
+        recordings=each if len(each) > 1 else msgspec.UNSET,
         robot=choice.robot.name,
+        held_out=list(choice.held_out),
         sets=[
             TermSetFile(
                 terms=dict(zip(names, described_terms(choice.robot, trial.terms), strict=True)),
@@ -89,9 +105,9 @@ def friction_document(choice: TermChoice) -> Document:
             for trial in choice.trials
         ),
     )
-    held = (
-        "held out: fifths of the recording, each predicted by the fit of the others; score: squared weighted residual"
-    )
+    several = len(choice.recordings) > 1
+    held = f"held out: {', '.join(choice.held_out) if several else 'fifths of the recording'}"
+    held += ", each predicted by the fit of the others; score: squared weighted residual"
     lines = tuple(f"{friction_line(terms)} # {name}" for name, terms in choice.described.items())
     return Document(
         title=f"{choice.robot.name}: {errors}",

@@ -1,4 +1,4 @@
-"""Which friction terms a robot needs: those that predict parts of a recording that were not fitted.
+"""Which friction terms a robot needs: those that predict parts of a recording, or recordings, that were not fitted.
 
 1. Sets for all joints: every choice of the tried terms.
 2. Joint by joint, from the best of these sets: terms whose interval contains 0 go; terms absent from it whose interval
@@ -9,7 +9,7 @@
    error, of the paired difference over the parts, of the best of these sets.
 """
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -17,36 +17,44 @@ import numpy as np
 
 from acquisition.robot import FrictionTerm, Robot
 
-from ..data import Signals
+from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..methods import Fit, identify_ls
+from ..methods import Fit, identify_ls, observe_all
 from ..passes import Linearised, alike, leave_out_untold
-from ..regression import Overrides, Problem, make_problem, regression_of_recording
+from ..regression import Overrides, Problem
+from .parts import parts_of, predictable
 from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
-from .trials import Trial, Trials
+from .trials import Trial, Trials, usual_estimate
 
 LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TermChoice:
-    """The sets of friction terms tried on a recording, best first, and which is recommended.
+    """The sets of friction terms tried on recordings, best first, and which is recommended.
 
     Attributes:
-        robot: of the recording.
-        problem: the identification with all terms that are tried.
+        recordings: in the order given.
+        problem: the identification with all terms that are tried; of several recordings that of the first.
+        held_out: names of the parts that were held out, recordings or fifths of one.
         trials: of all sets; `usual` of that without any.
         recommended: the smallest set that predicts about as well as the best.
-        left_out: what of all terms the recording cannot tell, one line each.
+        left_out: what of all terms the recordings cannot tell, and recordings that the others cannot predict, one line each.
     """
 
-    robot: Robot
+    recordings: tuple[Signals, ...]
     problem: Problem
+    held_out: tuple[str, ...]
     trials: tuple[Trial, ...]
     usual: Trial
     recommended: Trial
     left_out: tuple[str, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """That of the first recording."""
+        return self.recordings[0].robot
 
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
@@ -60,12 +68,14 @@ def _silent(text: str) -> None:
 
 
 @one_thread
-def choose_terms(signals: Signals, overrides: Overrides, *, say: Callable[[str], None] = _silent) -> TermChoice:
-    """Try sets of friction terms on a recording.
+def choose_terms(
+    signals: Signals | Recordings, overrides: Overrides, *, say: Callable[[str], None] = _silent
+) -> TermChoice:
+    """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
     Parameters
     ----------
-    signals : the recording.
+    signals : the recording, of which fifths are held out, or several, which are held out one by one.
     overrides : settings in place of those of the description.
     say : called with a line of text for each step.
 
@@ -75,39 +85,52 @@ def choose_terms(signals: Signals, overrides: Overrides, *, say: Callable[[str],
 
     Raises
     ------
-    IdentificationError : where the recording is too long or too short, or excites too little.
+    IdentificationError : where recordings are too long or too short, excite too little, are not of one robot, or where the
+        others cannot predict at least two parts.
     """
-    robot = signals.robot
-    everything = tuple(tried_terms(joint) for joint in robot.joints)
-    problem = make_problem(replace(signals, robot=with_terms(robot, everything)), overrides)
-    plain = regression_of_recording(problem, say)
-    if plain.reduced:
-        raise IdentificationError("too long", place=signals.recording, expected="a part of it, or a larger --decimate")
-    trials = Trials(_told(Linearised.of_one(problem, plain)))
+    sources = signals.sources if isinstance(signals, Recordings) else (signals,)
+    recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
+    robot = recordings[0].robot
+    observed = observe_all(_with_terms(recordings, frozenset(TRIED)), overrides, say)
+    names = [one.problem.signals.recording for one in observed.observations]
+    if observed.regression.reduced:
+        raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
+    linearised = _told(observed.linearised)
+    about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
+    parts, unpredicted = predictable(parts_of(linearised, names), about)
+    trials = Trials(linearised, parts)
     usual = trials.of(everywhere(robot.joints, frozenset()))
     level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
     for terms in _for_all_joints(robot):
         say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
         trials.of(everywhere(robot.joints, terms))
-    _joint_by_joint(trials, trials.of(everything), level, say)
+    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), level, say)
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
-        robot=robot,
-        problem=trials.problem,
+        recordings=recordings,
+        problem=linearised.problem,
+        held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
         recommended=recommended(found, level),
-        left_out=tuple(trials.left_out.values()),
+        left_out=(*trials.left_out.values(), *unpredicted.values()),
     )
 
 
-def fits_with(signals: Signals, choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
-    """Least squares of the recording with the usual terms, and with the recommended ones."""
+def fits_with(choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
+    """Least squares of the recordings with the usual terms, and with the recommended ones."""
     before, after = (
-        identify_ls(replace(signals, robot=with_terms(signals.robot, trial.terms)), overrides)
+        identify_ls(_with_terms(choice.recordings, trial.terms), overrides)
         for trial in (choice.usual, choice.recommended)
     )
     return before, after
+
+
+def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[FrictionTerm]) -> Recordings:
+    """The recordings of a robot with a set of terms, or with these terms at all joints."""
+    sets = (everywhere(one.robot.joints, terms) if isinstance(terms, frozenset) else terms for one in recordings)
+    robots = (with_terms(one.robot, own) for one, own in zip(recordings, sets, strict=True))
+    return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
 
 
 def recommended(trials: Iterable[Trial], level: float) -> Trial:
@@ -123,10 +146,11 @@ def recommended(trials: Iterable[Trial], level: float) -> Trial:
 
 
 def _told(linearised: Linearised) -> Linearised:
-    """W and Y without the terms that the recording cannot tell with all others at hand."""
+    """W and Y without the terms that the recordings cannot tell with all others at hand."""
     linearised = leave_out_untold(linearised)
     while load := linearised.load:
-        beta, names = Trials(linearised).links_of_usual(), linearised.parameters.names
+        names = linearised.parameters.names
+        beta = usual_estimate(linearised).among(names)
         among = [names[place] for place in linearised.load_places(load)]
         untold = alike(linearised.problem, linearised.at(beta).system, among)
         if not untold:

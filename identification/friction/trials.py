@@ -1,4 +1,4 @@
-"""What a set of friction terms is worth on a recording: its fit, and how well parts held out are predicted.
+"""What a set of friction terms is worth on recordings: its fit, and how well parts held out are predicted.
 
 All sets share W: its columns are those of all terms at all joints. A part is predicted by the fit of the others; load
 friction goes by the links' torque of that fit. The score of a part is the sum of squared residuals of moving rows, each
@@ -7,7 +7,6 @@ divided by its joint's s_j of the fit with the usual terms.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,16 +24,14 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..passes import Linearised, load_passes
-from ..regression import Regression
+from ..regression import Regression, base_name
+from .parts import Mask, Part
 from .sets import TermSet, parameters_of
-
-PARTS = 5  # of a recording that are held out in turn
-Mask = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A set of terms on a recording.
+    """A set of terms on recordings.
 
     Attributes:
         terms: by joint, beside the usual ones.
@@ -85,29 +82,19 @@ class Trial:
 
 
 class Trials:
-    """Trials of sets of terms on one recording; each set is tried once."""
+    """Trials of sets of terms; each set is tried once."""
 
-    def __init__(self, linearised: Linearised) -> None:
-        """`linearised` is of the robot with all terms that are tried."""
-        self.problem, self.plain = problem, plain = linearised.problem, linearised.plain
-        self.parameters = parameters_of(problem.model, problem.base)
-        self._linearised = linearised
-        self._names = problem.base.names
-        added = {name for names in self.parameters.values() for name in names}
-        self._usual = [i for i, name in enumerate(self._names) if name not in added]
-        T = len(plain.tau)
-        self._weights = weighted_least_squares(plain.system.with_columns(np.array(self._usual))).weights
-        edges = np.linspace(0, T, PARTS + 1).round().astype(int)
-        self.parts = [np.isin(np.arange(T), np.arange(a, b)) for a, b in pairwise(edges)]
-        self._moving = are_moving(plain.speed)
+    def __init__(self, linearised: Linearised, parts: Sequence[Part]) -> None:
+        """`linearised` is of the robot with all terms that are tried; `parts` are held out in turn."""
+        self.linearised, self.plain, self.parts = linearised, linearised.plain, parts
+        self.parameters = parameters_of(linearised.problem.model, linearised.problem.base)
+        self._names = linearised.parameters.names
+        self._usual = usual_columns(linearised)
+        self._weights = usual_estimate(linearised).weights
+        self._moving = are_moving(self.plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
         self._done: dict[TermSet, Trial] = {}
         self.left_out = dict(linearised.left_out)
-
-    def links_of_usual(self) -> Array:
-        """Parameters (b,) of the fit with the usual terms."""
-        usual = self.plain.system.with_columns(np.array(self._usual))
-        return weighted_least_squares(usual).among(self._names)
 
     @property
     def done(self) -> Sequence[Trial]:
@@ -119,7 +106,7 @@ class Trials:
         terms = tuple(frozenset(term for term in more if (j, term) in self.parameters) for j, more in enumerate(terms))
         if terms not in self._done:
             everything = np.ones(len(self.plain.tau), dtype=bool)
-            observed, estimate, unsettled = self._fit(terms, everything, -1)
+            observed, estimate, unsettled = self._fit(self._columns(terms), everything, -1)
             if unsettled:
                 self.left_out |= unsettled
                 fewer = (more - {"load"} if f"mu{j + 1}" in unsettled else more for j, more in enumerate(terms))
@@ -129,8 +116,8 @@ class Trials:
             self._done[terms] = self._judged(terms, observed, estimate)
         return self._done[terms]
 
-    def held_out_percents(self, terms: TermSet, parts: Sequence[Mask]) -> Array:
-        """Relative error, percent, of the moving rows of each part (T,) by the fit of the other rows."""
+    def held_out_percents(self, terms: TermSet, parts: Sequence[Part]) -> Array:
+        """Relative error, percent, of the moving rows of each part by the fit of the other rows."""
         return np.array([self._held_out(terms, part, -2 - k)[1] for k, part in enumerate(parts)])
 
     def _judged(self, terms: TermSet, observed: Regression, estimate: Estimate) -> Trial:
@@ -140,10 +127,10 @@ class Trials:
         weighted = rho * self._weights * self.plain.fast
         W, _ = observed.system.with_columns(self._columns(terms)).weighted(self._weights)
         Q = W @ estimate.bread  # W bread has orthonormal columns: bread breadᵀ = (WᵀW)⁻¹
-        found = intervals(replace(estimate, Q=Q), weighted.T.reshape(-1), self.plain.tau.shape[1])
+        found = intervals(replace(estimate, Q=Q), weighted.T.reshape(-1), self.plain.tau.shape[1], self.plain.parts)
         with np.errstate(divide="ignore", invalid="ignore"):
             t = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
-        usual = {self._names[i] for i in self._usual}
+        usual = {self._names[i] for i in np.flatnonzero(self._usual)}
         return Trial(
             terms=terms,
             fitted_error_percent=float("nan") if error is None else error,
@@ -156,11 +143,14 @@ class Trials:
             names_of_terms=tuple(self.parameters[j, term] for j, more in enumerate(terms) for term in more),
         )
 
-    def _held_out(self, terms: TermSet, part: Mask, start: int) -> tuple[float, float]:
-        """Score and relative error in percent of the rows of a part (T,), by the fit of the others."""
-        observed, estimate, _ = self._fit(terms, ~part, start)
-        moving = self._moving & part[:, None]
+    def _held_out(self, terms: TermSet, part: Part, start: int) -> tuple[float, float]:
+        """Score and relative error in percent of the rows of a part, by the fit of the others."""
+        columns = self._columns(terms)
+        observed, estimate, _ = self._fit(columns[~part.own[columns]], ~part.rows, start)
+        moving = self._moving & part.rows[:, None]
         rho = self._residual(observed, estimate)
+        if part.own.any():
+            rho = self._less_own(observed, rho, part)
         percent = relative_error_percent(self.plain.tau[moving], rho[moving])
         score = float(((rho * self._weights)[moving] ** 2).sum())
         return score, float("nan") if percent is None else percent
@@ -169,25 +159,44 @@ class Trials:
         """(T, n) of all rows."""
         return np.asarray(observed.tau - observed.predicted(estimate.among(self._names)))
 
+    def _less_own(self, observed: Regression, rho: Array, part: Part) -> Array:
+        """Residuals (T, n) less what a part's own parameters, fitted to those of its rows, say of them."""
+        counts = (self.plain.fast & part.rows[:, None]).T.reshape(-1).astype(float)
+        system = replace(observed.system, Y=rho.T.reshape(-1)).with_rows(counts).with_columns(np.flatnonzero(part.own))
+        own = np.linalg.lstsq(*system.weighted(self._weights))[0]
+        return np.asarray((system.Y - system.W @ own).reshape(rho.shape[1], -1).T)
+
     def _columns(self, terms: TermSet) -> NDArray[np.intp]:
         names = {name for j, more in enumerate(terms) for term in more for name in self.parameters[j, term]}
-        return np.array([i for i, name in enumerate(self._names) if i in self._usual or name in names])
+        return np.flatnonzero(self._usual | np.isin(self._names, list(names)))
 
-    def _fit(self, terms: TermSet, rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
-        """Least squares of the rows (T,), and which load friction did not settle."""
-        used, columns = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self._columns(terms)
-        load = self._linearised.load.of(columns.tolist())
+    def _fit(self, columns: NDArray[np.intp], rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
+        """Least squares of some parameters in the rows (T,), and which load friction did not settle."""
+        used, linearised = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.linearised
+        settling = [linearised.problem.base.names.index(base_name(self._names[i])) for i in columns]
+        load = linearised.load.of(settling)
 
         def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
             return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))
 
         beta = self._starts.get(start)
         if beta is None:
-            beta = solve(self.plain, np.setdiff1d(columns, self._linearised.load_places(load))).among(self._names)
+            beta = solve(self.plain, np.setdiff1d(columns, linearised.load_places(load))).among(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
-        passes = load_passes(self._linearised, solve, without_others, load)
+        passes = load_passes(linearised, solve, without_others, load)
         self._starts[start] = passes.estimate.among(self._names)
         return passes.observed, passes.estimate, passes.unsettled
+
+
+def usual_columns(linearised: Linearised) -> Mask:
+    """(b,) which parameters are of the usual terms, not of those that are tried."""
+    tried = parameters_of(linearised.problem.model, linearised.problem.base).values()
+    return ~np.isin(linearised.parameters.names, [name for names in tried for name in names])
+
+
+def usual_estimate(linearised: Linearised) -> Estimate:
+    """Weighted least squares of the usual terms."""
+    return weighted_least_squares(linearised.plain.system.with_columns(np.flatnonzero(usual_columns(linearised))))
 
 
 def _factor(system: System, weights: Array) -> System:

@@ -16,6 +16,7 @@ from .fit import (
 )
 from .idim import identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
+from .recordings import observe_all
 
 __all__ = [
     "NO_FIXED_POINT",
@@ -34,6 +35,7 @@ __all__ = [
     "consistent_set",
     "identify_iv",
     "identify_ls",
+    "observe_all",
     "refuse_unknown_gain",
     "regular_start",
     "urdf_prior",

@@ -87,7 +87,8 @@ def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) 
     ------
     AcquisitionError : where the file `path` cannot be written.
     """
-    robot, recording = before.problem.signals.robot.name, before.problem.signals.recording
+    robot = before.problem.signals.robot.name
+    recording = ", ".join(one.problem.signals.recording for one in before.recordings)
     fits = {"usual": before, "recommended": after}
 
     def pages(show: Show) -> list[Any]:

@@ -1,0 +1,166 @@
+"""The choice of friction terms by several recordings: held out one by one, against least squares by hand; their page."""
+
+import dataclasses
+import json
+from functools import cache
+
+import msgspec
+import numpy as np
+import pytest
+from conftest import REPLAY
+from test_friction_terms import LOAD, ROOT, WITHOUT_LAG, recorded, upright
+
+from identification.commands import main
+from identification.data import RecordingFile, Recordings
+from identification.errors import IdentificationError
+from identification.friction import choose_terms, friction_of_joints, with_terms
+from identification.methods import identify_ls
+from identification.regression import make_problem, regression_of_recording
+from identification.study.synthetic import write_signals
+
+USUAL = ["viscous", "coulomb"]
+MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"
+
+
+def with_own(robot, *own: str):
+    return dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=own))
+
+
+@cache
+def several(own: tuple[str, ...] = ()):
+    """Three recordings, one shorter, of a robot with root friction at the shoulder and load friction at both joints."""
+    usual = [*USUAL, "offset"] if own else USUAL
+    robot = with_own(upright([[*usual, "root", "load"], [*usual, "load"]], MORE), *own)
+    found = []
+    for seed, duration_s in ((1, 6.0), (2, 4.0), (3, 6.0)):
+        signals = recorded(robot, seed, duration_s=duration_s)
+        if own:
+            signals = dataclasses.replace(signals, effort=signals.effort + seed * np.array([3.0, 0.5]))
+        found.append(dataclasses.replace(signals, recording=f"r{seed}.mcap", sha256=f"{seed:064x}"))
+    return tuple(found)
+
+
+@cache
+def chosen(own: tuple[str, ...] = ()):
+    return choose_terms(Recordings(sources=several(own)), WITHOUT_LAG)
+
+
+@pytest.mark.parametrize("own", [(), ("Off",)])
+def test_recordings_are_held_out_one_by_one(own):
+    """By hand: weighted rows of the other recordings, the error in the moving rows of the one; its own offsets fitted to it."""
+    choice, recordings = chosen(own), several(own)
+    assert choice.recommended.terms == (ROOT | LOAD, LOAD)
+    assert choice.held_out == ("r1.mcap", "r2.mcap", "r3.mcap")
+    weights = identify_ls(Recordings(sources=recordings), WITHOUT_LAG).estimate.weights
+    plain = [regression_of_recording(make_problem(signals, WITHOUT_LAG)) for signals in recordings]
+    names = plain[0].system.names
+    off = np.array([name.startswith("Off") for name in names])
+    peak = np.max([np.abs(one.speed).max(axis=0) for one in plain], axis=0)
+    blocks = []  # by recording, a row of weights beside W and Y
+    for one in plain:
+        w = weights[one.system.joint_of_row]
+        blocks.append((one.system.W * w[:, None], one.system.Y * w, one.system.used > 0))
+    for k, one in enumerate(plain):
+        others = [i for i in range(3) if i != k]
+        A, b = [], []
+        for place, i in enumerate(others):
+            W, Y, used = blocks[i]
+            each = np.zeros((len(W), off.sum() * len(others)))
+            each[:, place * off.sum() : (place + 1) * off.sum()] = W[:, off]
+            A.append(np.c_[W[:, ~off], each][used])
+            b.append(Y[used])
+        beta = np.linalg.lstsq(np.concatenate(A), np.concatenate(b))[0][: (~off).sum()]
+        W, Y, used = blocks[k]
+        rho = Y - W[:, ~off] @ beta
+        if off.any():
+            rho = rho - W[:, off] @ np.linalg.lstsq(W[used][:, off], rho[used])[0]
+        moving = (np.abs(one.speed) > 0.02 * peak).T.reshape(-1)
+        assert choice.usual.scores[k] == pytest.approx((rho[moving] ** 2).sum(), rel=1e-6)
+        rho = rho / weights[one.system.joint_of_row]
+        tau = one.tau.T.reshape(-1)
+        error = 100 * np.linalg.norm(rho[moving]) / np.linalg.norm(tau[moving])
+        assert choice.usual.held_out_percents[k] == pytest.approx(error, rel=1e-6)
+
+
+def test_intervals_of_a_set_are_those_of_a_fit_of_the_recordings():
+    """Variances and degrees of freedom of recordings add up; weights are those of the usual terms."""
+    trial = chosen().recommended
+    sources = (dataclasses.replace(one, robot=with_terms(one.robot, trial.terms)) for one in several())
+    fit = identify_ls(Recordings(sources=tuple(sources)), WITHOUT_LAG)
+    assert trial.freedom == fit.intervals.freedom
+    t = dict(zip(fit.estimate.names, fit.estimate.beta / fit.intervals.sigma, strict=True))
+    assert set(trial.t) == {"Fr1", "mu1", "mu2"}
+    for name, value in trial.t.items():
+        assert value == pytest.approx(t[name], rel=0.25)
+
+
+def test_the_choice_does_not_depend_on_the_order_of_the_recordings():
+    again = choose_terms(Recordings(sources=several()[::-1]), WITHOUT_LAG)
+    assert [trial.terms for trial in again.trials] == [trial.terms for trial in chosen().trials]
+    assert [trial.score for trial in again.trials] == [trial.score for trial in chosen().trials]
+
+
+def test_a_recording_that_the_others_cannot_predict_is_named():
+    """The elbow moves in one of three recordings: the others say nothing of it. Of two no part is left."""
+    still = []
+    for signals in several()[:2]:
+        q = signals.q.copy()
+        q[:, 1] = 0.3
+        still.append(dataclasses.replace(signals, q=q))
+    choice = choose_terms(Recordings(sources=(*still, several()[2])), WITHOUT_LAG)
+    assert choice.held_out == ("r1.mcap", "r2.mcap")
+    (line,) = [line for line in choice.left_out if "predicted" in line]
+    assert line.startswith("r3.mcap cannot be predicted by the others: ")
+    assert "Fc2" in line
+    with pytest.raises(IdentificationError) as refused:
+        choose_terms(Recordings(sources=(still[0], several()[2])), WITHOUT_LAG)
+    assert (refused.value.key, refused.value.value) == ("parts held out", 1)
+    assert "r3.mcap cannot be predicted by the others" in str(refused.value)
+
+
+def test_the_command_takes_several_recordings(tmp_path, capsys):
+    files, toml, result = [], tmp_path / "robot.toml", tmp_path / "out.json"
+    for signals in several():
+        files.append(str(tmp_path / signals.recording))
+        write_signals(tmp_path / signals.recording, signals, source="test")
+    toml.write_text("gravity_m_s2 = [0, -9.81, 0]\n" + (REPLAY / "scara" / "robot.toml").read_text())
+    options = ["--robot", str(toml), "--torque-lag-s", "none", "--json", str(result), "--write"]
+    assert main(["friction", *files, *options]) == 0
+    stored = json.loads(result.read_text())
+    assert stored["recommended"] == {"shoulder": [*USUAL, "root", "load"], "elbow": [*USUAL, "load"]}
+    assert stored["recording"] == "r1.mcap"
+    assert [one["recording"] for one in stored["recordings"]] == ["r1.mcap", "r2.mcap", "r3.mcap"]
+    assert sorted(stored["held_out"]) == ["r1.mcap", "r2.mcap", "r3.mcap"]
+    assert all(len(one["held_out_percents"]) == 3 for one in stored["sets"])
+    out = capsys.readouterr().out
+    assert "each predicted by the fit of the others" in out
+    assert "fifths" not in out
+    assert 'friction = ["viscous", "coulomb", "root", "load"]' in toml.read_text()
+    found = choose_terms(Recordings(sources=tuple(map(RecordingFile.at, map(tmp_path.joinpath, files)))), WITHOUT_LAG)
+    assert found.recommended.terms == (ROOT | LOAD, LOAD)
+
+
+def test_the_page_has_each_joint_over_all_recordings():
+    """Rows of all recordings, and the curve of the parameters that they share; of own parameters the mean."""
+    recordings = several()
+    robot = with_own(upright([[*USUAL, "root"], USUAL], "Fr1 = 0.8\n"), "Fv")
+    fit = identify_ls(
+        Recordings(sources=tuple(dataclasses.replace(one, robot=robot) for one in recordings)), WITHOUT_LAG
+    )
+    values = dict(zip(fit.estimate.names, fit.estimate.beta, strict=True))
+    whole = friction_of_joints(fit)[0]
+    each = [friction_of_joints(fit.on(one))[0] for one in fit.recordings]
+    fast = [np.abs(one.speed) > 0.02 * np.abs(whole.speed).max() for one in each]  # of the peak that all have
+    assert sum(map(sum, fast)) > 100
+    for name in ("speed", "torque", "load"):
+        expected = np.concatenate([getattr(one, name)[rows] for one, rows in zip(each, fast, strict=True)])
+        np.testing.assert_allclose(getattr(whole, name), expected, rtol=1e-12)
+    (curve,) = whole.curves
+    v = curve.speed
+    mean = np.mean([values[f"Fv1@r{k}"] for k in (1, 2, 3)])
+    expected = mean * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+    np.testing.assert_allclose(curve.torque, expected, rtol=1e-9, atol=1e-9)
+    for one, name in zip(each, ("r1", "r2", "r3"), strict=True):
+        v = one.curves[0].speed
+        expected = values[f"Fv1@{name}"] * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+        np.testing.assert_allclose(one.curves[0].torque, expected, rtol=1e-9, atol=1e-9)
