@@ -348,6 +348,7 @@ def test_the_command_writes_a_reference_that_can_be_tracked(earlier, tmp_path, c
     printed = capsys.readouterr().out
     assert "SCARA: reference of 2 x 3 s, 3 harmonics up to 1 Hz, seed 1" in printed
     assert "times smaller than those of the plain reference in the median" in printed
+    assert "20 random ones of 3 harmonics at the same share of all limits" in " ".join(printed.split())
     robot = load_robot(toml)
     path = table_reference(out, robot, robot.bus.sync_period_s)  # as `record --track` reads it
     check_limits(path, robot, robot.bus.sync_period_s, str(out))

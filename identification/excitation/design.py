@@ -48,6 +48,11 @@ class Settings:
     seed: int = 1
     limits_percent: float = 100 * LIMIT_SHARE
 
+    @property
+    def plain_harmonics(self) -> int:
+        """Of the plain references: those of the usual random reference."""
+        return min(HARMONICS, self.harmonics)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Excitation:
@@ -137,8 +142,7 @@ def excite(
     series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
     samples = SAMPLES_PER_PERIOD * settings.harmonics
     t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
-    few = min(HARMONICS, settings.harmonics)
-    plain_series = Series(period_s=settings.period_s, harmonics=few)
+    plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
     plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
     noise, noise_from = torque_noise(robot, direct, knowledge, plain)
     creep = CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..report import Document, Number, Section, Table, columns
-from .design import Excitation
+from .design import PLAIN, Excitation
 from .limits import FAR_M, KINDS
 
 
@@ -37,7 +37,8 @@ def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) ->
     lines = (
         f"intervals are {np.median(smaller):.2f} times smaller than those of the plain reference in the median, "
         f"{smaller.min():.2f} at least",
-        "plain reference: the geometric mean over 20 random ones of five harmonics at the same share of all limits",
+        f"plain reference: the geometric mean over {PLAIN} random ones of {s.plain_harmonics} harmonics at the same share of "
+        "all limits",
         f"noise of the torque in a row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
         f"torque by {e.beta_from}" if known else "torque not known",
     )
