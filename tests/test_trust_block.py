@@ -225,20 +225,25 @@ def test_halves_differ_where_the_torque_changes_its_scale():
     )
     fit, evidence = examined("wls", "scara")
     assert examined("wls", "scara")[0].trust.line("halves").level == "ok"
-    # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines.
+    # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
+    # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
     rows, n, b = evidence.rows, 2, len(fit.estimate.names)
     T = len(rows.Y) // n
     betas, total = [], np.zeros((b, b))
     for half in (slice(0, round(T / 2)), slice(round(T / 2), T)):
-        W, Y, used = (x.reshape(n, T, -1)[:, half] for x in (rows.W, rows.Y, evidence.used))
+        W, Y = (x.reshape(n, T, -1)[:, half] for x in (rows.W, rows.Y))
         W, Y = W.reshape(-1, b), Y.reshape(-1)
         inverse = np.linalg.inv(W.T @ W)
         beta = inverse @ W.T @ Y
         t = (W * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse
         instants, B = len(t), int(np.clip(0.4 * len(t) ** (2 / 3), 4, 16))
         waves = np.cos(np.pi * np.arange(1, B + 1)[:, None] * (np.arange(instants) + 0.5) / instants)
-        count = used.sum()
-        sigma = np.sqrt(2 * np.mean((waves @ t) ** 2, axis=0) * count / (count - b))
+        given, seen = np.zeros(b), np.zeros(b)
+        for wave in np.sqrt(2) * waves:
+            a = (W @ inverse) * np.tile(wave, n)[:, None]
+            given += ((W @ inverse) ** 2).sum(axis=0)
+            seen += ((a - W @ (inverse @ (W.T @ a))) ** 2).sum(axis=0)
+        sigma = np.sqrt(2 * np.mean((waves @ t) ** 2, axis=0) * given / seen)
         formula = np.sqrt(np.diag(inverse))
         total += inverse * np.outer(sigma / formula, sigma / formula)
         betas.append(beta)

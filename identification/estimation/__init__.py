@@ -7,8 +7,10 @@ from .confidence import (
     cosines,
     deviations,
     deviations_of_parts,
+    estimate_deviations,
     intervals,
     intervals_of_blocks,
+    scores_of_recordings,
     slices,
 )
 from .consistency import (
@@ -67,6 +69,7 @@ __all__ = [
     "deviations",
     "deviations_of_parts",
     "essential_parameters",
+    "estimate_deviations",
     "f_tail",
     "hac_sigma",
     "independent_share",
@@ -81,6 +84,7 @@ __all__ = [
     "prior_shares",
     "pseudo_inertia",
     "relative_error_percent",
+    "scores_of_recordings",
     "slices",
     "torque_errors",
     "undetermined_parameters",

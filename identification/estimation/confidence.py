@@ -54,16 +54,9 @@ def intervals(estimate: Estimate, rho: Array, n: int, parts: tuple[int, ...] | N
 
     `parts` are the numbers of instants of each of several recordings, in the order of the rows; None for one.
     """
-    b = len(estimate.names)
-    scores = (estimate.Q * rho[:, None]).reshape(n, -1, b).sum(axis=0) @ estimate.bread.T
-    Q = estimate.Q.reshape(n, len(scores), b).transpose(1, 0, 2)
-    found = []
-    for part in slices(parts or (len(scores),)):
-        T = len(scores[part])
-        blocks = np.array_split(Q[part], min(T, TIME_BLOCKS))
-        grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
-        found.append(Scores(scores=scores[part], grams=grams, cosines=cosines(T)))
-    return intervals_of_scores(estimate, found)
+    found = scores_of_recordings(estimate.Q, estimate.bread, rho.reshape(n, -1), parts or (len(rho) // n,))
+    sigma, freedom = estimate_deviations(estimate.bread, found)
+    return _intervals(estimate, sigma, freedom)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,11 +71,28 @@ class Scores:
     cosines: int
 
 
-def intervals_of_scores(estimate: Estimate, recordings: Sequence[Scores]) -> Intervals:
-    """Intervals from the scores of recordings: independent of one another, so variances and degrees of freedom add up."""
-    bread = estimate.bread
+def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int]) -> list[Scores]:
+    """The scores of recordings of so many instants (`parts`) from orthonormal Q (n T, b), `bread` and residuals rho (n, T)."""
+    (n, T), b = rho.shape, Q.shape[1]
+    scores = (Q * rho.reshape(-1, 1)).reshape(n, T, b).sum(axis=0) @ bread.T
+    by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), []
+    for part in slices(parts):
+        count = len(scores[part])
+        blocks = np.array_split(by_instant[part], min(count, TIME_BLOCKS))
+        grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
+        found.append(Scores(scores=scores[part], grams=grams, cosines=cosines(count)))
+    return found
+
+
+def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Array, int]:
+    """Standard deviations (b,) of an estimate of this `bread`, what it takes out of the residuals counted, and their degrees
+    of freedom: recordings are independent of one another, variances and degrees add up.
+    """
     each = [deviations(own.scores, own.cosines) / np.sqrt(_share(bread, own.grams, own.cosines)) for own in recordings]
-    sigma, freedom = np.hypot.reduce(each), sum(own.cosines for own in recordings)
+    return np.asarray(np.hypot.reduce(each)), sum(own.cosines for own in recordings)
+
+
+def _intervals(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
     half = _reach(freedom) * sigma
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
@@ -231,4 +241,5 @@ def intervals_of_blocks(
         gram, Z_rho = blocks.sums(estimate)
         scores = Z_rho @ T @ estimate.bread.T
         found.append(Scores(scores=scores, grams=T.T @ gram @ T, cosines=cosines(blocks.instants)))
-    return intervals_of_scores(estimate, found)
+    sigma, freedom = estimate_deviations(estimate.bread, found)
+    return _intervals(estimate, sigma, freedom)

@@ -1,7 +1,7 @@
 """Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
 
 Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
-that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated or factorised again.
+that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated again.
 """
 
 from collections.abc import Callable
@@ -14,10 +14,11 @@ from ..estimation import (
     Estimate,
     are_moving,
     cosines,
-    deviations_of_parts,
+    estimate_deviations,
     f_tail,
     instrumental_variables,
     intervals,
+    scores_of_recordings,
     slices,
     whitened,
 )
@@ -171,14 +172,15 @@ def _part_solved(evidence: Evidence, part: slice, recordings: tuple[int, ...]) -
     b = len(d)
     if not (d > 0).all() or count <= 2 * b:
         return None
+    Q = np.linalg.qr(Q)[0]
     A = Q.T @ (W / d)
     if not np.linalg.cond(A) < 1e8:
         return None
-    inverse = np.linalg.inv(A) / d[:, None]
-    beta = inverse @ (Q.T @ Y)
-    scores = (Q * (Y - W @ beta)[:, None]).reshape(n, -1, b).sum(axis=0) @ inverse.T
-    sigma = deviations_of_parts(scores, recordings) * np.sqrt(count / (count - b))
-    C = inverse @ (Q.T @ Q) @ inverse.T
+    bread = np.linalg.inv(A) / d[:, None]
+    beta = bread @ (Q.T @ Y)
+    rho = (Y - W @ beta).reshape(n, -1)
+    sigma, _ = estimate_deviations(bread, scores_of_recordings(Q, bread, rho, recordings))
+    C = bread @ bread.T
     formula = np.sqrt(np.diag(C))
     return beta, C * np.outer(sigma / formula, sigma / formula)
 
