@@ -242,6 +242,8 @@ def test_a_replay_tells_a_lag_of_noisy_commands(lag):
     found = replay(make_problem(signals, Overrides()), recorded_loop(signals.robot))
     assert found.lag[0] == pytest.approx(lag, abs=0.1)
     assert found.error_percent[0] < 1.1
+    corrected = replay(make_problem(signals, Overrides(torque_lag_s=0.002)), recorded_loop(signals.robot))
+    assert corrected.lag[0] == pytest.approx(found.lag[0], abs=0.02), "of the effort as it was recorded"
 
 
 def test_a_replay_that_cannot_be_made_caps_the_verdict():

@@ -119,6 +119,15 @@ def test_held_out_is_predicted_by_the_fit_of_the_others(method):
     assert [figure.name for figure in line.figures] == ["r1.mcap", "r2.mcap", "r3.mcap"]
 
 
+def test_a_recording_that_the_others_do_not_predict_is_doubted():
+    other = recorded(2)
+    fit = identify_ls(several(recorded(1), replace(other, effort=1.3 * other.effort, sha256="e" * 64)), Overrides())
+    line = fit.trust.line("held-out blocks")
+    assert line.level == "caution"
+    assert line.value > 1.5 * np.mean([figure.expected for figure in line.figures])
+    assert "the fit does not carry over: record more" in line.text
+
+
 class LastFirst:
     """An executor that does its tasks a moment after they were submitted, the last one first."""
 

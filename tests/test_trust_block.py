@@ -33,6 +33,7 @@ from identification.trust import Evidence, Trust, TrustLine
 from identification.trust.columns import lacks_of
 from identification.trust.held_out import held_out_test
 from identification.trust.lines import LEVELS, worst_first
+from identification.trust.physical import physical_test
 from identification.trust.solution import (
     _whitened,
     contrast_test,
@@ -110,6 +111,27 @@ def test_a_clean_recording_is_not_doubted(method):
     assert all("not made: least squares has no instruments" in lines[test].text for test in not_made)
     assert {x.level for test, x in lines.items() if test not in not_made} == {"ok"}
     assert fit.distrust == ()
+
+
+@pytest.mark.parametrize(
+    ("below", "level"),
+    [
+        ({"Fv1": 0.9}, "ok"),
+        ({"Fv1": 1.5}, "caution"),
+        ({"Fv1": 2.5}, "do not use"),
+        ({"Fv1": 1.5, "Fc1": 1.5}, "do not use"),
+        ({"Fv1": 1.5, "Fc2": 1.5}, "caution"),
+    ],
+)
+def test_what_resists_may_be_below_zero_by_chance_once_a_joint(below, level):
+    """In half-widths of the interval."""
+    _, evidence = examined("wls", "scara")
+    estimate, half = evidence.estimate, evidence.intervals.half
+    beta = estimate.beta.copy()
+    for name, times in below.items():
+        beta[estimate.names.index(name)] = -times * half[estimate.names.index(name)]
+    found = physical_test(replace(evidence, estimate=replace(estimate, beta=beta)))
+    assert found.level == level, found.text
 
 
 def test_the_ways_an_iteration_ends():
@@ -225,6 +247,7 @@ def test_halves_differ_where_the_torque_changes_its_scale():
     )
     fit, evidence = examined("wls", "scara")
     assert examined("wls", "scara")[0].trust.line("halves").level == "ok"
+    assert ls_of(REPLAY / "tx40" / "session.mcap").trust.line("halves").level == "ok"  # of 60 parameters
     # The statistic from the two halves' own least squares: correlations of the formula, deviations of the cosines by the
     # share of white noise that they find in the residuals, I - W(W'W)⁻¹W' of it.
     rows, n, b = evidence.rows, 2, len(fit.estimate.names)
