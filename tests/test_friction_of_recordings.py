@@ -160,7 +160,12 @@ def test_the_page_has_each_joint_over_all_recordings():
     mean = np.mean([values[f"Fv1@r{k}"] for k in (1, 2, 3)])
     expected = mean * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
     np.testing.assert_allclose(curve.torque, expected, rtol=1e-9, atol=1e-9)
-    for one, name in zip(each, ("r1", "r2", "r3"), strict=True):
-        v = one.curves[0].speed
-        expected = values[f"Fv1@{name}"] * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
-        np.testing.assert_allclose(one.curves[0].torque, expected, rtol=1e-9, atol=1e-9)
+    for one, fitted, name in zip(each, fit.recordings, ("r1", "r2", "r3"), strict=True):
+
+        def friction(v, name=name):
+            return values[f"Fv1@{name}"] * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
+
+        np.testing.assert_allclose(one.curves[0].torque, friction(one.curves[0].speed), rtol=1e-9, atol=1e-9)
+        v, rho = (x[fitted.rows, 0] for x in (fit.rows.speed, fit.rows.tau - fit.rows.tau_predicted))
+        rows = np.abs(v) > 0.02 * np.abs(v).max()
+        np.testing.assert_allclose(one.torque, (friction(v) + rho)[rows], rtol=1e-9, atol=1e-9)
