@@ -105,8 +105,8 @@ def friction_document(choice: TermChoice) -> Document:
             for trial in choice.trials
         ),
     )
-    several = len(choice.recordings) > 1
-    held = f"held out: {', '.join(choice.held_out) if several else 'fifths of the recording'}"
+    names = [one.recording for one in choice.recordings if one.recording in choice.held_out]  # in the order given
+    held = f"held out: {', '.join(names) if len(choice.recordings) > 1 else 'fifths of the recording'}"
     held += ", each predicted by the fit of the others; score: squared weighted residual"
     lines = tuple(f"{friction_line(terms)} # {name}" for name, terms in choice.described.items())
     return Document(

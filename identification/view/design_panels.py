@@ -113,7 +113,7 @@ def friction_drawing(friction: JointFriction, *, of: str = "") -> Drawing:
     levels = np.array([curve.load for curve in friction.curves])
     nearest = np.zeros(len(v), dtype=int) if len(levels) == 1 else np.abs(load[:, None] - levels).argmin(axis=1)
     colors = (GREY,) if len(levels) == 1 else LOADS
-    sheet.dots.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
+    sheet.cloud.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
     for k, curve in enumerate(friction.curves):
         color = PREDICTED if len(levels) == 1 else LOADS[k]
         for side in (curve.speed < 0, curve.speed > 0):
@@ -123,7 +123,7 @@ def friction_drawing(friction: JointFriction, *, of: str = "") -> Drawing:
                 sheet.strokes.append((line, color, radius))
         if len(levels) > 1:
             sheet.labels.append((left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color))
-    title = f"friction {friction.joint} [{friction.unit}] over speed [{friction.speed_unit}]{of and f', {of}'}"
+    title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
     return sheet.drawing(("friction", friction.joint, *([of] if of else [])), title, (470.0, 340.0))
 
 

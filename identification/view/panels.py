@@ -58,7 +58,7 @@ class Bars:
 class Drawing:
     """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards: any other chart.
 
-    Markers are `dots`, and for least squares `crosses`.
+    Markers are `dots`, and for least squares `crosses`; small ones behind the strokes are the `cloud`.
     """
 
     path: tuple[str, ...]
@@ -68,6 +68,7 @@ class Drawing:
     dots: Sequence[tuple[float, float, Color]]
     labels: Sequence[tuple[float, float, str, Color]]
     crosses: Sequence[tuple[float, float, Color]] = ()
+    cloud: Sequence[tuple[float, float, Color]] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,6 +78,7 @@ class Sheet:
     strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
     dots: list[tuple[float, float, Color]] = field(default_factory=list)
     crosses: list[tuple[float, float, Color]] = field(default_factory=list)
+    cloud: list[tuple[float, float, Color]] = field(default_factory=list)
     labels: list[tuple[float, float, str, Color]] = field(default_factory=list)
 
     def line(self, x0: float, y0: float, x1: float, y1: float, color: Color = GREY, radius: float = 0.25) -> None:

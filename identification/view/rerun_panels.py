@@ -115,9 +115,10 @@ def show(recording: Any, panel: Panel) -> Any:
             )
             strips, colors, radii = zip(*panel.strokes, strict=True)
             log("strokes", rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(radii)))
-            if panel.dots:
-                xy, colors = zip(*(((x, y), color) for x, y, color in panel.dots), strict=True)
-                log("dots", rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(3.0), draw_order=50.0))
+            for key, points, radius, order in (("dots", panel.dots, 3.0, 50.0), ("cloud", panel.cloud, 1.5, 10.0)):
+                if points:
+                    xy, colors = zip(*(((x, y), color) for x, y, color in points), strict=True)
+                    log(key, rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(radius), draw_order=order))
             if panel.crosses:
                 xy, colors = zip(*(((x, y), color) for x, y, color in panel.crosses), strict=True)
                 both = (np.array(xy)[:, None, None] + _CROSS * _DIAGONALS).reshape(-1, 2, 2)
