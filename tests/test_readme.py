@@ -6,6 +6,7 @@ import shutil
 import tomllib
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import REPLAY, ROOT
 from msgspec.json import schema_components
@@ -13,6 +14,7 @@ from test_dynamics import URDF
 
 from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing.table_map import TableMap
+from acquisition.recording import read_recording
 from acquisition.robot.bus import BusFile
 from acquisition.robot.description import RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY
@@ -103,6 +105,23 @@ def keys(description):
 
 
 BUS, ROBOT, MAP = keys(BusFile), keys(RobotFile), keys(TableMap)
+
+
+def test_the_map_that_is_shown_maps_the_columns_that_are_named(tmp_path):
+    shown, header = (
+        re.search(pattern, TEXT[ACQUISITION], flags=re.MULTILINE | re.DOTALL)[1]
+        for pattern in (r"^```toml\n(.*?)^```", r"header `(t,[^`]*)`")
+    )
+    (tmp_path / "map.toml").write_text(shown)
+    values = np.arange(7 * 200.0).reshape(200, 7) * 1e-5 * np.arange(1, 8)
+    values[:, 0] = np.arange(200) / 100
+    np.savetxt(tmp_path / "log.csv", values, delimiter=",", header=header, comments="")
+    out, robot = str(tmp_path / "log.mcap"), str(REPLAY / "scara" / "robot.toml")
+    options = ["--robot", robot, "--map", str(tmp_path / "map.toml"), "-o", out]
+    assert ACQUIRE.main(["import", str(tmp_path / "log.csv"), *options]) == 0
+    samples = read_recording(tmp_path / "log.mcap").samples
+    for name, columns in (("position", slice(1, 3)), ("reference", slice(3, 5)), ("effort", slice(5, 7))):
+        np.testing.assert_array_equal(samples[name], values[:, columns])
 
 
 @pytest.mark.parametrize(
