@@ -1,17 +1,30 @@
 """The package's simulation of an experiment against the independent simulator: same instants, same law, same motion."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import REPLAY
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
+from identification.data import load_signals
+from identification.estimation import (
+    InstrumentBlocks,
+    System,
+    instrumental_variables,
+    intervals,
+    intervals_of_blocks,
+    weighted_least_squares,
+)
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
+from identification.regression import regression_of_recording, row_blocks
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
 from identification.replica.experiment import make_experiment
-from identification.replica.instruments import simulated_motion
+from identification.replica.instruments import Counting, simulate_instruments
+from identification.replica.motion import simulated_motion
 from identification.study.synthetic import truth
 
 
@@ -27,16 +40,15 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     dynamics = InverseModel(robot)
     true = truth(dynamics, base_parameters(dynamics))
     e = make_experiment(make_problem(signals, Overrides()), true)
-    at = np.rint(e.times_s * 1000).astype(int)
-    np.testing.assert_allclose(e.times_s, at / 1000, atol=1e-9)
-    np.testing.assert_allclose(e.reference.q, reference.q[0, at], atol=1e-12)
+    places, followed = e.layout.places(0, e.layout.instants), e.reference(0, e.layout.instants)
+    at = np.rint(places).astype(int)
+    np.testing.assert_allclose(places, at, atol=1e-6)
+    np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
     inner = slice(1, -1)  # differences are one-sided at the ends
-    np.testing.assert_allclose(
-        e.reference.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max()
-    )
-    grid = np.rint(e.grid_s * 1000).astype(int)
+    np.testing.assert_allclose(followed.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max())
     found = simulated_motion(e, true)
     assert found.motion is not None
+    grid = np.rint(found.motion.t_s * 1000).astype(int)
     for one, other, slope in (
         (found.motion.q, runs.q_true[0, grid], np.abs(runs.dq_true)),
         (found.motion.dq, runs.dq_true[0, grid], np.abs(reference.ddq)),
@@ -47,3 +59,60 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     # The command of a tick is held after it: the torque of the same instants is the recorded one.
     tau, recorded = found.motion.tau, runs.effort[0, grid]
     assert (np.linalg.norm(tau - recorded, axis=0) < 0.02 * np.linalg.norm(recorded, axis=0)).all()
+
+
+@pytest.mark.parametrize("without_reference", [False, True])
+def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without_reference):
+    """Simulated, filtered and factored block by block: the estimate, its intervals and the errors are those of one pass."""
+    signals = load_signals(REPLAY / "scara" / "session.mcap")
+    if without_reference:
+        signals = replace(signals, q_ref=None)
+    problem = make_problem(signals, Overrides(decimation=5))
+    whole = regression_of_recording(problem)
+    full = weighted_least_squares(whole.system)
+    spread, noise = 4 * full.covariance, whole.slip_noise
+    rows = Counting(slip_noise=noise, weights=full.weights)
+    one = simulate_instruments(make_experiment(problem, full.beta), full.beta, spread, rows)
+    wanted = instrumental_variables(whole.system.with_rows(one.fast.T.reshape(-1).astype(float)), one.Z, full.weights)
+    rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
+    monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
+    assert len(row_blocks(problem)) == 3
+    short = simulate_instruments(make_experiment(problem, full.beta), full.beta, spread, rows)
+    np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
+    np.testing.assert_array_equal(short.fast, one.fast)
+    assert short.simulated.torque_percent == pytest.approx(one.simulated.torque_percent, rel=1e-6)
+    np.testing.assert_allclose(short.simulated.motion.q, one.simulated.motion.q, atol=1e-9)
+    e = make_experiment(problem, full.beta, long=True)
+    long = simulate_instruments(e, full.beta, spread, replace(rows, kept=one.fast))
+    assert long.Z is None
+    found = instrumental_variables(long.factors.system, long.factors.Z, full.weights)
+    assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
+    np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max())
+    assert (found.rows, found.residual_norm) == (wanted.rows, pytest.approx(wanted.residual_norm, rel=1e-9))
+    assert long.tracking_percent == pytest.approx(one.tracking_percent, rel=1e-6)
+    # Intervals, of blocks that count as instants.
+    parameters, system = (
+        found.Q.T @ (long.factors.Z * full.weights[long.factors.system.joint_of_row, None]),
+        whole.system,
+    )
+    of_blocks = intervals_of_blocks(found, [long.factors.time_blocks], np.linalg.inv(parameters))
+    used = one.fast.T.reshape(-1)
+    of_rows = intervals(wanted, rho * used, system.joint_of_row[-1] + 1)
+    np.testing.assert_allclose(of_blocks.sigma, of_rows.sigma, rtol=0.15)
+    assert of_blocks.freedom == of_rows.freedom
+
+
+def test_instrument_blocks_are_sums_over_their_rows():
+    T, n, b, rng = 128, 2, 3, np.random.default_rng(7)
+    Z, W, Y = rng.normal(size=(n, b, T)), rng.normal(size=(n, b, T)), rng.normal(size=(n, 1, T))
+    blocks = InstrumentBlocks.none_yet(T, tuple("abc"))
+    for a, z in ((0, 40), (40, 41), (41, T)):
+        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z])
+    stacked = [x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y)]
+    system = System.whole(stacked[1], stacked[2][:, 0], np.repeat([0, 1], T), tuple("abc"))
+    fit = instrumental_variables(system, stacked[0], np.ones(n))
+    basis = np.linalg.inv(fit.Q.T @ stacked[0])
+    found = intervals_of_blocks(fit, [blocks], basis)
+    wanted = intervals(fit, system.Y - system.W @ fit.beta, n)
+    np.testing.assert_allclose(found.sigma, wanted.sigma, rtol=1e-9)
+    np.testing.assert_allclose(found.low, wanted.low, rtol=1e-9)

@@ -26,7 +26,8 @@ from identification.model.inverse import InverseModel
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
 from identification.replica.experiment import make_experiment
-from identification.replica.instruments import simulate_instruments, simulated_robot
+from identification.replica.instruments import Counting, simulate_instruments
+from identification.replica.motion import simulated_robot
 from identification.study.synthetic import truth
 
 SETTLED = ("converged", "not_confirmed")
@@ -176,13 +177,14 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     e = make_experiment(problem, true)
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    consistent = simulate_instruments(e, wrong, spread)
+    rows = Counting(slip_noise=np.zeros(2), weights=np.ones(2))
+    consistent = simulate_instruments(e, wrong, spread, rows)
     assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
     assert "inertia matrix is not positive" in consistent.reason
     np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None)
+    plain = simulate_instruments(e, wrong, None, rows)
     assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread)
+    right = simulate_instruments(e, true, spread, rows)
     assert (right.kind, right.reason) == ("simulated", None)
     robot = simulated_robot(e, wrong, spread)
     assert robot.motion is not None

@@ -6,7 +6,7 @@ scripts, and published deviations rest on it; it makes sigma smaller by b/2r (0.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -68,6 +68,10 @@ class Estimate:
         """(b,) standard deviations in percent of the values; infinite for a value of zero."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.asarray(100.0 * self.sigma / np.abs(self.beta))
+
+    def without_rows(self) -> "Estimate":
+        """The same without Q, which is as large as W."""
+        return replace(self, Q=self.Q[:0].copy())
 
     def among(self, names: tuple[str, ...]) -> Array:
         """Values of `names`, zero for those not estimated."""

@@ -19,7 +19,7 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Regression, base_name
-from ..replica import Replica
+from ..replica import PassInstruments, Replica
 from ..trust import Evidence, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Method, OwnTest, Rows, Status
 from .recordings import Observed
@@ -137,6 +137,18 @@ def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, use
         return intervals_of_blocks(estimate, observed.time_blocks)
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
     return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
+
+
+def intervals_along(observed: Observed, z: PassInstruments, estimate: Estimate) -> Intervals:
+    """Intervals of an estimate by instruments, from the rows that count or from the blocks of long recordings."""
+    if z.factors is None:
+        about = observed.about(z)
+        return intervals_of(about.regression, estimate, about.predicted(estimate), z.used)
+    system, Z = z.factors
+    among = np.array([system.names.index(name) for name in estimate.names])
+    R = estimate.Q.T @ (Z[:, among] * estimate.weights[system.joint_of_row, None])  # of the weighted Z = Q R
+    blocks = [one.factors.time_blocks for one in z.each if one.factors is not None]
+    return intervals_of_blocks(estimate, blocks, np.asarray(np.linalg.inv(R)))
 
 
 def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:

@@ -108,6 +108,11 @@ class LeastSquares:
     essential: Reduction
     tau_predicted: Array
 
+    def without_rows(self) -> "LeastSquares":
+        """The same without the estimates' Q, each as large as W."""
+        essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
+        return replace(self, estimate=self.estimate.without_rows(), full=self.full.without_rows(), essential=essential)
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rows:
@@ -237,7 +242,9 @@ class Fit:
         """The fit as one of its recordings shows it: rows, errors and simulated motion of that one."""
         iv = self.iv
         if iv is not None and one.replica is not None:
-            iv = replace(iv, simulated=one.replica.simulated.motion, q=one.replica.q, direct=one.replica.direct)
+            iv = replace(
+                iv, simulated=one.replica.simulated.motion, q=one.replica.simulated.q, direct=one.replica.direct
+            )
         rows = Rows(**{name: x[one.rows] for name, x in vars(self.rows).items()})
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(self, recordings=(replace(one, rows=here),), rows=rows, errors=one.errors, iv=iv)

@@ -25,7 +25,7 @@ from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..replica import PassInstruments
 from ..trust import covariance_of_all
-from .assess import assess_ls, evidence_of_ls, intervals_of, robust_sigma
+from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of, robust_sigma
 from .fit import Fit, LeastSquares
 from .iteration import (
     Iteration,
@@ -33,8 +33,8 @@ from .iteration import (
     conclude,
     inertia_prior,
     is_coarse,
+    kept_rows,
     next_values,
-    rows_of_pass,
     start_values,
 )
 from .recordings import Observed, observe_all
@@ -83,7 +83,7 @@ def identify_ls(
     if trust and not observed.regression.reduced:
         say("simulating the robot")
         lab = observed.lab(inertia_prior(observed, ls), gain_update=True)
-        evidence = with_instruments(evidence, lab.instruments(ls.full.beta, ls.full.covariance))
+        evidence = with_instruments(evidence, lab.instruments(ls.full.beta, ls.full.covariance, ls.full.weights))
     return assess_ls(observed, evidence, ls)
 
 
@@ -113,50 +113,40 @@ def identify_iv(
 
     Raises
     ------
-    IdentificationError : as `identify_ls`, or where the recording is too long, or the first pass gives no estimate.
+    IdentificationError : as `identify_ls`, or where the first pass gives no estimate.
     """
-    given = observe_all(signals, overrides, say)  # (2), (5), (6)
-    if given.regression.reduced:
-        place = given.problem.signals.recording
-        raise IdentificationError("too long for instruments", place=place, expected="a larger --decimate")
-    observed, full = given.settled()
-    problem, names = observed.problem, observed.regression.system.names
+    observed, full = observe_all(signals, overrides, say).settled()  # (2), (5), (6)
     ls = solve_least_squares(observed, full, essential=essential)
+    names, weights = observed.regression.system.names, full.weights
     kept = ls.essential.kept if essential else np.arange(len(names))
     lab = observed.lab(inertia_prior(observed, ls), gain_update=iteration.gain_update)
 
-    def solve(z: PassInstruments, used: Array) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: PassInstruments) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
-        system = observed.at(z.beta).regression.system.with_rows(used).with_columns(columns)
-        return instrumental_variables(system, z.Z[:, columns], ls.full.weights)
+        system, Z = observed.along(z)
+        return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
 
-    def spread(about: Observed, estimate: Estimate, used: Array) -> Array:  # C = D R D
-        found = intervals_of(about.regression, estimate, about.predicted(estimate), used)
-        return covariance_of_all(names, estimate, found, ls.full)
-
-    trials: list[Trial] = []
-    beta, covariance = start_values(observed, iteration, ls), None
-    if iteration.start != "regular":
-        covariance = spread(observed, ls.full, observed.regression.system.used)
-    failure: str | None = None
+    beta, covariance = start_values(observed, iteration, ls)
+    ls, trials, failure = ls.without_rows(), list[Trial](), None
     while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
         say(f"pass {len(trials) + 1}: simulating the robot")
-        coarse = is_coarse(problem, iteration, trials)
-        z = lab.instruments(beta, covariance, coarse=coarse)  # Z = IDM(q_sim, dq_sim, ddq_sim)
-        used, observed = rows_of_pass(observed, z, trials), observed.at(z.beta)
+        coarse, fast = is_coarse(observed.problem, iteration, trials), kept_rows(trials)
+        # Z = IDM(q_sim, dq_sim, ddq_sim)
+        z, asked = lab.instruments(beta, covariance, weights, kept=fast, coarse=coarse), covariance
         try:
-            estimate = solve(z, used)
+            estimate = solve(z)
         except IdentificationError as error:
-            failure = f"pass {len(trials) + 1}, {100 * used.mean():.0f} % of the rows fast enough: {error}"
+            failure = f"pass {len(trials) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
             failure += f"; {z.reason}" if z.reason else ""
             break
-        covariance = spread(observed, estimate, used)
-        system = observed.regression.system.with_rows(used)
-        evidence = assess_pass(estimate, z, system, iteration.tolerance_percent)
-        trials.append(Trial(z=z, estimate=estimate, covariance=covariance, used=used, evidence=evidence, coarse=coarse))
+        # C = D R D
+        covariance = covariance_of_all(names, estimate, intervals_along(observed, z, estimate), ls.full)
+        evidence = assess_pass(estimate, z, observed.along(z)[0], iteration.tolerance_percent)
+        trial = Trial(z=z, estimate=estimate, covariance=covariance, asked=asked, evidence=evidence, coarse=coarse)
+        trials = [*(before.without_rows() for before in trials), trial]
         beta = next_values(trials, names)
     result = conclude(lab, iteration, trials, failure, solve)
-    return assess_iv(observed.at(result.z.beta), ls, result)
+    return assess_iv(observed.about(result.z), ls, result)
 
 
 def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:

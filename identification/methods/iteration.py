@@ -1,18 +1,20 @@
 """How the instrumental variable method iterates: where it starts, what it simulates next, which rows count, where it ends."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate
 from ..model import BaseParameters, InverseModel
-from ..regression import Problem, fast_rows, rule_cutoff_hz
+from ..regression import Problem, rule_cutoff_hz
 from ..replica import Lab, PassInstruments, Replica
 from ..simulation import has_controller
+from ..trust import covariance_of_all
+from .assess import intervals_of
 from .fit import LeastSquares, Pass
 from .recordings import Observed
 
@@ -38,17 +40,22 @@ class Iteration:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trial:
-    """A pass: its instruments, the estimate they give, the rows used (r,), and whether it was simulated coarsely.
+    """A pass: its instruments, the estimate they give, and whether it was simulated coarsely.
 
-    `covariance` (b, b) is that of all base parameters, with honest deviations.
+    `covariance` (b, b) is that of all base parameters, with honest deviations; `asked` the one that instruments were asked for
+    with.
     """
 
     z: PassInstruments
     estimate: Estimate
     covariance: Array
-    used: Array
+    asked: Array | None
     evidence: Pass
     coarse: bool
+
+    def without_rows(self) -> "Trial":
+        """The same without what is as large as W: only the last pass needs that."""
+        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows())
 
     @property
     def settled(self) -> bool:
@@ -62,7 +69,6 @@ class IterationResult:
 
     Attributes:
         estimate: that of the pass number `returned`, counted from 1.
-        used: (r,) rows it rests on.
         z: the instruments that gave it.
         final: the robot simulated with it in each recording, or with the nearest consistent parameters.
         passes: all of them.
@@ -71,7 +77,6 @@ class IterationResult:
     """
 
     estimate: Estimate
-    used: Array
     z: PassInstruments
     final: tuple[Replica, ...]
     passes: tuple[Pass, ...]
@@ -80,14 +85,14 @@ class IterationResult:
     failure: str | None
 
 
-def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> Array:
-    """Values of all parameters that are simulated first."""
-    problem, repeated = observed.problem, observed.parameters.repeated
-    if iteration.values is not None:
-        return repeated(iteration.values(problem.base))
-    if iteration.start == "ls":
-        return ls.full.beta
-    return repeated(regular_start(problem.model, problem.base, iteration.inertias))
+def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
+    """Values of all parameters that are simulated first, and their covariance: None of a regular start."""
+    problem, repeated, rows = observed.problem, observed.parameters.repeated, observed.regression
+    if iteration.start == "regular" and iteration.values is None:
+        return repeated(regular_start(problem.model, problem.base, iteration.inertias)), None
+    beta = ls.full.beta if iteration.values is None else repeated(iteration.values(problem.base))
+    found = intervals_of(rows, ls.full, observed.predicted(ls.full), rows.system.used)
+    return beta, covariance_of_all(rows.system.names, ls.full, found, ls.full)
 
 
 def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
@@ -106,15 +111,9 @@ def is_coarse(problem: Problem, iteration: Iteration, trials: Sequence[Trial]) -
     return len(trials) < min(early, iteration.max_iterations - 1)
 
 
-def rows_of_pass(observed: Observed, z: PassInstruments, trials: Sequence[Trial]) -> Array:
-    """Rows (r,) that count in a pass: 1 where the simulated robot is fast enough, and 0."""
-    if len(trials) >= ROWS_FREE:
-        return trials[-1].used
-    fast = []
-    for one, own in zip(observed.observations, z.each, strict=True):
-        percent, directions = one.problem.settings.low_speed.iv, one.problem.model.coulomb_directions
-        fast.append(fast_rows(own.slip, one.regression.slip_noise, directions, percent))
-    return np.concatenate(fast).T.reshape(-1).astype(float)
+def kept_rows(trials: Sequence[Trial]) -> tuple[NDArray[np.bool_], ...] | None:
+    """By recording the rows (rows, n) that count in the next pass, or None where the simulated speeds tell."""
+    return trials[-1].z.fast if len(trials) >= ROWS_FREE else None
 
 
 def conclude(
@@ -122,51 +121,46 @@ def conclude(
     iteration: Iteration,
     trials: Sequence[Trial],
     failure: str | None,
-    solve: Callable[[PassInstruments, Array], Estimate],
+    solve: Callable[[PassInstruments], Estimate],
 ) -> IterationResult:
-    """The last pass where it settled; otherwise the pass whose simulated robot tracks best.
+    """The last pass where it settled; otherwise the pass whose simulated robot tracks best at its worst joint.
 
     Raises `IdentificationError` where there was no pass.
     """
     if not trials:
         raise IdentificationError(f"no instruments: {failure}", place=", ".join(lab.names))
-    last = trials[-1]
-    found = None
-    if not last.settled or failure is not None:
-        found = _best_pass(lab, solve, [trial.z for trial in trials], last.used)
-    if found is None:
-        found = len(trials), last.estimate, lab.replicas(last.estimate.among(lab.parameters.names), last.covariance)
-    returned, estimate, final = found
+    returned, final = len(trials) - 1, None
+    if not trials[-1].settled or failure is not None:
+        returned, final = _best_pass(lab, trials)
+    trial = trials[returned]
+    z, estimate = trial.z, trial.estimate
+    if returned < len(trials) - 1:
+        z = lab.instruments(z.beta, trial.asked, estimate.weights, kept=z.fast, coarse=trial.coarse)
+        estimate = solve(z)
     return IterationResult(
         estimate=estimate,
-        used=last.used,
-        z=trials[returned - 1].z,
-        final=final,
+        z=z,
+        final=final or lab.replicas(estimate.among(lab.parameters.names), trial.covariance),
         passes=tuple(trial.evidence for trial in trials),
-        returned=returned,
+        returned=returned + 1,
         start=iteration.start,
         failure=failure,
     )
 
 
-def _best_pass(
-    lab: Lab, solve: Callable[[PassInstruments, Array], Estimate], tried: Sequence[PassInstruments], used: Array
-) -> tuple[int, Estimate, tuple[Replica, ...]] | None:
-    """Where there is no fixed point, the pass whose simulated robot tracks best at its worst joint.
+def _best_pass(lab: Lab, trials: Sequence[Trial]) -> tuple[int, tuple[Replica, ...] | None]:
+    """Where there is no fixed point, the place of the pass whose simulated robot tracks best at its worst joint.
 
-    All passes are solved on the same rows `used` (r,), and their robots simulated with the estimate itself, not with the
-    nearest consistent parameters. None where these rows determine no estimate that can be simulated.
+    Robots are simulated with the estimates themselves, not with the nearest consistent parameters. The last pass where none
+    can be simulated.
     """
     found = []
-    for number, z in enumerate(tried, 1):
-        with suppress(IdentificationError):
-            estimate = solve(z, used)
-            replicas = lab.plain_replicas(estimate.among(lab.parameters.names))
-            if all(one.direct for one in replicas):
-                joints = [d.position_error_percent for one in replicas for d in one.direct]
-                worst = max((x for x in joints if x is not None), default=0.0)
-                found.append((worst, number, estimate, replicas))
-    return min(found, key=lambda one: one[0])[1:] if found else None
+    for place, trial in enumerate(trials):
+        replicas = lab.plain_replicas(trial.estimate.among(lab.parameters.names))
+        if all(one.direct for one in replicas):
+            joints = [d.position_error_percent for one in replicas for d in one.direct]
+            found.append((max((x for x in joints if x is not None), default=0.0), place, replicas))
+    return min(found, key=lambda one: one[:2])[1:] if found else (len(trials) - 1, None)
 
 
 def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:

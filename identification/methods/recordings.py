@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
-from ..estimation import Estimate, slices
+from ..estimation import Estimate, System, slices
 from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
     ALL_REDUCED,
@@ -21,7 +21,7 @@ from ..regression import (
     own_parameters,
     refuse_slow_joints,
 )
-from ..replica import Bench, Lab, Place
+from ..replica import Bench, Lab, PassInstruments, Place
 from ..trust import Part
 from .observation import Observation, Say, observation_of, observe, predict, regression_at
 
@@ -73,8 +73,14 @@ class Observed:
         """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
         return Lab(
             benches=tuple(
-                Bench(place=place, prior=prior[self.parameters.places(k)], gain_update=gain_update)
-                for k, place in enumerate(self.places())
+                Bench(
+                    place=place,
+                    prior=prior[self.parameters.places(k)],
+                    slip_noise=one.regression.slip_noise,
+                    long=one.regression.reduced,
+                    gain_update=gain_update,
+                )
+                for k, (place, one) in enumerate(zip(self.places(), self.observations, strict=True))
             ),
             names=tuple(one.problem.signals.recording for one in self.observations),
             parameters=self.parameters,
@@ -93,6 +99,17 @@ class Observed:
         whole, each = self.linearised.at(beta), self.linearised.each_at(beta)
         observations = (replace(one, regression=own) for one, own in zip(self.observations, each, strict=True))
         return replace(self, observations=tuple(observations), regression=whole)
+
+    def about(self, z: PassInstruments) -> "Observed":
+        """The same with W and Y about the parameters of a pass; of long recordings its factors have them."""
+        return self if z.factors is not None else self.at(z.beta)
+
+    def along(self, z: PassInstruments) -> tuple[System, Array]:
+        """W, Y and Z with the rows that count in a pass, about its parameters; of long recordings QR factors."""
+        if z.factors is not None:
+            return z.factors
+        assert z.Z is not None
+        return self.about(z).regression.system.with_rows(z.used), z.Z
 
     def settled(self, method: Literal["ols", "wls"] = "wls") -> tuple["Observed", Estimate]:
         """Least squares of all parameters, and the same without the friction terms that are not told, W and Y about them.

@@ -14,10 +14,9 @@ from ..estimation import (
     instrumental_variables,
     lag_one,
 )
-from ..regression import Regression
 from ..replica import DirectModelError, PassInstruments, Replica, told, worst
 from ..trust import Evidence, Part
-from .assess import Verdict, assess_estimate, intervals_of
+from .assess import Verdict, assess_estimate, intervals_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status
 from .iteration import IterationResult
 from .recordings import Observed
@@ -30,7 +29,8 @@ WEAK_INSTRUMENTS_F = 10.0
 def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
     estimate, replicas, passes = outcome.estimate, outcome.final, outcome.passes
-    tests = _tests(observed.regression, estimate, outcome.used)
+    predicted, (system, Z) = observed.predicted(estimate), observed.along(outcome.z)
+    tests = _tests(system, estimate, observed.regression.tau - predicted, outcome.z.used)
     direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.observations]
     final_reason = told([one.simulated.reason for one in replicas], names)
     tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
@@ -46,53 +46,58 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) ->
         returned=outcome.returned,
         reason=reason,
         tests=tests,
-        rows_used_percent=float(100 * outcome.used.mean()),
+        rows_used_percent=float(100 * outcome.z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
         simulated=first.simulated.motion,
-        q=first.q,
+        q=first.simulated.q,
     )
     verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(replicas, tests), replicas=replicas)
-    predicted = observed.predicted(estimate)
+    long = observed.regression.reduced
+    factors = [(one.factors.system, one.factors.Z) for one in outcome.z.each if one.factors is not None]
     found = Evidence(
         parts=tuple(_simulated(part, other) for part, other in zip(observed.evidence, replicas, strict=True)),
         observed=observed.regression,
         method="iv",
         fixed_point=status in ("converged", "not_confirmed"),
         estimate=estimate,
-        used=outcome.used,
-        intervals=intervals_of(observed.regression, estimate, predicted, outcome.used),
+        used=outcome.z.used,
+        intervals=intervals_along(observed, outcome.z, estimate),
         least_squares=ls.full,
-        Z=outcome.z.Z,
+        Z=None if long else Z,
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
+        factors=tuple(factors) if len(factors) > 1 else (),
     )
     return assess_estimate(observed, found, ls, predicted, verdict)
 
 
 def _simulated(part: Part, simulated: Replica) -> Part:
     """A recording's part of the evidence with the robot simulated in it."""
-    motion, decimation = simulated.simulated.motion, simulated.decimation
+    motion, decimation = simulated.simulated.motion, simulated.simulated.decimation
     return replace(part, simulated=motion, decimation=decimation, reference=simulated.reference_kind)
 
 
 def with_instruments(evidence: Evidence, z: PassInstruments) -> Evidence:
     """The evidence of least squares with the instruments of a robot simulated with it, for the tests that need them."""
-    system, weights = evidence.observed.system, evidence.least_squares.weights
+    system, weights = evidence.observed.system.with_rows(evidence.used), evidence.least_squares.weights
+    assert z.Z is not None
     try:
-        estimate = instrumental_variables(system.with_rows(evidence.used), z.Z, weights)
+        estimate = instrumental_variables(system, z.Z, weights)
     except IdentificationError:
         return evidence
     parts = (
-        replace(part, simulated=one.motion, decimation=one.decimation, reference=one.reference_kind)
+        replace(
+            part,
+            simulated=None if one.simulated is None else one.simulated.motion,
+            decimation=None if one.simulated is None else one.simulated.decimation,
+            reference=one.reference_kind,
+        )
         for part, one in zip(evidence.parts, z.each, strict=True)
     )
-    return replace(
-        evidence,
-        parts=tuple(parts),
-        Z=z.Z,
-        first_stage_F=_tests(evidence.observed, estimate, evidence.used).first_stage_F,
-    )
+    rho = evidence.observed.tau - evidence.observed.predicted(estimate.among(system.names))
+    tests = _tests(system, estimate, rho, evidence.used)
+    return replace(evidence, parts=tuple(parts), Z=z.Z, first_stage_F=tests.first_stage_F)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
@@ -130,12 +135,12 @@ def assess_pass(estimate: Estimate, z: PassInstruments, system: System, toleranc
     )
 
 
-def _tests(observed: Regression, estimate: Estimate, used: Array) -> InstrumentTests:
-    system = observed.system
+def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> InstrumentTests:
+    """Tests of instruments that gave an estimate from a system; it leaves rho (rows, n), of which some are `used` (r,)."""
     among = np.array([system.names.index(name) for name in estimate.names])
-    W, Y = system.with_rows(used).with_columns(among).weighted(estimate.weights)
-    rho = (Y - W @ estimate.beta).reshape(observed.tau.shape[1], -1).T
-    return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(rho) or 0.0)
+    W, Y = system.with_columns(among).weighted(estimate.weights)
+    weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
+    return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(weighted) or 0.0)
 
 
 def _direct_errors(replicas: tuple[Replica, ...]) -> tuple[DirectModelError, ...]:

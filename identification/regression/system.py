@@ -15,7 +15,7 @@ from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 
-_NUMBERS_IN_MEMORY = 8_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
+_NUMBERS_IN_MEMORY = 4_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 _LINKS_KEPT = 12_000_000  # numbers of all links' columns before decimation, 96 MB; beyond, they are made anew
 ALL_REDUCED = 10**9  # so many recordings share the memory for rows that all are reduced

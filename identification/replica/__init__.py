@@ -2,13 +2,15 @@
 
 from .bench import Bench, DirectModelError, Place, Replica
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment, make_experiment
-from .instruments import InstrumentKind, Instruments, simulate_instruments, simulated_motion
+from .instruments import Counting, InstrumentKind, Instruments, simulate_instruments
 from .lab import Lab, PassInstruments, told, worst
+from .motion import SimulatedMotion, simulated_motion
 
 __all__ = [
     "EARLY_RATE_PER_BANDWIDTH",
     "RATE_PER_BANDWIDTH",
     "Bench",
+    "Counting",
     "DirectModelError",
     "Experiment",
     "InstrumentKind",
@@ -17,6 +19,7 @@ __all__ = [
     "PassInstruments",
     "Place",
     "Replica",
+    "SimulatedMotion",
     "make_experiment",
     "simulate_instruments",
     "simulated_motion",

@@ -4,22 +4,19 @@ from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+from numpy.typing import NDArray
+
 from ..arrays import Array
 from ..data import RecordingFile, Signals
-from ..estimation import one_thread, relative_error_percent
-from ..regression import Decimation, Overrides, Problem, make_problem
+from ..estimation import one_thread
+from ..regression import Overrides, Problem, make_problem
 from .experiment import Experiment, make_experiment
-from .instruments import (
-    Instruments,
-    SimulatedMotion,
-    joint_tracking_percent,
-    simulate_instruments,
-    simulated_motion,
-    simulated_robot,
-)
+from .instruments import Counting, Instruments, simulate_instruments
+from .motion import SimulatedMotion, simulated_motion, simulated_robot
 
 NUMBERS_KEPT = (
-    8_000_000  # of positions of the recordings that a process keeps at hand: 64 MB, and a few times as much in all
+    8_000_000  # of positions of the recordings that a process keeps at hand: 64 MB, a few times as much in all
 )
 
 
@@ -60,10 +57,15 @@ _problems: OrderedDict[str, Problem] = OrderedDict()  # of this process, those u
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bench:
-    """A recording laid out for simulation with gains set for the inertias of `prior` (b,)."""
+    """A recording laid out for simulation with gains set for the inertias of `prior` (b,).
+
+    `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
+    """
 
     place: Place
     prior: Array
+    slip_noise: Array
+    long: bool
     gain_update: bool = True
     _laid_out: dict[float, Experiment] = field(default_factory=dict)
 
@@ -71,7 +73,11 @@ class Bench:
         """The experiment with so many steps and samples per period of the bandwidth."""
         if rate_per_bandwidth not in self._laid_out:
             self._laid_out[rate_per_bandwidth] = make_experiment(
-                self.place.problem(), self.prior, gain_update=self.gain_update, rate_per_bandwidth=rate_per_bandwidth
+                self.place.problem(),
+                self.prior,
+                gain_update=self.gain_update,
+                rate_per_bandwidth=rate_per_bandwidth,
+                long=self.long,
             )
         return self._laid_out[rate_per_bandwidth]
 
@@ -98,15 +104,11 @@ class Replica:
     Attributes:
         simulated: the motion, and what is to be said of it.
         direct: errors of the direct model by joint, empty where nothing could be simulated.
-        q: (N, n) measured positions at the instants of the motion.
-        decimation: of the motion to the rows.
         others as in `Experiment`; `described` says whether the description has the control law.
     """
 
     simulated: SimulatedMotion
     direct: tuple[DirectModelError, ...]
-    q: Array
-    decimation: Decimation
     reference_kind: Literal["recorded", "surrogate"]
     described: bool
     J_known: bool
@@ -115,9 +117,17 @@ class Replica:
 
 
 @one_thread
-def instruments_at(bench: Bench, rate_per_bandwidth: float, beta: Array, covariance: Array | None) -> Instruments:
-    """Instruments of a recording along the robot simulated with parameters near to beta (b,)."""
-    return simulate_instruments(bench.at(rate_per_bandwidth), beta, covariance)
+def instruments_at(
+    bench: Bench,
+    rate_per_bandwidth: float,
+    beta: Array,
+    covariance: Array | None,
+    weights: Array,
+    kept: NDArray[np.bool_] | None,
+) -> Instruments:
+    """Instruments of a recording along the robot simulated with parameters near to beta (b,); rows as of `Counting`."""
+    counting = Counting(slip_noise=bench.slip_noise, weights=weights, kept=kept)
+    return simulate_instruments(bench.at(rate_per_bandwidth), beta, covariance, counting)
 
 
 @one_thread
@@ -127,29 +137,17 @@ def replica(bench: Bench, rate_per_bandwidth: float, beta: Array, covariance: Ar
     simulated = simulated_motion(e, beta) if covariance is None else simulated_robot(e, beta, covariance)
     return Replica(
         simulated=simulated,
-        direct=_direct_errors(e, simulated),
-        q=e.q,
-        decimation=e.decimation,
+        direct=tuple(
+            DirectModelError(name=joint.name, position_error_percent=position, torque_error_percent=torque)
+            for joint, position, torque in zip(
+                e.problem.signals.robot.joints, simulated.position_percent, simulated.torque_percent, strict=True
+            )
+        )
+        if simulated.motion is not None
+        else (),
         reference_kind=e.reference_kind,
         described=e.loop is not None,
         J_known=e.J_known,
         bandwidth_hz=e.bandwidth_hz,
         saturated_percent=e.saturated_percent,
-    )
-
-
-def _direct_errors(e: Experiment, simulated: SimulatedMotion) -> tuple[DirectModelError, ...]:
-    """Errors of the simulated robot by joint; none where it could not be simulated."""
-    if simulated.motion is None:
-        return ()
-    settings, signals = e.problem.settings, e.problem.signals
-    measured = settings.decimator.filtered(signals.effort[settings.start : settings.stop].T).T
-    tau, tracking = e.decimation.filtered(simulated.motion.tau.T).T, joint_tracking_percent(e, simulated.motion)
-    return tuple(
-        DirectModelError(
-            name=joint.name,
-            position_error_percent=tracking[j],
-            torque_error_percent=relative_error_percent(measured[:, j], measured[:, j] - tau[:, j]),
-        )
-        for j, joint in enumerate(signals.robot.joints)
     )

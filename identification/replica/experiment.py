@@ -2,7 +2,7 @@
 
 The instruments have samples as fine as 100 times the bandwidth, or the recording's rate where that is less, at instants that
 the decimated rows of W have too. The robot is simulated in steps as fine as 100 times the bandwidth, whatever the rate of
-recording and controller.
+recording and controller. Everything is made block by block, as the rows are: of a long recording no whole motion is held.
 """
 
 import math
@@ -10,21 +10,20 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import Signals
 from ..errors import IdentificationError
 from ..model import direct_model
-from ..regression import Decimation, Motion, Problem, differentiate, rule_cutoff_hz, sampled_at
+from ..regression import Decimation, Motion, Problem, RowBlock, differentiate, row_blocks, rule_cutoff_hz, sampled_at
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
-from ..trust import inertias, poses_of
+from ..trust import inertias, pose_step
+from .layout import Layout, make_layout
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
-LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
-MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
+_SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
+_BLOCK = 200_000  # samples looked through at a time for saturation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -32,40 +31,57 @@ class Experiment:
     """What every simulation of a recording shares.
 
     Attributes:
-        reference: what the controller follows, at its instants; `reference_kind` is `recorded`, or `surrogate`: the
-            measured position low-passed without phase shift.
+        blocks: of the rows; `layout` the instants, and `decimation` of the instruments to the rows.
+        reference_kind: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
         start: measured position and speed, filtered, (n,) each, at the first instant.
-        q: (N, n) measured position, filtered, at the instruments' instants.
+        travel: (n,) of the reference; `fastest` (c,) speeds of its directions of Coulomb friction.
+        scatter: (n,) sum of squares of the measured position, filtered, about its mean.
         poses: (P, n) positions at which M is checked.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
-        grid_s: (N,) instants of the instruments; `times_s`: (K,) of the controller, each with `substeps` simulated steps. A
-            surrogate has its instants at each step.
-        decimation: of the instruments, to the rows of W.
         saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         gain_update: whether gains follow the inertias of each estimate.
+        long: whether rows are QR factors: no whole motion is kept.
     """
 
     problem: Problem
-    reference: Reference
+    blocks: tuple[RowBlock, ...]
+    layout: Layout
+    decimation: Decimation
     reference_kind: Literal["recorded", "surrogate"]
     start: tuple[Array, Array]
-    q: Array
+    travel: Array
+    fastest: Array
+    scatter: Array
     poses: Array
     loop: ControlLaw | None
     J_prior: Array
     J_known: bool
     bandwidth_hz: float
-    grid_s: Array
-    times_s: Array
-    substeps: int
-    decimation: Decimation
     saturated_percent: float | None
     gain_update: bool
+    long: bool
+
+    def reference(self, first: int, last: int) -> Reference:
+        """What the controller follows from its instant `first` to before `last`."""
+        return _reference(self.problem, self.loop, self.layout.places(first, last))
+
+    def samples(self, block: RowBlock) -> slice:
+        """The instruments' samples that a block needs."""
+        return block.samples(self.layout.N, self.decimation.factor)
+
+    def measured(self, at: slice) -> Array:
+        """(N, n) measured position, filtered, at samples of the instruments."""
+        return _measured(self.problem, self.layout.of_recording(at)).q[:: self.layout.stride]
 
 
 def make_experiment(
-    problem: Problem, beta_ls: Array, *, gain_update: bool = True, rate_per_bandwidth: float = RATE_PER_BANDWIDTH
+    problem: Problem,
+    beta_ls: Array,
+    *,
+    gain_update: bool = True,
+    rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
+    long: bool = False,
 ) -> Experiment:
     """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
 
@@ -73,111 +89,94 @@ def make_experiment(
 
     Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
     """
-    signals, settings = problem.signals, problem.settings
-    robot, fs = signals.robot, signals.sample_rate_hz
+    signals, robot = problem.signals, problem.signals.robot
     loop = recorded_loop(robot) if has_controller(robot.controller) else None
     if loop is not None and signals.q_ref is None:
         loop = replace(loop, gravity=True)
+    _refuse_foreign_reference(problem)
     bandwidth_hz = robot.bandwidth_hz
-    step_hz = rate_per_bandwidth * bandwidth_hz
-    m = _stride(fs, settings.decimation, step_hz)
-    grid = np.arange((settings.stop - 1 - settings.start) % m + settings.start, settings.stop, m)
-    times_s, substeps = _instants(problem, loop, grid, step_hz)
-    measured = problem.motion.between(settings.start, settings.stop, rule_cutoff_hz(bandwidth_hz, fs))
-    reference = _reference(problem, measured, loop, times_s * fs - settings.start)
-    q = measured.q[grid - settings.start]
+    layout, blocks = make_layout(problem, loop, rate_per_bandwidth * bandwidth_hz), tuple(row_blocks(problem))
+    decimation = replace(problem.settings.decimator, factor=problem.settings.decimation // layout.stride)
+    directions, every = problem.model.coulomb_directions, pose_step(layout.N)
+    poses, ends, fastest = list[Array](), list[Array](), np.zeros(len(directions))
+    first, total, squares = _measured(problem, layout.of_recording(slice(0, 1))), *np.zeros((2, robot.n))
+    for block in blocks:
+        own = block.own_samples(layout.N, decimation.factor)
+        q = _measured(problem, layout.of_recording(own)).q[:: layout.stride]
+        poses.append(q[-own.start % every :: every])
+        total, squares = total + (q - first.q[0]).sum(axis=0), squares + ((q - first.q[0]) ** 2).sum(axis=0)
+        reference = _reference(problem, loop, layout.places(*layout.around(own)))
+        ends += [reference.q.min(axis=0), reference.q.max(axis=0)]
+        fastest = np.maximum(fastest, np.abs(reference.dq @ directions.T).max(axis=0, initial=0.0))
+    at = np.concatenate(poses)
     prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
-    J_prior = inertias(prior, poses_of(q))
+    J_prior = inertias(prior, at)
     J_known = bool((J_prior > 0).all())
     if not J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
         J_prior = loop.inertias(bandwidth_hz) if loop else np.ones(robot.n)
     return Experiment(
         problem=problem,
-        reference=reference,
+        blocks=blocks,
+        layout=layout,
+        decimation=decimation,
         reference_kind="surrogate" if signals.q_ref is None else "recorded",
-        start=(measured.q[grid[0] - settings.start], measured.dq[grid[0] - settings.start]),
-        q=q,
-        poses=poses_of(q),
+        start=(first.q[0], first.dq[0]),
+        travel=np.ptp(ends, axis=0),
+        fastest=fastest,
+        scatter=np.maximum(squares - total**2 / layout.N, 0.0),
+        poses=at,
         loop=loop,
         J_prior=J_prior,
         J_known=J_known,
         bandwidth_hz=bandwidth_hz,
-        grid_s=grid / fs,
-        times_s=times_s,
-        substeps=substeps,
-        decimation=replace(settings.decimator, factor=settings.decimation // m),
         saturated_percent=_saturated_percent(problem),
         gain_update=gain_update,
+        long=long,
     )
 
 
-def _instants(problem: Problem, loop: ControlLaw | None, grid: NDArray[np.intp], step_hz: float) -> tuple[Array, int]:
-    """Instants of the controller (K,) in s that span the samples `grid`, and simulated steps to each, at `step_hz` at least."""
-    signals, settings = problem.signals, problem.settings
-    robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.bandwidth_hz
-    period_s = loop.period_s if loop else (grid[1] - grid[0]) / fs
-    substeps = max(1, math.ceil(period_s * step_hz - 1e-9))
-    if loop is None:  # a continuous law: it acts at every step
-        period_s, substeps = period_s / substeps, 1
-    steps = (grid[-1] - grid[0]) / fs / period_s * substeps
-    if steps > MOST_STEPS:
-        raise IdentificationError(
-            f"{steps:.2g} steps to simulate with bandwidth_hz = {bandwidth_hz:g}",
-            place=f"robot {robot.name}",
-            key="controller.sample_rate_hz",
-            value=1 / period_s,
-            shown=f"{1 / period_s:g}",
-            expected=f"at most {MOST_STEPS:.2g} steps",
-        )
-    times_s = grid[0] / fs + period_s * np.arange(int(np.floor((grid[-1] - grid[0]) / fs / period_s + 1e-6)) + 1)
-    if len(times_s) < LEAST_INSTANTS:
-        raise IdentificationError(
-            f"{len(times_s)} instants in the {(settings.stop - settings.start) / fs:.3g} s of {signals.recording}",
-            place=f"robot {robot.name}",
-            key="controller.sample_rate_hz",
-            value=1 / period_s,
-            shown=f"{1 / period_s:g}",
-            expected=f"at least {LEAST_INSTANTS} instants",
-        )
-    return times_s, substeps
+def _measured(problem: Problem, samples: slice) -> Motion:
+    """The measured motion of samples of the recording, behind the rule's low-pass."""
+    cutoff_hz = rule_cutoff_hz(problem.signals.robot.bandwidth_hz, problem.signals.sample_rate_hz)
+    return problem.motion.between(samples.start, samples.stop, cutoff_hz)
 
 
-def _reference(problem: Problem, measured: Motion, loop: ControlLaw | None, at: Array) -> Reference:
-    """What the loop is given at places `at` (K,), counted in samples used: the recorded reference, or the measured motion.
+def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Reference:
+    """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion.
 
     The measured motion has in it what was fed forward. A surrogate loop's output is torque at the joints.
     """
-    signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
-    known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[used])
+    signals, settings = problem.signals, problem.settings
+    low = max(settings.start, math.floor(at[0]) - _SPLINE)
+    high = min(settings.stop, math.ceil(at[-1]) + 1 + _SPLINE)
+    at, near = at - low, slice(low, high)
+    known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
+        measured = _measured(problem, near)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
-    q_ref = np.array(signals.q_ref[used])
-    _refuse_foreign_reference(q_ref, signals.q[used], signals)
+    q_ref = np.array(signals.q_ref[near])
     dq_ref = differentiate(q_ref, signals.sample_rate_hz)
     paths = (sampled_at(at, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
     ahead = None
     if signals.feedforward is not None:  # held from sample to sample: a cubic would swing beside a step
-        ahead = signals.feedforward[used][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
+        ahead = signals.feedforward[near][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
         ahead = signals.robot.joint_effort(ahead) if loop is None else ahead
     return Reference(*paths, known_torque=known, feedforward=ahead)
 
 
-def _stride(fs: float, decimation: int, step_hz: float) -> int:
-    """The largest divisor of the decimation that leaves a rate of `step_hz`."""
-    divisors = [m for m in range(1, decimation + 1) if decimation % m == 0]
-    return max((m for m in divisors if fs / m >= step_hz), default=1)
-
-
-def _refuse_foreign_reference(q_ref: Array, q: Array, signals: Signals) -> None:
+def _refuse_foreign_reference(problem: Problem) -> None:
     """A reference far from the measured position belongs to another recording, or to other units."""
-    joints = signals.robot.joints
+    signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
+    if signals.q_ref is None:
+        return
+    joints, q, q_ref = signals.robot.joints, signals.q[used], signals.q_ref[used]
+    spreads = [float(np.std(q[:, j])) for j in range(len(joints))]
     for j, joint in enumerate(joints):
-        spread = np.std(q[:, j])
-        largest = max(np.std(q[:, i]) for i, other in enumerate(joints) if other.type == joint.type)
+        largest = max(spread for spread, other in zip(spreads, joints, strict=True) if other.type == joint.type)
         error = np.sqrt(np.mean((q_ref[:, j] - q[:, j]) ** 2))
-        if error > LOST * max(spread, 0.02 * largest):
+        if error > LOST * max(spreads[j], 0.02 * largest):
             raise IdentificationError(
-                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spread:.3g}",
+                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spreads[j]:.3g}",
                 place=f"{signals.recording}: reference of joint {joint.name}",
                 expected="the reference of this recording",
             )
@@ -188,5 +187,8 @@ def _saturated_percent(problem: Problem) -> float | None:
     limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
     if not np.isfinite(limits).any():
         return None
-    effort = signals.robot.motor_effort(signals.effort[settings.start : settings.stop])
-    return float(100 * (np.abs(effort) >= 0.995 * limits).any(axis=1).mean())
+    saturated = 0
+    for a in range(settings.start, settings.stop, _BLOCK):
+        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + _BLOCK)])
+        saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
+    return 100.0 * saturated / (settings.stop - settings.start)

@@ -1,12 +1,14 @@
 """All recordings of a fit laid out for simulation, each pass one task for each of them."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..estimation import System, combined
 from ..regression import OwnParameters
 from ..work import Work
 from .bench import Bench, Replica, instruments_at, replica
@@ -26,13 +28,39 @@ class PassInstruments:
     parameters: OwnParameters
 
     @cached_property
-    def Z(self) -> Array:
-        """Instruments (r, b), rows as those of W: joint by joint, recording by recording."""
-        if len(self.each) == 1:
-            return self.each[0].Z
+    def Z(self) -> Array | None:
+        """Instruments (r, b), rows as those of W: joint by joint, recording by recording; None of long recordings."""
+        found = [one.Z for one in self.each]
         n, b = self.each[0].gains.size, len(self.beta)
-        wide = [self.parameters.columns(one.Z, k) for k, one in enumerate(self.each)]
-        return np.concatenate([Z.reshape(n, -1, b) for Z in wide], axis=1).reshape(-1, b)
+        wide = [self.parameters.columns(Z, k) for k, Z in enumerate(found) if Z is not None]
+        if len(wide) < len(found):
+            return None
+        return wide[0] if len(wide) == 1 else np.concatenate([Z.reshape(n, -1, b) for Z in wide], axis=1).reshape(-1, b)
+
+    @cached_property
+    def factors(self) -> tuple[System, Array] | None:
+        """W, Y and Z of all long recordings; None of others, whose rows are held."""
+        found = [(one.factors.system, one.factors.Z) for one in self.each if one.factors is not None]
+        if not found:
+            return None
+        system, Z = found[0] if len(found) == 1 else combined(found)
+        assert Z is not None
+        return system, Z
+
+    @property
+    def used(self) -> Array:
+        """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
+        return np.concatenate(self.fast).T.reshape(-1).astype(float)
+
+    @property
+    def fast(self) -> tuple[NDArray[np.bool_], ...]:
+        """By recording which rows (rows, n) count."""
+        return tuple(one.fast for one in self.each)
+
+    def without_rows(self) -> "PassInstruments":
+        """The same without Z, and what else is as long as a recording but which rows count."""
+        each = (replace(one, Z=None, factors=None, simulated=None) for one in self.each)
+        return replace(self, each=tuple(each))
 
     @property
     def kind(self) -> InstrumentKind:
@@ -85,10 +113,24 @@ class Lab:
     parameters: OwnParameters
     work: Work
 
-    def instruments(self, beta: Array, covariance: Array | None, *, coarse: bool = False) -> PassInstruments:
-        """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance."""
+    def instruments(
+        self,
+        beta: Array,
+        covariance: Array | None,
+        weights: Array,
+        *,
+        kept: Sequence[NDArray[np.bool_]] | None = None,
+        coarse: bool = False,
+    ) -> PassInstruments:
+        """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
+
+        Joints have the `weights` (n,); `kept` are the rows that count, as of `PassInstruments.fast`, or None for those at which
+        the simulated robot is fast enough.
+        """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
-        each = tuple(self.work.run(instruments_at, self._tasks(rate, beta, covariance)))
+        rows: Sequence[NDArray[np.bool_] | None] = kept or [None] * len(self.benches)
+        tasks = [(*task, weights, own) for task, own in zip(self._tasks(rate, beta, covariance), rows, strict=True)]
+        each = tuple(self.work.run(instruments_at, tasks))
         return PassInstruments(beta=beta, each=each, names=self.names, parameters=self.parameters)
 
     def replicas(self, beta: Array, covariance: Array) -> tuple[Replica, ...]:

@@ -3,7 +3,7 @@
 from .evidence import Evidence, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lines import LEVELS, Figure, Level, Trust, TrustLine, Verdict
-from .physical import inertias, nearest_consistent, not_positive, poses_of
+from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of
 from .replay import replay_line
 from .solution import trust_in
 
@@ -22,6 +22,7 @@ __all__ = [
     "inertias",
     "nearest_consistent",
     "not_positive",
+    "pose_step",
     "poses_of",
     "replay_line",
     "trust_in",

@@ -56,7 +56,12 @@ class _Finding:
 
 def poses_of(q: Array) -> Array:
     """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is looked at."""
-    return q[:: max(1, len(q) // POSES)]
+    return q[:: pose_step(len(q))]
+
+
+def pose_step(N: int) -> int:
+    """From how many of N positions on one is taken for a pose."""
+    return max(1, N // POSES)
 
 
 def inertias(model: DirectModel, poses: Array) -> Array:
