@@ -34,7 +34,7 @@ TERMS = frozenset({"root", "load"}), frozenset({"load"})
 
 @pytest.mark.parametrize(
     ("noise", "in_loop", "lowest", "lowest_of_mu"),
-    [(1e-6, True, 90, 85), (1e-5, True, 75, 0), (1e-5, False, 90, 85)],
+    [(1e-6, True, 88, 80), (1e-5, True, 65, 0), (1e-5, False, 88, 80)],
 )
 def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest, lowest_of_mu, capsys):
     toml = REPLAY / "scara" / "robot.toml"
