@@ -23,6 +23,7 @@ from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.rows import sample_dtype
 from acquisition.trajectory.reference import fourier_reference
 from identification.data.signals import load_signals
+from identification.friction import with_terms
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
@@ -99,6 +100,18 @@ def test_fit_of_the_tx40_recording(tx40, capsys):
     found, floor_s = ratio(lambda: identify_ls(load_signals(tx40), Overrides()), floor(dynamics, q, q, q))
     with capsys.disabled():
         print(f"\nfit, MCAP to estimate: {found:.2f} x the floor of {floor_s:.3f} s (bound 5)")
+
+
+def test_fit_with_all_friction_terms_beside_one_without(tx40, capsys):
+    """Load friction takes passes, and there are a third more parameters."""
+    signals = load_signals(tx40)
+    usual, every = (
+        replace(signals, robot=with_terms(signals.robot, (frozenset(terms),) * 6))
+        for terms in ((), ("asymmetric", "root", "load"))
+    )
+    found, fit_s = ratio(lambda: identify_ls(every, Overrides()), lambda: identify_ls(usual, Overrides()))
+    with capsys.disabled():
+        print(f"\nfit with all friction terms: {found:.2f} x the fit of {fit_s:.2f} s without (bound 1.5)")
 
 
 def test_instrumental_variables_on_the_tx40_recording(tx40, capsys):
