@@ -243,40 +243,39 @@ def seconds_or_none(text: str) -> float | Literal["none"]:
 
 def finite(text: str) -> float:
     """A finite number."""
-    value = float(text)
-    if not -float("inf") < value < float("inf"):
-        raise ValueError(text)
-    return value
+    return _above(text, -float("inf"))
 
 
 def above_zero(text: str) -> float:
     """A finite number above 0."""
+    return _above(text, 0.0)
+
+
+def _above(text: str, least: float) -> float:
     value = float(text)
-    if not 0 < value < float("inf"):
+    if not least < value < float("inf"):
         raise ValueError(text)
     return value
 
 
 def whole(text: str) -> int:
     """A whole number from 0."""
-    value = int(text)
-    if value < 0:
-        raise ValueError(text)
-    return value
+    return _from(text, 0)
 
 
 def positive(text: str) -> int:
     """A whole number from 1."""
-    value = int(text)
-    if value < 1:
-        raise ValueError(text)
-    return value
+    return _from(text, 1)
 
 
 def at_least_two(text: str) -> int:
     """A whole number from 2."""
+    return _from(text, 2)
+
+
+def _from(text: str, least: int) -> int:
     value = int(text)
-    if value < 2:
+    if value < least:
         raise ValueError(text)
     return value
 
