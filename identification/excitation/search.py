@@ -26,6 +26,7 @@ FINER = 10  # times as many samples check what lies between those of the search
 ALL = 1 - (math.pi / (FINER * SAMPLES_PER_PERIOD)) ** 2 / 2
 STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: those before are of plain references
+WORST = 1 / 0.95  # of a deviation over that of the plain reference
 START_SHARE = 0.9  # of the limits, which a search starts within
 POSES = 200  # of which the one with most room is started from
 ITERATIONS = 50  # of a search
@@ -58,6 +59,8 @@ class Problem:
 def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
     """Coefficients (n, K) of the best of several searches that keeps the limits between samples too, and deviations (b,).
 
+    The best has the least criterion; one that makes no deviation larger than `WORST` times the plain one goes before others.
+
     Parameters
     ----------
     problem : the criterion and the limits.
@@ -69,7 +72,7 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
     ------
     IdentificationError : where no search keeps the limits.
     """
-    best: tuple[float, Array, Array] | None = None
+    best: tuple[tuple[bool, float], Array, Array] | None = None
     worst = ""
     basis, finer = (problem.series.basis(times * problem.samples) for times in (1, FINER))
     for i in range(STARTS):
@@ -87,9 +90,10 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
         except IdentificationError as error:  # it strayed to where nothing is excited
             worst = str(error)
             continue
-        f = float(np.mean((sigma / problem.plain) ** 2))
-        if best is None or f < best[0]:
-            best = f, x, sigma
+        ratios = sigma / problem.plain
+        found = (bool(ratios.max() > WORST), float(np.mean(ratios**2))), x, sigma
+        if best is None or found[0] < best[0]:
+            best = found
     if best is None:
         raise IdentificationError(
             f"no reference keeps the limits: {worst}",
