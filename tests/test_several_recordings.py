@@ -17,9 +17,11 @@ from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.export import model_of_fit
+from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
+from identification.report import differences, fit_document, fit_file, fitted_parameters, read_fit, write_json
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, random_reference, truth, write_signals
 from identification.work import Pool
@@ -455,6 +457,33 @@ def test_offsets_of_their_own(method):
     if method == "iv":
         assert found.status == "converged"
         assert found.trust.verdict == "trust"
+
+
+def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
+    text = robot_named("scara").files["robot.toml"].decode().replace("[[joint]]\n", "[[joint]]\noffset = true\n")
+    robot = robot_from_files({"robot.toml": f'{text}\n[identification]\nown = ["Off"]\n'.encode()}, "robot.toml")
+    fit = identify_ls(several(*(replace(recorded(k), robot=robot) for k in (1, 2, 3))), Overrides())
+    file = tmp_path / "fit.json"
+
+    def stored(fit):
+        write_json(file, fit_file(fit.problem.signals, fit, fit_document(fit.problem.signals, fit)))
+        return read_fit(file)
+
+    free = stored(fit)
+    assert free.covariance.names == list(fit.estimate.names)
+    assert free.left_out == []
+    with pytest.raises(IdentificationError) as told:
+        model_of_fit(free, "fit.json")
+    assert (told.value.key, told.value.expected) == ("covariance", "the fit again with --consistent")
+    assert told.value.value.startswith("Off1@r")
+    rows = differences(free.parameter_set("a"), free.parameter_set("b"))
+    assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
+    plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
+    shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
+    beside = {row.name: row.b.name for row in differences(free.parameter_set("a"), fitted_parameters(shared))}
+    assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
+    made = with_consistent(fit, Prior())
+    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json").mechanism.chi, made.consistent.chi)
 
 
 def test_own_parameters_by_hand():

@@ -175,11 +175,18 @@ def _have_expressions(*sets: ParameterSet) -> bool:
 
 
 def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
-    """By name in `a`, the name in `b` of the parameter that stands for the same."""
+    """By name in `a`, the name in `b` of the parameter that stands for the same.
+
+    One that a recording has for itself stands beside the same recording's, or beside the one that recordings share.
+    """
     if not _have_expressions(a, b):
         return {name: name for name in a.parameters if name in b.parameters}
-    named = {value.expression: name for name, value in b.parameters.items()}
-    return {name: named[x.expression] for name, x in a.parameters.items() if x.expression in named}
+    named = {(value.expression, name.removeprefix(base_name(name))): name for name, value in b.parameters.items()}
+    found = {
+        name: named.get((x.expression, name.removeprefix(base_name(name))), named.get((x.expression, "")))
+        for name, x in a.parameters.items()
+    }
+    return {name: partner for name, partner in found.items() if partner is not None}
 
 
 def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
