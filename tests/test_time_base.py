@@ -164,6 +164,11 @@ def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     assert doubts(260.0)[0].startswith("resample_hz = 260 is 2.6 times the rows' 100 Hz")
     assert doubts(1000.0)[0].startswith("resample_hz = 1000 is 10 times the rows' 100 Hz")
     assert rate_doubts(report_of(UNEVEN)) == []
+    for rate_hz in (1e-3, 1e9):
+        with pytest.raises(
+            AcquisitionError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"
+        ):
+            doubts(rate_hz)
 
 
 ROBOT = robot_named("scara")

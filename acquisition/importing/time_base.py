@@ -12,6 +12,7 @@ from .stamps import LONG_STEP, row_numbers, rows_in_time
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
+FINEST = 100.0  # times the rows' rate: a finer grid is a mistake
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +106,8 @@ def resample(
     Raises
     ------
     AcquisitionError
-        Fewer than 4 rows, time that runs backwards, two rows of one time with different values, a longer gap.
+        Fewer than 4 rows, time that runs backwards, two rows of one time with different values, a longer gap; a rate at which
+        they give less than two samples, or over 100 times their own.
     """
     from scipy.interpolate import CubicSpline
 
@@ -127,6 +129,13 @@ def resample(
         )
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
+    if count < 2 or rate_hz * report.period_s > FINEST:
+        raise AcquisitionError(
+            place=place,
+            key="resample_hz",
+            value=rate_hz,
+            expected=f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s",
+        )
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
