@@ -36,12 +36,18 @@ def test_a_room_has_a_purpose_a_face_and_few_files(room):
     assert len(files) <= MOST_FILES
 
 
+HEAVY = {"numpy", "scipy", "pinocchio", "rerun", "mcap", "rosbags", "pyarrow", "distributed", "rich", "can", "canopen"}
+
+
+def commands_of(package):
+    (choices,) = (action.choices for action in PROGRAMS[package].parser()._actions if action.choices)
+    return list(choices)
+
+
 @pytest.mark.parametrize("package", PACKAGES)
 def test_a_command_has_the_name_of_its_file(package):
-    program = PROGRAMS[package]
-    (choices,) = (action.choices for action in program.parser()._actions if action.choices)
-    files = [module.__name__.rsplit(".", 1)[-1].rstrip("_") for module in program.commands]
-    assert files == list(choices)
+    files = [module.__name__.rsplit(".", 1)[-1].rstrip("_") for module in PROGRAMS[package].commands]
+    assert files == commands_of(package)
 
 
 def test_every_room_is_in_the_contracts():
@@ -61,14 +67,16 @@ def test_files_stay_small():
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_help_loads_nothing_heavy(package):
+    """That of the program and of each command."""
+    helps = [["--help"], *([name, "--help"] for name in commands_of(package))]
     code = (
-        f"import sys\ntry:\n from {package}.commands import main\n main(['--help'])\nexcept SystemExit: pass\n"
-        "heavy = {'numpy', 'scipy', 'pinocchio', 'rerun', 'mcap', 'rich', 'can', 'canopen'} & set(sys.modules)\n"
-        "sys.exit(f'loaded: {heavy}' if heavy else 0)"
+        f"import sys\nfrom {package}.commands import main\n"
+        f"for arguments in {helps}:\n try: main(arguments)\n except SystemExit: pass\n"
+        f"heavy = {HEAVY} & set(sys.modules)\nsys.exit(f'loaded: {{heavy}}' if heavy else 0)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
-    assert "usage: robot-" in done.stdout
+    assert done.stdout.count("usage: robot-") == len(helps)
 
 
 def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
