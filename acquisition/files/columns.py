@@ -1,5 +1,6 @@
 """Columns of numbers from CSV and MAT files, without units or meaning."""
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -17,7 +18,7 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     Parameters
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
-        line; lines that begin with # are skipped, except a header.
+        line; lines that begin with # are skipped, except a header: the last such line above numbers.
     columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file, as
         `mat.read_variables` reads them: one name may give several columns.
     count : columns expected in all.
@@ -79,6 +80,8 @@ def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, 
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         raise AcquisitionError("holds no lines", place=place, expected="a table")
+    while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
+        del lines[0]  # a remark above the header
     first = lines[0][1].lstrip("# \t")
     separator = next((mark for mark in ";\t," if mark in first), None)
     names = [cell.strip() for cell in first.split(separator)]
@@ -104,6 +107,10 @@ def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, 
                     ) from error
         raise AcquisitionError(str(error), place=place) from error
     return values, labels
+
+
+def _has_numbers(line: str) -> bool:
+    return any(_number(cell) is not None for cell in re.split(r"[;,\s]+", line.lstrip("# \t")))
 
 
 def _cells(line: str, separator: str | None) -> int:

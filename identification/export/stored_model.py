@@ -95,9 +95,18 @@ def _made_consistent(stored: StoredFit, model: InverseModel, place: str) -> tupl
             expected="a fit of this version, best with --consistent",
         )
     names, values = stored.covariance.names, np.array(stored.covariance.values)
+    own = [name for name in names if name not in base.names]
+    if own:
+        raise IdentificationError(
+            "of single recordings: the fit is not consistent, and cannot be made so with them",
+            place=place,
+            key="covariance",
+            value=", ".join(own[:5]),
+            expected="the fit again with --consistent",
+        )
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in names and name not in left_out]
-    if missing or values.shape != (len(names), len(names)) or not set(names) <= set(base.names):
+    if missing or values.shape != (len(names), len(names)):
         raise IdentificationError(
             place=place, key="covariance", value=", ".join(missing[:5]) or None, expected="one row per parameter"
         )

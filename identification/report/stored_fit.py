@@ -207,7 +207,7 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
     sigma = dict(zip(full.names, full.covariance.diagonal() ** 0.5, strict=True))
     keys: dict[str, Any] = {
         "covariance": Covariance(names=list(names), values=fit.intervals.covariance.tolist()),
-        "left_out": [LeftOut(name=n, sigma=float(sigma[n])) for n in fit.base.names if n not in names],
+        "left_out": [LeftOut(name=n, sigma=float(sigma[n])) for n in full.names if n not in names],
     }
     c = fit.consistent
     if c is None:
