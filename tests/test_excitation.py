@@ -447,6 +447,20 @@ def test_the_largest_share_counts_distances_within_a_margin():
         assert limits.most_used(motion) == pytest.approx(max(share, others, 0.99), abs=1e-5)
 
 
+def test_a_search_starts_where_the_links_are_far_apart():
+    robot = capsules("", 0.95)
+    obstacles = obstacles_of(InverseModel(robot), lambda name: None, np.zeros((1, 2)), 0.02)
+    limits = limits_of(robot, None, 0.8, "here", obstacles)
+    poses = np.random.default_rng(9).uniform(-0.5, 0.5, (50, 2)) * limits.most[0]
+    used = [limits.most_used((pose[None], np.zeros((1, 2)), np.zeros((1, 2)))) for pose in poses]
+    for seed in range(5):
+        pose = search._roomiest(limits, seed)
+        assert np.abs(pose).max() <= limits.most[0].max() / 2
+        apart = limits.used((pose[None], np.zeros((1, 2)), np.zeros((1, 2))))[0, -1]
+        assert apart < 1
+        assert np.abs(pose / limits.most[0]).max() <= np.percentile(used, 20)
+
+
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
     monkeypatch.setattr(search, "STARTS", 1)
     robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4, seed=2)

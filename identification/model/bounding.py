@@ -39,8 +39,7 @@ def bounding_capsule(geometry: Any) -> Bounding:
     radius = float(off.max())
     reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))  # a point is inside with an end of the axis so near along it
     first, last = float((apart[:, along] + reach).min()), float((apart[:, along] - reach).max())
-    if first > last:
-        first = last = (first + last) / 2
+    # Of a compact shape the first may be the last: it is near every point between them.
     ends = np.tile(middle, (2, 1))
     ends[:, along] += first, last
     return Bounding(ends=ends, radius=radius)
