@@ -21,6 +21,7 @@ from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 
 from ..errors import AcquisitionError
+from ..files import GrowingBytes
 
 _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
@@ -33,13 +34,13 @@ _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError
 class Messages:
     """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents.
 
-    All contents are in one growing buffer, each up to its entry in `ends`: an hour of samples is too much to be held twice.
+    All contents are in one growing buffer, each up to its entry in `ends`: hours of samples are too much to be held in memory.
     """
 
     layout: str
     stamps_ns: list[int]
     ends: list[int]
-    data: bytearray
+    data: GrowingBytes
 
     def add(self, stamp_ns: int, content: bytes) -> None:
         """Append a message."""
@@ -49,9 +50,9 @@ class Messages:
 
     def items(self) -> Iterator[tuple[int, bytes]]:
         """Log time and content of each message."""
-        begin = 0
+        begin, data = 0, self.data.whole()
         for stamp_ns, end in zip(self.stamps_ns, self.ends, strict=True):
-            yield stamp_ns, bytes(self.data[begin:end])
+            yield stamp_ns, bytes(data[begin:end])
             begin = end
 
 
@@ -235,7 +236,7 @@ class _Chunks:
         if self._wanted(channel.topic):
             layout = self._schemas.get(channel.schema_id, "")
             topic = self.messages.setdefault(
-                channel.topic, Messages(layout=layout, stamps_ns=[], ends=[], data=bytearray())
+                channel.topic, Messages(layout=layout, stamps_ns=[], ends=[], data=GrowingBytes())
             )
             if topic.layout != layout:
                 raise ValueError(f"{channel.topic} changes its layout")

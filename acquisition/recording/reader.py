@@ -185,7 +185,7 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block
         raise AcquisitionError(
             f"{len(blocks.data)} bytes", place=place, expected=f"blocks of whole rows of {dtype.itemsize} bytes"
         )
-    rows = np.frombuffer(blocks.data, dtype)
+    rows = np.frombuffer(blocks.data.whole(), dtype)
     rows.flags.writeable = False
     return rows
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import AcquisitionError
+from ..files import let_go
 
 # One raw CAN frame; `data` beyond `length` is zero.
 FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
@@ -16,6 +17,7 @@ SENT = 1  # by us; not set: received
 EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
 REMOTE_REQUEST = 8  # remote request
+_CHECKED = 100_000  # rows at a time
 LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
@@ -58,27 +60,31 @@ def gaps(samples: Block, sample_rate_hz: float) -> tuple[Gap, ...]:
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
     """Refuse stamps that do not grow, from `after_ns` on, and values that are not finite; errors name `place`."""
-    stamps = samples["stamp_ns"]
-    bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
-    if bad.any():
-        row = int(np.argmax(bad))
-        raise AcquisitionError(
-            place=f"{place}: row {row + 1}",
-            key="stamp_ns",
-            value=int(stamps[row]),
-            expected=f"growing stamps from 0 to {LARGEST_STAMP_NS}",
-        )
-    for field in (samples.dtype.names or ())[1:]:
-        finite = np.isfinite(samples[field])
-        if not finite.all():
-            row, joint = np.argwhere(~finite)[0]
-            value = samples[field][row, joint]
+    for first in range(0, len(samples), _CHECKED):
+        rows = samples[first : first + _CHECKED]
+        stamps = rows["stamp_ns"]
+        bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
+        if bad.any():
+            row = int(np.argmax(bad))
             raise AcquisitionError(
-                place=f"{place}: row {row + 1}",
-                key=f"{field} of joint {joint + 1}",
-                value=float(value),
-                expected="a finite number",
+                place=f"{place}: row {first + row + 1}",
+                key="stamp_ns",
+                value=int(stamps[row]),
+                expected=f"growing stamps from 0 to {LARGEST_STAMP_NS}",
             )
+        after_ns = int(stamps[-1])
+        for field in (samples.dtype.names or ())[1:]:
+            finite = np.isfinite(rows[field])
+            if not finite.all():
+                row, joint = np.argwhere(~finite)[0]
+                value = rows[field][row, joint]
+                raise AcquisitionError(
+                    place=f"{place}: row {first + row + 1}",
+                    key=f"{field} of joint {joint + 1}",
+                    value=float(value),
+                    expected="a finite number",
+                )
+        let_go(samples)
 
 
 def check_frames(frames: Block, place: str) -> None:

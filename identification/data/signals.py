@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.files import field_of, let_go
 from acquisition.recording import OPTIONAL, Recording, read_recording
 from acquisition.robot import ExtraColumn, Robot, extra_columns
 
@@ -109,6 +110,7 @@ class Signals:
                         expected="finite numbers",
                     )
                 array.flags.writeable = False
+                let_go(array)
 
     @cached_property
     def torque(self) -> Array:
@@ -155,12 +157,12 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
             place=str(path),
             expected="the channel /samples (`robot-acquire decode` makes it from frames)",
         )
-    stamps = samples["stamp_ns"]
+    stamps = field_of(samples, "stamp_ns")
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
-    q, effort = (_at(grid, stamps, samples[name]) for name in ("position", "effort"))
+    q, effort = (_at(grid, stamps, field_of(samples, name)) for name in ("position", "effort"))
     fields = samples.dtype.names or ()
-    reference = _at(grid, stamps, samples["reference"]) if "reference" in fields else None
-    optional = {name: _at(grid, stamps, samples[name]) for name in OPTIONAL if name in fields}
+    reference = _at(grid, stamps, field_of(samples, "reference")) if "reference" in fields else None
+    optional = {name: _at(grid, stamps, field_of(samples, name)) for name in OPTIONAL if name in fields}
     if robot is not None and robot.n == recording.robot.n:
         # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
         was = recording.robot

@@ -1,13 +1,18 @@
 """Joint motion and torque on one time grid; that of a recording behind a low-pass, filtered once for all who need it."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+
+from acquisition.files import let_go, room
 
 from ..arrays import Array
 from ..data import Signals
 from .filtering import lowpass, lowpass_reach
 
+_BLOCK = 200_000  # samples interpolated at a time
+_SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
 _DIFFERENCES = 2  # samples to each side that two central differences reach
 _NUMBERS_KEPT = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered anew by each pass over it
 
@@ -40,9 +45,12 @@ class FilteredMotion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None leaves the position as it is."""
         s = self._signals
         if cutoff_hz is None or s.q.size > _NUMBERS_KEPT:
-            return motion_between(
+            motion = motion_between(
                 s.q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
             )
+            let_go(s.q)
+            let_go(s.torque)
+            return motion
         if cutoff_hz not in self._filtered:
             self._filtered[cutoff_hz] = lowpass(s.q, cutoff_hz, s.sample_rate_hz)
         return motion_of_filtered(
@@ -67,6 +75,18 @@ def sampled_at(at: Array, x: Array) -> Array:
     from scipy.interpolate import CubicSpline
 
     return np.asarray(CubicSpline(np.arange(len(x)), x)(at))
+
+
+def later(x: Array, by: float) -> Array:
+    """Samples x (N, n) `by` samples later, as of `sampled_at`; block by block, those of a long recording on disk."""
+    moved = room(x.shape)
+    for first in range(0, len(x), _BLOCK):
+        last = min(len(x), first + _BLOCK)
+        low, high = max(0, math.floor(first + by) - _SPLINE), min(len(x), math.ceil(last + by) + _SPLINE)
+        moved[first:last] = sampled_at(np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high])
+        let_go(x)
+        let_go(moved)
+    return moved
 
 
 def motion_between(

@@ -4,12 +4,10 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from ..data import Signals
 from ..model import BaseParameters, InverseModel, base_parameters
 from .filtering import decimation_reach
-from .motion import FilteredMotion, Motion, sampled_at
+from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz, torque_lag_s
 
 _SERIES_BLOCK = 12_000_000  # numbers of a block's regressor, 96 MB; shorter, more is spent on what reaches beyond it
@@ -56,8 +54,7 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
     """
     lag_s, _ = torque_lag_s(signals, overrides)
     if lag_s:
-        at = np.arange(len(signals.effort), dtype=np.float64) + lag_s * signals.sample_rate_hz
-        signals = replace(signals, effort=sampled_at(at, signals.effort))
+        signals = replace(signals, effort=later(signals.effort, lag_s * signals.sample_rate_hz))
     motion = FilteredMotion(signals)
     settings = make_settings(signals, overrides, motion)
     model = InverseModel(signals.robot)

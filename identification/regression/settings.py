@@ -7,6 +7,7 @@ from typing import Literal
 import numpy as np
 
 from acquisition.errors import AcquisitionError
+from acquisition.files import let_go
 from acquisition.robot import Edges, LowSpeed, check_recorded_positions, low_speed_by_method
 
 from ..data import Signals
@@ -92,6 +93,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         warnings = list(check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording))
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
+    let_go(signals.q)
     bandwidth_hz = signals.robot.bandwidth_hz
     cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):

@@ -87,7 +87,9 @@ def regression_of_recording(
             counts = fast[at.first : at.last]
             factors.add_block(np.concatenate([block.W, block.Y[:, None]], axis=1), counts)
             time_blocks.add(at.first, block.W, block.Y, counts)
-            block = replace(block, W=block.W[..., :0], Y=block.Y[..., :0])
+            block = replace(
+                block, W=block.W[..., :0].copy(), Y=block.Y[..., :0].copy()
+            )  # no views: they would hold the whole
         blocks.append(block)
         say(f"regressor: {at.last / rows:.0%}")
     whole = _stacked(blocks, fast, base, slip_noise)

@@ -11,6 +11,8 @@ from typing import Literal
 
 import numpy as np
 
+from acquisition.files import let_go
+
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
@@ -155,6 +157,7 @@ def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Referenc
         measured = _measured(problem, near)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
+    let_go(signals.q_ref)
     dq_ref = differentiate(q_ref, signals.sample_rate_hz)
     paths = (sampled_at(at, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
     ahead = None
@@ -169,14 +172,21 @@ def _refuse_foreign_reference(problem: Problem) -> None:
     signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:
         return
-    joints, q, q_ref = signals.robot.joints, signals.q[used], signals.q_ref[used]
-    spreads = [float(np.std(q[:, j])) for j in range(len(joints))]
-    for j, joint in enumerate(joints):
-        largest = max(spread for spread, other in zip(spreads, joints, strict=True) if other.type == joint.type)
-        error = np.sqrt(np.mean((q_ref[:, j] - q[:, j]) ** 2))
-        if error > LOST * max(spreads[j], 0.02 * largest):
+    joints, first, N = signals.robot.joints, signals.q[used.start], used.stop - used.start
+    total, squares, off = np.zeros((3, len(joints)))
+    for a in range(used.start, used.stop, _BLOCK):
+        some = slice(a, min(used.stop, a + _BLOCK))
+        x = signals.q[some] - first
+        total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
+        off = off + ((signals.q_ref[some] - signals.q[some]) ** 2).sum(axis=0)
+        let_go(signals.q)
+        let_go(signals.q_ref)
+    spreads, errors = np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0)), np.sqrt(off / N)
+    for joint, spread, error in zip(joints, spreads, errors, strict=True):
+        largest = max(s for s, other in zip(spreads, joints, strict=True) if other.type == joint.type)
+        if error > LOST * max(spread, 0.02 * largest):
             raise IdentificationError(
-                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spreads[j]:.3g}",
+                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spread:.3g}",
                 place=f"{signals.recording}: reference of joint {joint.name}",
                 expected="the reference of this recording",
             )
@@ -191,4 +201,5 @@ def _saturated_percent(problem: Problem) -> float | None:
     for a in range(settings.start, settings.stop, _BLOCK):
         effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + _BLOCK)])
         saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
+        let_go(signals.effort)
     return 100.0 * saturated / (settings.stop - settings.start)

@@ -5,6 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.files import let_go
+
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
@@ -114,6 +116,7 @@ class Followed:
         settings, effort = e.problem.settings, e.problem.signals.effort
         used = block.rows.samples(settings.stop - settings.start, settings.decimation)
         measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.rows.inside]
+        let_go(effort)
         tau = e.decimation.filtered(motion.tau.T)[:, block.rows.inside]
         self._rho, self._tau = self._rho + ((measured - tau) ** 2).sum(axis=1), self._tau + (measured**2).sum(axis=1)
         if self._keep:

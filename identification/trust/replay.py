@@ -10,6 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.files import let_go
+
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
@@ -19,6 +21,7 @@ from .evidence import Evidence
 from .lines import LEVELS, Figure, TrustLine
 
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
+REPLAYED_S = 600.0  # of a long recording: what the law gives later it gives for the same reasons
 MOST_LAG = 20  # samples looked at, to start from
 EARLIER = MOST_LAG + 3  # samples replayed before those compared: a lag, and the past of the velocity estimate
 LAG_PASSES = 3  # of Gauss and Newton, from there
@@ -88,7 +91,7 @@ def _compared(
 ) -> tuple[float, float, float, float]:
     """Gain, lag in samples, errors in percent of efforts (N, 1). An unknown start of the integral is a constant."""
     settings, decimation = problem.settings, problem.settings.decimator
-    start, stop = max(settings.start, EARLIER), settings.stop
+    start, stop = max(settings.start, EARLIER), _stop(problem)
     measured = decimation.filtered(effort[start:stop].T)[0]
     norm, gain, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0
     lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
@@ -117,10 +120,10 @@ def _whole_lag(effort: Array, replayed: Array, start: int) -> float:
 
 
 def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
-    """Recorded and replayed joint efforts (N, n) of the whole recording; zero replayed before the samples used."""
+    """Recorded and replayed joint efforts (N, n) up to beyond the last sample replayed; zero where none is."""
     signals, fs = problem.signals, problem.signals.sample_rate_hz
     assert signals.q_ref is not None
-    first, last = max(0, problem.settings.start - EARLIER), problem.settings.stop - 1
+    first, last = max(0, problem.settings.start - EARLIER), _stop(problem) - 1
     count = int((last - first) / (loop.period_s * fs) + 1e-6) + 1
     ticks = first + loop.period_s * fs * np.arange(count, dtype=np.float64)
     q, q_ref = sampled_at(ticks, signals.q), sampled_at(ticks, signals.q_ref)
@@ -128,14 +131,22 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     dq_ref = differentiate(q_ref, 1 / loop.period_s)
     ahead = None if signals.feedforward is None else signals.feedforward[np.rint(ticks).astype(np.intp)]
     reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s), feedforward=ahead)
+    let_go(signals.q)
+    let_go(signals.q_ref)
     model = direct_model(problem.model, np.zeros(problem.model.p))  # of no use here: these laws have none in them
     control = Control(model, loop, q[0], (q[1] - q[0]) / loop.period_s)
     control.take(reference)
     given = np.array([control.torque(k, q[k], v[k]) for k in range(len(q))])
-    replayed = np.zeros_like(signals.effort)
-    samples = np.arange(first, last + 1, dtype=np.float64)
+    effort = signals.effort[: last + 1 + EARLIER]
+    replayed, samples = np.zeros_like(effort), np.arange(first, last + 1, dtype=np.float64)
     replayed[first : last + 1] = sampled_at((samples - first) / (loop.period_s * fs), given)
-    return signals.effort, replayed
+    return effort, replayed
+
+
+def _stop(problem: Problem) -> int:
+    """Past the last sample replayed."""
+    settings = problem.settings
+    return min(settings.stop, settings.start + round(REPLAYED_S * problem.signals.sample_rate_hz))
 
 
 def _not_made(problem: Problem, loop: ControlLaw | None) -> str | None:

@@ -1,0 +1,76 @@
+"""What is too large to be held in memory, in a temporary file: memory has of it what is looked at."""
+
+import mmap
+import tempfile
+from typing import IO, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+HELD = 2**28  # bytes that are held in memory
+_ROWS = 100_000  # gone through at a time
+
+
+class GrowingBytes:
+    """Bytes that grow, in memory or, beyond `HELD`, in a temporary file without a name."""
+
+    def __init__(self) -> None:
+        """None yet."""
+        self._held, self._size = bytearray(), 0
+        self._file: IO[bytes] | None = None
+
+    def __len__(self) -> int:
+        return self._size
+
+    def extend(self, content: bytes) -> None:
+        """Append. Raises `OSError` where the disk is full."""
+        self._size += len(content)
+        if self._file is None and self._size > HELD:
+            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the bytes)
+            self._file.write(self._held)
+            self._held = bytearray()
+        if self._file is None:
+            self._held.extend(content)
+        else:
+            self._file.write(content)
+
+    def whole(self) -> bytearray | mmap.mmap:
+        """All of them; nothing is appended afterwards."""
+        if self._file is None:
+            return self._held
+        self._file.flush()
+        return mmap.mmap(self._file.fileno(), self._size, access=mmap.ACCESS_READ)
+
+
+def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    """An array to be filled; one larger than `HELD` lies in a temporary file without a name."""
+    size = 8 * int(np.prod(shape))
+    if size <= HELD:
+        return np.empty(shape)
+    with tempfile.TemporaryFile() as file:
+        file.truncate(size)
+        return np.frombuffer(mmap.mmap(file.fileno(), size), np.float64).reshape(shape)
+
+
+def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
+    """A field of rows. Where these are more than `HELD` it lies on disk by itself: rows are read once, and let go."""
+    x = rows[name]
+    if rows.nbytes <= HELD:
+        return x
+    own = room(x.shape).view(x.dtype)
+    for first in range(0, len(x), _ROWS):
+        own[first : first + _ROWS] = x[first : first + _ROWS]
+        let_go(rows)
+    let_go(own)
+    return own
+
+
+def let_go(x: NDArray[np.generic]) -> None:
+    """Take what lies in a temporary file out of memory: it is read again where it is looked at."""
+    base: object = x
+    while isinstance(base, np.ndarray):
+        base = base.base
+    if isinstance(base, memoryview):
+        base = base.obj
+    if isinstance(base, mmap.mmap):
+        base.madvise(mmap.MADV_DONTNEED)

@@ -1,0 +1,84 @@
+"""Recordings larger than what is held in memory: their samples lie on disk, and give the same."""
+
+import numpy as np
+import pytest
+from conftest import REPLAY
+
+from acquisition.files import GrowingBytes, let_go, on_disk, room
+from acquisition.recording import read_recording
+from identification import identify_iv, load_signals
+from identification.methods import Iteration
+from identification.regression import Overrides
+from identification.regression.motion import later, sampled_at
+
+
+@pytest.fixture
+def everything_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(on_disk, "HELD", 1000)
+    monkeypatch.setattr(on_disk, "_ROWS", 999)
+    monkeypatch.setattr("acquisition.recording.rows._CHECKED", 700)
+
+
+def is_on_disk(x: np.ndarray) -> bool:
+    while isinstance(x.base, np.ndarray):
+        x = x.base
+    return x.base is not None
+
+
+@pytest.mark.parametrize("held", [0, 5, 10, 10**6])
+def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
+    monkeypatch.setattr(on_disk, "HELD", held)
+    grown = GrowingBytes()
+    for part in (b"ab", b"", b"cdefgh", b"ij"):
+        grown.extend(part)
+    assert (len(grown), bytes(grown.whole())) == (10, b"abcdefghij")
+
+
+def test_what_is_let_go_is_read_again(everything_on_disk):
+    x = room((500, 3))
+    x[:] = np.arange(1500.0).reshape(500, 3)
+    assert is_on_disk(x)
+    let_go(x)
+    let_go(x[10:20, 1])
+    np.testing.assert_array_equal(x, np.arange(1500.0).reshape(500, 3))
+    held = room((3, 3))
+    held[:] = 1.0
+    assert not is_on_disk(held)
+    let_go(held)
+    assert (held == 1.0).all()
+
+
+def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
+    path = REPLAY / "scara" / "session.mcap"
+    wanted = load_signals(path)
+    fitted = identify_iv(wanted, Overrides(), Iteration())
+    request.getfixturevalue("everything_on_disk")
+    found = load_signals(path)
+    assert is_on_disk(found.q)
+    assert is_on_disk(read_recording(path).samples)
+    for name in ("t_s", "q", "q_ref", "effort"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+    np.testing.assert_array_equal(identify_iv(found, Overrides(), Iteration()).beta, fitted.beta)
+
+
+@pytest.mark.parametrize("by", [-0.5, 0.5, 2.0, -3.0])
+def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
+    x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
+    wanted = sampled_at(np.arange(1000) + by, x)
+    monkeypatch.setattr("identification.regression.motion._BLOCK", 300)
+    np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)
+
+
+def test_a_row_that_is_refused_is_counted_from_the_first(everything_on_disk, tmp_path):
+    from made_up_recordings import some_samples
+
+    from acquisition.errors import AcquisitionError
+    from acquisition.recording.rows import check_samples
+
+    samples = some_samples(2000)
+    samples["effort"][1500, 0] = np.nan
+    with pytest.raises(AcquisitionError, match="row 1501"):
+        check_samples(samples, -1, "here")
+    samples["stamp_ns"][1400] = samples["stamp_ns"][1399]  # the first of a block of 700 rows
+    with pytest.raises(AcquisitionError, match="row 1401"):
+        check_samples(samples, -1, "here")
