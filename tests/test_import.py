@@ -12,6 +12,7 @@ from acquisition.importing.samples import Imported
 from acquisition.importing.tables import import_tables
 from acquisition.recording.reader import read_recording
 from acquisition.robot.robot import Robot, robot_from_files
+from identification.data.signals import load_signals
 
 ROBOT = """
 name = "two"
@@ -262,6 +263,11 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) ->
         ('unit = "mA"', 'unit = "mA"\ntable = 2', "effort.table = 2: expected 1 at most, the number of tables given"),
         ('unit = "mA"', 'unit = "mA"\ntable = 0', "effort.table = 0: expected `int` >= 1"),
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort: Object contains unknown field `scale`"),
+        (
+            "sample_rate_hz = 500",
+            'sample_rate_hz = 500\neffort_timing = "mean"',
+            "map.toml: effort_timing = 'mean': expected one of 'command', 'measured'",
+        ),
         ("[effort]", "[torque]", "map.toml: top level: Object contains unknown field `torque`"),
     ],
 )  # fmt: skip
@@ -448,6 +454,21 @@ def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None
     assert samples is not None
     assert samples["effort"].tolist() == CURRENT.tolist()
     assert recording.metadata["effort_provenance"] == "a.csv: c1, c2: N m at the joint; joint effort = value in N m"
+
+
+@pytest.mark.parametrize(
+    ("stated", "kept", "timing"),
+    [
+        ("", None, "command"),
+        ('effort_timing = "command"', None, "command"),
+        ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
+    ],
+)
+def test_efforts_are_commands_unless_the_map_says_measured(tmp_path: Path, two: Robot, stated, kept, timing) -> None:
+    table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
+    out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
+    assert read_recording(out).metadata.get("effort_timing") == kept
+    assert load_signals(out).effort_timing == timing
 
 
 def test_missing_files_are_named(tmp_path: Path, two: Robot) -> None:

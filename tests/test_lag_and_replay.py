@@ -122,6 +122,7 @@ def test_a_known_lag_is_corrected_and_the_test_counts_from_it():
         ("command", 500.0, None, None, -1e-3, -1e-3),
         ("mean", 1000.0, None, None, 0.0, 0.0),
         ("drive", 1000.0, None, None, 0.0, 0.0),
+        ("measured", 1000.0, None, None, 0.0, 0.0),
         ("command", None, None, None, 0.0, 0.0),
         ("command", 1000.0, "none", None, 0.0, -0.5e-3),
         ("command", 1000.0, 2e-3, None, 2e-3, 2e-3),

@@ -1,5 +1,7 @@
 """ROS 2 bags: those that the package rosbags writes are read sample by sample, and it reads those that are written."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
@@ -10,6 +12,9 @@ from rosbags.typesys import Stores, get_typestore
 from acquisition.commands import main
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
 from acquisition.ros import urdf_of
+from identification.data import load_signals
+from identification.regression import Overrides
+from identification.regression.settings import torque_lag_s
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"
@@ -168,6 +173,14 @@ def test_a_clock_that_begins_at_zero_stamps_the_first_header_with_it(tmp_path):
     status, out = imported(path, out=tmp_path / "out.mcap")
     assert status == 0
     np.testing.assert_array_equal(read_recording(out).samples["stamp_ns"], np.arange(N) * 10_000_000)
+
+
+def test_efforts_of_a_bag_were_measured_and_no_lag_is_expected(tmp_path, whole):
+    """The robot's control rate is described: commands of it would be shifted by half a millisecond."""
+    signals = load_signals(imported(whole, out=tmp_path / "out.mcap")[1])
+    assert signals.effort_timing == "measured"
+    assert torque_lag_s(signals, Overrides()) == (0.0, 0.0)
+    assert torque_lag_s(replace(signals, effort_timing="command"), Overrides()) == (-0.5e-3, -0.5e-3)
 
 
 def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, capsys):

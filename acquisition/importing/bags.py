@@ -40,6 +40,7 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
     """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names in robot.toml.
 
     Times are the headers' stamps, or those of reception where headers have none; values are interpolated to a uniform grid.
+    The recording says that efforts were measured at these times: a JointState has no commands.
 
     Parameters
     ----------
@@ -83,6 +84,7 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
         source=f"ROS 2 bag {bag.name}, topic {choice.topic}",
         provenance=provenance,
         report=replace(grid.report, clock=clock),
+        effort_measured=True,
         doubts=(*doubts, *rate_doubts(grid.report), *([warning] if warning else [])),
     )
     return write_samples(samples, out)

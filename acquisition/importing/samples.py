@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..files import atomic_write
-from ..recording import Header, RecordingWriter, sample_dtype
+from ..recording import EFFORT_MEASURED, EFFORT_TIMING, Header, RecordingWriter, sample_dtype
 from ..robot import Robot, check_recorded_positions
 from .time_base import TimeReport
 
@@ -40,7 +40,8 @@ class Samples:
     """What an import found, on a uniform grid.
 
     `parts` (N, n) by the names of a sample's fields; `stamps` (N,) ns; `place`: the files, for errors; `source`, `provenance`:
-    as in the recording's header; `doubts`: warnings about the times, which are kept in the recording.
+    as in the recording's header; `doubts`: warnings about the times, which are kept in the recording; `effort_measured`:
+    efforts were measured at the instants of the samples, not commands that are held after them.
     """
 
     robot: Robot
@@ -52,6 +53,7 @@ class Samples:
     provenance: str
     report: TimeReport | None = None
     doubts: tuple[str, ...] = ()
+    effort_measured: bool = False
 
 
 def write_samples(found: Samples, out: Path) -> Imported:
@@ -69,12 +71,14 @@ def write_samples(found: Samples, out: Path) -> Imported:
     rows["stamp_ns"] = found.stamps
     for name, part in parts.items():
         rows[name] = part
+    times = {} if found.report is None else {"times": found.report.text}
+    timing = {EFFORT_TIMING: EFFORT_MEASURED} if found.effort_measured else {}
     header = Header(
         robot=robot,
         source=found.source,
         sample_rate_hz=found.rate_hz,
         effort_provenance=found.provenance,
-        notes={} if found.report is None else {"times": found.report.text},
+        notes={**times, **timing},
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.samples(rows)

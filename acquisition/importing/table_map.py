@@ -76,7 +76,10 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`map.toml`: where positions, efforts and what else was recorded are found, and the rate or the times of the samples."""
+    """`map.toml`: where positions, efforts and what else was recorded are found, and the rate or the times of the samples.
+
+    `effort_timing`: efforts are commands, each held from its sample to the next, or were measured at its instant.
+    """
 
     position: Quantity
     effort: Quantity
@@ -86,3 +89,4 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     feedforward: Quantity | None = None
     time: Time | None = None
     sample_rate_hz: Positive | None = None
+    effort_timing: Literal["command", "measured"] = "command"

@@ -28,6 +28,10 @@ import numpy as np
 from ..robot import Robot, extra_columns
 from .rows import OPTIONAL, sample_dtype
 
+# Key of the metadata and its values: what instants efforts belong to. Without it they are commands, each held after its own.
+EFFORT_TIMING = "effort_timing"
+EFFORT_MEAN, EFFORT_MEASURED = "mean over the control period", "measured at the instant of the sample"
+
 SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
 FRAMES_TOPIC = re.compile(r"/can/([A-Za-z0-9_.-]{1,64})/frames")

@@ -2,12 +2,10 @@
 
 from .agreement import check_one_robot
 from .in_memory import signals_from_arrays
-from .signals import EFFORT_TIMING, MEAN, ON_GRID, Signals, load_signals
+from .signals import ON_GRID, Signals, load_signals
 from .sources import RecordingFile, Recordings
 
 __all__ = [
-    "EFFORT_TIMING",
-    "MEAN",
     "ON_GRID",
     "RecordingFile",
     "Recordings",

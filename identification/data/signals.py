@@ -12,15 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.files import field_of, let_go
-from acquisition.recording import OPTIONAL, Recording, read_recording
+from acquisition.recording import EFFORT_MEAN, EFFORT_MEASURED, EFFORT_TIMING, OPTIONAL, Recording, read_recording
 from acquisition.robot import ExtraColumn, Robot, extra_columns
 
 from ..arrays import Array
 from ..errors import IdentificationError
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
-EFFORT_TIMING, MEAN = "effort_timing", "mean over the control period"  # key and value of a recording's metadata
-EffortTiming = Literal["command", "mean", "drive"]
+EffortTiming = Literal["command", "mean", "measured", "drive"]
 LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
@@ -51,7 +50,8 @@ class Signals:
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
         effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
-            package simulates; `drive`: an object of drives whose loops are faster than the recording.
+            package simulates; `measured` at the instant, as in joint states of ROS; `drive`: an object of drives whose loops
+            are faster than the recording.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) torques on the joints that are known and not of the drives, N m or N, or None.
         feedforward: (N, n) what was added to the controller's output, by motor in the unit of the recorded effort, or None.
@@ -196,8 +196,9 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
 
 def _effort_timing(metadata: Mapping[str, str]) -> EffortTiming:
     """What instants efforts belong to, by what the recording says of them."""
-    if metadata.get(EFFORT_TIMING) == MEAN:
-        return "mean"
+    stated: dict[str | None, EffortTiming] = {EFFORT_MEAN: "mean", EFFORT_MEASURED: "measured"}
+    if (timing := stated.get(metadata.get(EFFORT_TIMING))) is not None:
+        return timing
     return "drive" if ": object " in metadata.get("effort_provenance", "") else "command"
 
 

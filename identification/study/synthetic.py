@@ -11,12 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.files import atomic_write
-from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
+from acquisition.recording import (
+    EFFORT_MEAN,
+    EFFORT_MEASURED,
+    EFFORT_TIMING,
+    OPTIONAL,
+    Header,
+    RecordingWriter,
+    sample_dtype,
+)
 from acquisition.robot import Robot
 from acquisition.trajectory import FourierReference, fourier_reference
 
 from ..arrays import Array
-from ..data import EFFORT_TIMING, MEAN, Signals
+from ..data import Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
@@ -171,7 +179,8 @@ def write_signals(
         samples["reference"] = signals.q_ref
     for name, values in optional.items():
         samples[name] = values
-    timing = {EFFORT_TIMING: MEAN} if signals.effort_timing == "mean" else {}
+    stated = {"mean": EFFORT_MEAN, "measured": EFFORT_MEASURED}.get(signals.effort_timing)
+    timing = {} if stated is None else {EFFORT_TIMING: stated}
     with (
         atomic_write(path) as partial,
         RecordingWriter(
