@@ -16,7 +16,7 @@ from identification.estimation.estimators import (
     weighted_least_squares,
 )
 from identification.estimation.f_test import f_tail, independent_share
-from identification.estimation.system import System, condensed
+from identification.estimation.system import System, condensed, orthonormal, r_factor
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -194,3 +194,20 @@ def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_th
     covariance = c ** np.abs(np.subtract.outer(np.arange(r), np.arange(r)))
     assert independent_share(c) == pytest.approx(1 / (covariance.mean() * r), rel=0.01)
     assert independent_share(-0.5) == 1.0
+
+
+@pytest.mark.parametrize("condition", [1.0, 1e6])
+@pytest.mark.parametrize("rows", [5, 2047, 2048, 5000])
+def test_factors_of_tall_matrices(rows, condition):
+    """Blocks of rows factored on their own: RᵀR = AᵀA, and orthonormal columns that span A's, well conditioned or not."""
+    rng = np.random.default_rng(3)
+    A = rng.normal(size=(rows, 4)) @ np.linalg.qr(rng.normal(size=(4, 4)))[0] * np.geomspace(1, 1 / condition, 4)
+    A = A @ np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    R, Q = r_factor(A), orthonormal(A)
+    assert R.shape == (4, 4)
+    np.testing.assert_array_equal(np.tril(R, -1), 0.0)
+    # A is scaled so that a lost digit of its small directions shows.
+    small = np.linalg.svd(A)[2][-1]
+    assert np.linalg.norm(R @ small) == pytest.approx(np.linalg.norm(A @ small), rel=1e-6)
+    np.testing.assert_allclose(Q.T @ Q, np.eye(4), atol=1e-11)
+    np.testing.assert_allclose(Q @ (Q.T @ A), A, atol=1e-11 * np.abs(A).max())

@@ -43,7 +43,7 @@ from .estimators import (
 )
 from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
-from .system import Factors, System, combined, condensed, undetermined_parameters
+from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
 from .whitening import whitened
 
 __all__ = [
@@ -83,6 +83,7 @@ __all__ = [
     "ordinary_least_squares",
     "prior_shares",
     "pseudo_inertia",
+    "r_factor",
     "relative_error_percent",
     "scores_of_recordings",
     "slices",

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from .confidence import slices
 from .f_test import f_tail, independent_share
+from .system import orthonormal, r_factor
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 
@@ -149,12 +150,12 @@ def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float
     """
     b = W.shape[1]
     d = np.linalg.norm(W, axis=0)
-    Qw = np.linalg.qr(W / d)[0]
+    Qw = orthonormal(W / d)
     strength = float(min(1.0, np.linalg.svd(Q.T @ Qw, compute_uv=False)[-1]))
     first_stage = strength**2 / max(1e-300, 1 - strength**2) * (rows - b) / b
     V = W / d - Q @ (Q.T @ (W / d))  # what of W its instruments do not explain
     outside = V - Qw @ (Qw.T @ V)
-    U, singular, _ = np.linalg.svd(outside, full_matrices=False)
+    _, singular, Vt = np.linalg.svd(r_factor(outside))
     independent = int((singular > 1e-6).sum())
     nothing = InstrumentTests(
         dwh_F=None,
@@ -167,9 +168,9 @@ def instrument_tests(Q: Array, W: Array, Y: Array, rows: int, correlation: float
     freedom = rows - b - independent
     if not independent or freedom < 1:
         return nothing
-    U = U[:, :independent]
     rho = Y - Qw @ (Qw.T @ Y)
-    explained = float(((U.T @ rho) ** 2).sum())
+    along = Vt[:independent] @ (outside.T @ rho) / singular[:independent]
+    explained = float((along**2).sum())
     left = float(rho @ rho) - explained
     if left <= 0:
         return nothing

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 from ..arrays import Array
 from ..errors import IdentificationError
 from .f_test import f_tail, independent_share
-from .system import RANK_TOLERANCE, System, refuse_rank_deficiency
+from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -118,8 +118,9 @@ def joint_weights(system: System) -> Array:
     for j in range(len(rows)):
         W_j, Y_j = W[system.joint_of_row == j], Y[system.joint_of_row == j]
         W_j = W_j[:, np.any(W_j != 0, axis=0)]
-        b_j, _, rank, _ = np.linalg.lstsq(W_j / _norms(W_j), Y_j, rcond=RANK_TOLERANCE)
-        rho = Y_j - (W_j / _norms(W_j)) @ b_j
+        R = r_factor(np.c_[W_j / _norms(W_j), Y_j])  # of which the residual has the same norm
+        b_j, _, rank, _ = np.linalg.lstsq(R[:, :-1], R[:, -1], rcond=RANK_TOLERANCE)
+        rho = R[:, -1] - R[:, :-1] @ b_j
         s[j] = np.sqrt(rho @ rho / max(1, rows[j] - rank))
         # An exact model leaves rounding only: its joints then weigh alike, not by the noise of the last digit.
         s[j] = max(s[j], 1e-12 * np.sqrt(Y_j @ Y_j / rows[j]))
@@ -141,7 +142,7 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
     """
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
     W, Y = system.weighted(full.weights)
-    R: Array = np.asarray(np.linalg.qr(np.c_[W, Y], mode="r"))
+    R = r_factor(np.c_[W, Y])
     b, r, independent = W.shape[1], full.rows, independent_share(correlation)
 
     def solved(kept: NDArray[np.intp]) -> _Solution:
@@ -236,7 +237,7 @@ class _Solution:
 
 def _factors(Z: Array, W: Array) -> _Factors:
     d = _norms(W)
-    Q = np.linalg.qr(Z / _norms(Z))[0]
+    Q = orthonormal(Z / _norms(Z))
     return _Factors(Q, Q.T @ (W / d), d)
 
 
@@ -273,7 +274,7 @@ def _refuse_few_rows(system: System) -> None:
 
 def _condition(W: Array) -> float:
     """cond(W), that of its R factor."""
-    return float(np.linalg.cond(np.linalg.qr(W, mode="r")))
+    return float(np.linalg.cond(r_factor(W)))
 
 
 def _norms(W: Array) -> Array:

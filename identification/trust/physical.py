@@ -23,6 +23,7 @@ from ..estimation import (
     consistent_parameters,
     intervals,
     intervals_of_blocks,
+    r_factor,
     slices,
     weighted_least_squares,
 )
@@ -245,7 +246,7 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     weighs = [i for i, name in enumerate(system.names) if name in weights and weights[name].any()]
     G = np.array([weights[system.names[i]].ravel() for i in weighs]).reshape(len(weighs), -1).T
     # Sums of the rows' columns are those of the R factor, which is small.
-    R: Array = np.asarray(np.linalg.qr(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y], mode="r"))
+    R = r_factor(np.c_[np.c_[system.W, G] * rows.weight[:, None], rows.Y])
     W, left = R[:, : len(system.names)].copy(), list[float]()
     for weight in (0.0, R[:, len(system.names) : -1]):
         W[:, weighs] -= weight
