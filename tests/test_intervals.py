@@ -1,6 +1,7 @@
 """Intervals by equal-weighted cosines: closed forms, coverage of plain arrays, long recordings held reduced."""
 
 import dataclasses
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from identification.estimation.confidence import (
     TimeBlocks,
     cosines,
     deviations,
+    deviations_of_sums,
     intervals,
     intervals_of_blocks,
 )
@@ -88,6 +90,29 @@ def test_every_step_from_rows_to_an_interval():
     np.testing.assert_allclose(by_rows.sigma, np.sqrt(variance), rtol=1e-9)
     np.testing.assert_allclose(by_rows.low, found.beta - stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
     np.testing.assert_allclose(by_rows.high, found.beta + stats.t.ppf(0.975, 9) * by_rows.sigma, rtol=1e-9)
+
+
+@pytest.mark.parametrize("parts", [(120,), (50, 70)])
+def test_a_slow_column_has_the_deviation_of_its_coefficient(parts):
+    """Of white noise and a drift beside five slow columns: z'e, z what the drift adds to them, has the variance |z|².
+
+    Its estimate is a square of e, so that its mean over white noise is its sum over the unit vectors. What the estimate takes
+    out of the residuals makes it over a fifth less where it is not counted.
+    """
+    n, T = 2, 120
+    time = np.tile(np.arange(T) / T, n)
+    joint = np.repeat(np.eye(n), T, axis=0)
+    W = np.concatenate([joint, joint * np.cos(4 * time)[:, None], np.sin(7 * time)[:, None]], axis=1)
+    Q = np.linalg.qr(W)[0]
+    drift = joint[:, 0] * time
+    z = drift - Q @ (Q.T @ drift)
+    rho = (np.eye(n * T) - Q @ Q.T - np.outer(z, z) / (z @ z)).reshape(n, T, n * T)
+    columns = np.repeat(z[:, None], n * T, axis=1).reshape(rho.shape)
+    found = deviations_of_sums(columns, rho, Q, parts)
+    assert found @ found == pytest.approx(z @ z, rel=1e-9)
+    scores, edges = (columns * rho).sum(axis=0), np.cumsum([0, *parts])
+    apart = [deviations(scores[a:b], cosines(b - a)) ** 2 for a, b in pairwise(edges)]
+    assert np.sum(apart) < 0.8 * (z @ z)
 
 
 def test_the_covariance_has_the_deviations_of_the_intervals_and_the_correlations_of_the_formula():

@@ -24,6 +24,8 @@ from scipy.signal import lfilter
 import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from identification.data.signals import Signals
+from identification.estimation import instrumental_variables, intervals
+from identification.estimation.system import System
 from identification.estimation.whitening import autoregression
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
@@ -147,7 +149,7 @@ def test_the_ways_an_iteration_ends():
 
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_column_is_solved_with_the_others(method):
-    """Its coefficient and the residual are those of the system with one column more, with itself as its instrument."""
+    """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
     fit, evidence = examined(method, "scara", fault="drift")
     system, n = evidence.observed.system.with_rows(evidence.used), 2
     W, Y = system.weighted(fit.estimate.weights)
@@ -162,6 +164,10 @@ def test_a_column_is_solved_with_the_others(method):
     assert lack.value == pytest.approx(solved[-1], rel=1e-6)
     before, after = Y - W @ fit.estimate.beta, Y - wider @ solved
     assert lack.taken_percent == pytest.approx(100 * (1 - after @ after / (before @ before)), rel=1e-6)
+    named = System.whole(wider, Y, system.joint_of_row, (*system.names, "drift"))
+    estimate = instrumental_variables(named, Z, np.ones(n))
+    sigma = intervals(estimate, Y - wider @ estimate.beta, n).sigma[-1]
+    assert lack.t == pytest.approx(estimate.beta[-1] / sigma, rel=1e-6)
 
 
 @pytest.mark.parametrize("fault", ["asymmetric friction", "drift", "Stribeck friction"])

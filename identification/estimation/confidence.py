@@ -88,7 +88,11 @@ def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Arr
     """Standard deviations (b,) of an estimate of this `bread`, what it takes out of the residuals counted, and their degrees
     of freedom: recordings are independent of one another, variances and degrees add up.
     """
-    each = [deviations(own.scores, own.cosines) / np.sqrt(_share(bread, own.grams, own.cosines)) for own in recordings]
+    each = []
+    for own in recordings:
+        along = bread @ own.grams
+        share = _share((along * bread).sum(axis=-1), along, own.cosines)
+        each.append(deviations(own.scores, own.cosines) / np.sqrt(share))
     return np.asarray(np.hypot.reduce(each)), sum(own.cosines for own in recordings)
 
 
@@ -111,9 +115,26 @@ def slices(parts: Sequence[int]) -> list[slice]:
     return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
-def deviations_of_parts(scores: Array, parts: Sequence[int]) -> Array:
-    """Standard deviations (b,) of the sums of scores (T, b) of recordings that are independent of one another."""
-    return np.asarray(np.hypot.reduce([deviations(scores[part], cosines(len(scores[part]))) for part in slices(parts)]))
+def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> Array:
+    """Standard deviations (k,) of the sums z'e of k columns z (n, T, k), of recordings of so many instants (`parts`).
+
+    rho (n, T, k) is what is left of e with each column beside an estimate of orthonormal Q (n T, b). What the two take out of
+    it is counted, as in `estimate_deviations`.
+    """
+    n, T, k = z.shape
+    flat = z.reshape(-1, k)
+    own = flat - Q @ (Q.T @ flat)  # the direction that a column adds to Q
+    own = (own / np.maximum(np.linalg.norm(own, axis=0), 1e-300)).reshape(z.shape)
+    scores, directions, each = (z * rho).sum(axis=0), Q.reshape(n, T, -1), []
+    for part in slices(parts):
+        B = cosines(part.stop - part.start)
+        blocks = np.array_split(np.arange(part.start, part.stop), min(part.stop - part.start, TIME_BLOCKS))
+        squares = np.stack([(z[:, block] ** 2).sum(axis=(0, 1)) for block in blocks])
+        along_Q = [np.tensordot(z[:, block], directions[:, block], axes=((0, 1), (0, 1))) for block in blocks]
+        along_own = [(z[:, block] * own[:, block]).sum(axis=(0, 1))[:, None] for block in blocks]
+        along = np.concatenate([np.stack(along_Q), np.stack(along_own)], axis=2)
+        each.append(deviations(scores[part], B) / np.sqrt(_share(squares, along, B)))
+    return np.asarray(np.hypot.reduce(each))
 
 
 def deviations(scores: Array, B: int) -> Array:
@@ -122,17 +143,17 @@ def deviations(scores: Array, B: int) -> Array:
     return np.asarray(np.sqrt((L**2).mean(axis=0)))
 
 
-def _share(bread: Array, grams: Array, B: int) -> Array:
-    """(b,) of the variance that white noise gives an estimate, the share that the cosines find in the residuals.
+def _share(squares: Array, along: Array, B: int) -> Array:
+    """(m,) of the variance that white noise gives sums z'e, the share that the cosines find in the residuals.
 
-    The estimate takes b directions out of the noise: rho = (I - Q Q')e. A cosine's L = a'rho, a being the cosine times the rows
-    of Q bread', has the variance |a|² - |Q'a|². Regressors as slow as the cosines lose more of it than b of r rows: on the TX40
-    up to a third of the deviation, where b/r is a fortieth.
+    Given by K blocks of time: `squares` (K, m) the sums of z², `along` (K, m, d) the products z'Q. Of an estimate z is
+    Q bread'. The estimate takes d directions out of the noise: rho = (I - Q Q')e. A cosine's L = a'rho, a being the cosine
+    times z, has the variance |a|² - |Q'a|². Regressors as slow as the cosines lose more of it than d of r rows: on the TX40
+    up to a third of the deviation, where d/r is a fortieth.
     """
-    cosine = _family(B, len(grams))
-    of_block = ((bread @ grams) * bread).sum(axis=-1)  # (K, b), sum of squared rows of Q bread'
-    lost = (bread @ np.tensordot(cosine, grams, axes=1)) ** 2  # (B, b, b)
-    found, whole = (cosine**2 @ of_block - lost.sum(axis=-1)).mean(axis=0), of_block.sum(axis=0)
+    cosine = _family(B, len(squares))
+    lost = np.tensordot(cosine, along, axes=1) ** 2  # (B, m, d)
+    found, whole = (cosine**2 @ squares - lost.sum(axis=-1)).mean(axis=0), squares.sum(axis=0)
     seen = whole > 0  # one of several recordings may say nothing of a parameter
     return np.asarray(np.maximum(np.divide(found, whole, out=np.ones_like(found), where=seen), LEAST_SHARE))
 

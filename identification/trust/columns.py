@@ -1,7 +1,8 @@
 """What the model may lack: columns added to W one by one, each with the share of the residual that it takes.
 
 With z = c - Q (QᵀW)⁻ᵀ Wᵀc, a column c made orthogonal to W by the instruments' span Q, its coefficient is g = zᵀrho / zᵀc.
-Its deviation is that of the scores z rho' / zᵀc by equal-weighted cosines, rho' being the residual with the column. Along
+Its deviation is that of the scores z rho' / zᵀc by equal-weighted cosines, rho' being the residual with the column, over the
+share of it that estimate and column leave of white noise: a slow column takes out much of what the cosines look at. Along
 instruments c is the column of the simulated motion, so that noise of the position does not bias g.
 """
 
@@ -13,7 +14,7 @@ import numpy as np
 from acquisition.robot import Joint
 
 from ..arrays import Array
-from ..estimation import deviations_of_parts
+from ..estimation import deviations_of_sums
 from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from .evidence import Evidence, Part
@@ -125,8 +126,8 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     size = np.einsum("rk,rk->k", z, C)
     g = z.T @ rows.rho / size
     rho = rows.rho[:, None] - g * (C - rows.W @ (bread @ (Q.T @ C)))  # with the column, and beta solved anew
-    scores = (z * rho / size).reshape(n, -1, len(columns)).sum(axis=0)
-    sigma = deviations_of_parts(scores, evidence.observed.parts)
+    by_joint = (n, -1, len(columns))
+    sigma = deviations_of_sums(z.reshape(by_joint), rho.reshape(by_joint), Q, evidence.observed.parts) / np.abs(size)
     whole = max(float(rows.rho @ rows.rho), 1e-300)
     taken = 100 * (1 - np.einsum("rk,rk->k", rho, rho) / whole)
     together = {}
