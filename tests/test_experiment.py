@@ -15,6 +15,7 @@ from identification.estimation import (
     instrumental_variables,
     intervals,
     intervals_of_blocks,
+    sums_of_blocks,
     weighted_least_squares,
 )
 from identification.model.base import base_parameters
@@ -95,7 +96,7 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
         found.Q.T @ (long.factors.Z * full.weights[long.factors.system.joint_of_row, None]),
         whole.system,
     )
-    of_blocks = intervals_of_blocks(found, [long.factors.time_blocks], np.linalg.inv(parameters))
+    of_blocks = intervals_of_blocks(found, sums_of_blocks(found, [long.factors.time_blocks], np.linalg.inv(parameters)))
     used = one.fast.T.reshape(-1)
     of_rows = intervals(wanted, rho * used, system.joint_of_row[-1] + 1)
     np.testing.assert_allclose(of_blocks.sigma, of_rows.sigma, rtol=0.15)
@@ -107,12 +108,12 @@ def test_instrument_blocks_are_sums_over_their_rows():
     Z, W, Y = rng.normal(size=(n, b, T)), rng.normal(size=(n, b, T)), rng.normal(size=(n, 1, T))
     blocks = InstrumentBlocks.none_yet(T, tuple("abc"))
     for a, z in ((0, 40), (40, 41), (41, T)):
-        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z])
+        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], np.ones(n), np.ones((z - a, n), dtype=bool))
     stacked = [x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y)]
     system = System.whole(stacked[1], stacked[2][:, 0], np.repeat([0, 1], T), tuple("abc"))
     fit = instrumental_variables(system, stacked[0], np.ones(n))
     basis = np.linalg.inv(fit.Q.T @ stacked[0])
-    found = intervals_of_blocks(fit, [blocks], basis)
+    found = intervals_of_blocks(fit, sums_of_blocks(fit, [blocks], basis))
     wanted = intervals(fit, system.Y - system.W @ fit.beta, n)
     np.testing.assert_allclose(found.sigma, wanted.sigma, rtol=1e-9)
     np.testing.assert_allclose(found.low, wanted.low, rtol=1e-9)

@@ -21,6 +21,7 @@ from identification.estimation.confidence import (
     deviations_of_sums,
     intervals,
     intervals_of_blocks,
+    sums_of_blocks,
 )
 from identification.estimation.estimators import (
     instrumental_variables,
@@ -224,7 +225,10 @@ def test_time_blocks_are_sums_over_their_rows():
         some = system.with_columns(columns)
         fit = weighted_least_squares(some)
         W_w, Y_w = some.weighted(fit.weights)
-        by_rows, by_blocks = intervals(fit, Y_w - W_w @ fit.beta, n), intervals_of_blocks(fit, [blocks])
+        by_rows, by_blocks = (
+            intervals(fit, Y_w - W_w @ fit.beta, n),
+            intervals_of_blocks(fit, sums_of_blocks(fit, [blocks])),
+        )
         np.testing.assert_allclose(by_blocks.sigma, by_rows.sigma, rtol=1e-9)
         np.testing.assert_allclose(by_blocks.low, by_rows.low, rtol=1e-9)
 

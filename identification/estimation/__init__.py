@@ -1,10 +1,11 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import (
+    BlockSums,
     InstrumentBlocks,
     Intervals,
+    Scores,
     TimeBlocks,
-    cosines,
     deviations,
     deviations_of_sums,
     estimate_deviations,
@@ -12,6 +13,7 @@ from .confidence import (
     intervals_of_blocks,
     scores_of_recordings,
     slices,
+    sums_of_blocks,
 )
 from .consistency import (
     GAMMA,
@@ -49,6 +51,7 @@ from .whitening import whitened
 __all__ = [
     "GAMMA",
     "MOVING",
+    "BlockSums",
     "Consistent",
     "Estimate",
     "Factors",
@@ -57,6 +60,7 @@ __all__ = [
     "Intervals",
     "PhysicalParameters",
     "Reduction",
+    "Scores",
     "System",
     "TimeBlocks",
     "TorqueError",
@@ -65,7 +69,6 @@ __all__ = [
     "combined",
     "condensed",
     "consistent_parameters",
-    "cosines",
     "deviations",
     "deviations_of_sums",
     "essential_parameters",
@@ -87,6 +90,7 @@ __all__ = [
     "relative_error_percent",
     "scores_of_recordings",
     "slices",
+    "sums_of_blocks",
     "torque_errors",
     "undetermined_parameters",
     "weighted_least_squares",

@@ -7,6 +7,7 @@ import numpy as np
 from ..arrays import Array
 from ..data import Signals
 from ..estimation import (
+    BlockSums,
     Estimate,
     Intervals,
     System,
@@ -16,6 +17,7 @@ from ..estimation import (
     intervals,
     intervals_of_blocks,
     lag_one,
+    sums_of_blocks,
     torque_errors,
 )
 from ..regression import Regression, base_name
@@ -43,9 +45,11 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares) -> Evid
         method=method,
         fixed_point=True,
         estimate=ls.estimate,
-        used=observed.regression.system.used,
+        predicted=ls.tau_predicted,
+        used=observed.regression.fast.T.reshape(-1).astype(float),
         intervals=ls.intervals,
         least_squares=ls.full,
+        blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
         factors=factors_of_ls(observed),
     )
 
@@ -134,7 +138,7 @@ def own_test(observed: Observed, full: Estimate) -> OwnTest | None:
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:
     """Intervals of an estimate from the rows that are `used` (r,)."""
     if observed.time_blocks:
-        return intervals_of_blocks(estimate, observed.time_blocks)
+        return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
     rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
     return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
 
@@ -144,11 +148,18 @@ def intervals_along(observed: Observed, z: PassInstruments, estimate: Estimate) 
     if z.factors is None:
         about = observed.about(z)
         return intervals_of(about.regression, estimate, about.predicted(estimate), z.used)
+    return intervals_of_blocks(estimate, sums_along(z, estimate))
+
+
+def sums_along(z: PassInstruments, estimate: Estimate) -> tuple[BlockSums, ...]:
+    """Sums over the blocks of long recordings of an estimate by instruments; none where rows are held."""
+    if z.factors is None:
+        return ()
     system, Z = z.factors
     among = np.array([system.names.index(name) for name in estimate.names])
     R = estimate.Q.T @ (Z[:, among] * estimate.weights[system.joint_of_row, None])  # of the weighted Z = Q R
     blocks = [one.factors.time_blocks for one in z.each if one.factors is not None]
-    return intervals_of_blocks(estimate, blocks, np.asarray(np.linalg.inv(R)))
+    return sums_of_blocks(estimate, blocks, np.asarray(np.linalg.inv(R)))
 
 
 def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:

@@ -16,7 +16,7 @@ from ..estimation import (
 )
 from ..replica import DirectModelError, PassInstruments, Replica, told, worst
 from ..trust import Evidence, Part
-from .assess import Verdict, assess_estimate, intervals_along
+from .assess import Verdict, assess_estimate, intervals_along, sums_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status
 from .iteration import IterationResult
 from .recordings import Observed
@@ -61,6 +61,7 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) ->
         method="iv",
         fixed_point=status in ("converged", "not_confirmed"),
         estimate=estimate,
+        predicted=predicted,
         used=outcome.z.used,
         intervals=intervals_along(observed, outcome.z, estimate),
         least_squares=ls.full,
@@ -68,6 +69,7 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) ->
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         factors=tuple(factors) if len(factors) > 1 else (),
+        blocks=sums_along(outcome.z, estimate),
     )
     return assess_estimate(observed, found, ls, predicted, verdict)
 

@@ -147,7 +147,7 @@ def _collected(
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
-        time_blocks.add(at.first, columns * (counting.weights[:, None] * counts.T)[:, None])
+        time_blocks.add(at.first, columns, counting.weights, counts)
         fast.append(counts)
     if e.long:
         system, instruments = factors.system(base.names)

@@ -7,10 +7,12 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import Estimate, Intervals, System
+from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..passes import RowStates
 from ..regression import Decimation, Motion, Problem, Regression
 from .lines import TrustLine
+
+SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,12 +53,14 @@ class Evidence:
         fixed_point: whether the method ended in one; always of least squares.
         unconfirmed: the status and its reason, where the method did not end in a fixed point that a simulation confirms.
         estimate: of the base parameters, fewer where only the essential ones were kept.
-        used: (r,) rows of the system that it rests on, 1 and 0.
+        predicted: (rows, n) torque that it predicts.
+        used: (n rows,) samples that it rests on, joint by joint, 1 and 0: the rows of the system where these are not reduced.
         intervals: of the estimate's parameters.
         least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
         first_stage_F: of the instruments, None without.
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
+        blocks: where rows are reduced, sums over the blocks of time of each recording.
     """
 
     parts: tuple[Part, ...]
@@ -64,6 +68,7 @@ class Evidence:
     method: Literal["ols", "wls", "iv"]
     fixed_point: bool
     estimate: Estimate
+    predicted: Array
     used: Array
     intervals: Intervals
     least_squares: Estimate
@@ -71,6 +76,7 @@ class Evidence:
     first_stage_F: float | None = None
     unconfirmed: str | None = None
     factors: tuple[tuple[System, Array], ...] = ()
+    blocks: tuple[BlockSums, ...] = ()
 
     @property
     def problem(self) -> Problem:
@@ -86,6 +92,71 @@ class Evidence:
         W, Y = system.W * weight[:, None], system.Y * weight
         return WeightedRows(W=W, Y=Y, rho=Y - W @ self.estimate.beta, weight=weight)
 
+    def sums(self, part: slice) -> "PartSums":
+        """Sums over the rows of some instants of all recordings; of reduced rows over those blocks that are nearest."""
+        part, estimate, n = self.aligned(part), self.estimate, self.observed.tau.shape[1]
+        counts = part_of(self.used, n, part).reshape(n, -1).T
+        rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
+        sizes = float(np.sum(rho**2)), float(np.sum(tau**2))
+        if self.blocks:
+            each = [own for own in self._blocks(part) if len(own.QY)]
+            QQ, QW, QY, WW, WY = (
+                np.sum([getattr(own, name).sum(axis=0) for own in each], axis=0)
+                for name in ("QQ", "QW", "QY", "WW", "WY")
+            )
+            W_rho = WY - WW @ estimate.beta
+        else:
+            rows = self.rows
+            Q, W, Y, weight = (part_of(x, n, part) for x in (estimate.Q, rows.W, rows.Y, rows.weight))
+            plain = W / np.where(weight > 0, weight, 1.0)[:, None]
+            QQ, QW, QY, WW, W_rho = Q.T @ Q, Q.T @ W, Q.T @ Y, plain.T @ plain, plain.T @ rho.T.reshape(-1)
+        return PartSums(
+            QQ=QQ, QW=QW, QY=QY, WW=WW, W_rho=W_rho, rho_rho=sizes[0], tau_tau=sizes[1], rows=int(counts.sum())
+        )
+
+    def scores(self, part: slice, beta: Array, bread: Array, basis: Array) -> list[Scores]:
+        """Scores, by recording, of an estimate beta (b,) of some instants that has the orthonormal columns Q `basis`."""
+        part, n = self.aligned(part), self.observed.tau.shape[1]
+        if self.blocks:
+            return [own.scores(beta, bread, basis) for own in self._blocks(part) if len(own.QY)]
+        rows = self.rows
+        Q, W, Y = (part_of(x, n, part) for x in (self.estimate.Q, rows.W, rows.Y))
+        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), self._instants(part))
+
+    def aligned(self, part: slice) -> slice:
+        """The instants of the blocks of time nearest to a part of the time; the part itself where rows are held."""
+        if not self.blocks:
+            return part
+        starts = [whole.start for whole in slices(self.observed.parts)]
+        edges = np.concatenate([start + own.edges for start, own in zip(starts, self.blocks, strict=True)])
+        first, last = (int(edges[np.abs(edges - at).argmin()]) for at in (part.start, part.stop))
+        return slice(first, last)
+
+    @property
+    def sums_hold(self) -> bool:
+        """Whether sums over blocks, of squares, still have the digits that tests need: Q'Q = 1 and Q'W bread = 1."""
+        if not self.blocks:
+            return True
+        QQ, QW = (sum(getattr(own, name).sum(axis=0) for own in self.blocks) for name in ("QQ", "QW"))
+        one = np.eye(len(self.estimate.beta))
+        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < SUMS_HOLD)
+
+    def _within(self, part: slice) -> list[tuple[int, int]]:
+        """What a part of the time has of each recording: first and last instant, counted from the recording's start."""
+        return [
+            (
+                min(max(part.start, own.start), own.stop) - own.start,
+                max(min(part.stop, own.stop), own.start) - own.start,
+            )
+            for own in slices(self.observed.parts)
+        ]
+
+    def _blocks(self, part: slice) -> list[BlockSums]:
+        return [own.between(*ends) for own, ends in zip(self.blocks, self._within(part), strict=True)]
+
+    def _instants(self, part: slice) -> list[int]:
+        return [last - first for first, last in self._within(part) if last > first]
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WeightedRows:
@@ -95,6 +166,35 @@ class WeightedRows:
     Y: Array
     rho: Array
     weight: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PartSums:
+    """Sums over the rows that count of a part of the time.
+
+    Attributes:
+        QQ, QW: (b, b) Q'Q and Q'W, `QY`: (b,) Q'Y, of the orthonormal columns Q and the weighted rows of the estimate.
+        WW: (b, b) W'W, `W_rho`: (b,) W'rho, and `rho_rho`, `tau_tau` in the unit of the torque, rho left by the estimate.
+        rows: how many count.
+    """
+
+    QQ: Array
+    QW: Array
+    QY: Array
+    WW: Array
+    W_rho: Array
+    rho_rho: float
+    tau_tau: float
+    rows: int
+
+    def error(self, off: Array) -> float:
+        """|Y - W beta|² in the unit of the torque, of parameters that are `off` (b,) the estimate's."""
+        return max(0.0, float(self.rho_rho - 2 * off @ self.W_rho + off @ self.WW @ off))
+
+
+def part_of(x: Array, n: int, part: slice) -> Array:
+    """Rows of a part of the time, of all joints: x (r, ...) -> (n T_k, ...)."""
+    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
 
 
 def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Intervals, full: Estimate) -> Array:

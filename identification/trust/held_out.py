@@ -1,8 +1,8 @@
 """Parts of the rows predicted by the fit of the others: blocks of time of one recording, or each of several recordings.
 
 With the factors at hand, A = QᵀW, the rows of a block add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so that the estimate of the
-others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Recordings are few, and may leave parameters undetermined: the others are
-factored anew.
+others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums in place of rows. Recordings are few, and may leave
+parameters undetermined: the others are factored anew.
 """
 
 from dataclasses import dataclass
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import slices, undetermined_parameters
-from .evidence import Evidence
-from .lines import REDUCED, Figure, TrustLine, not_made
+from .evidence import Evidence, part_of
+from .lines import ILL_CONDITIONED, Figure, TrustLine, not_made
 
 BLOCKS = 5
 HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
@@ -45,22 +45,20 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     name = "held-out blocks"
     if len(evidence.parts) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
-    if evidence.observed.reduced:
-        return not_made(name, REDUCED)
-    rows, Q, (T, n) = evidence.rows, evidence.estimate.Q, evidence.observed.tau.shape
-    d = np.linalg.norm(rows.W, axis=0)
-    W, A, c = rows.W / d, Q.T @ (rows.W / d), Q.T @ rows.Y
-    least = int(evidence.used.sum()) - max(int(part_of(evidence.used, n, part).sum()) for part in _blocks(T, BLOCKS))
-    if least <= len(d):
-        return not_made(name, f"not made: {least} rows outside a block for {len(d)} parameters; record longer")
+    if not evidence.sums_hold:
+        return not_made(name, ILL_CONDITIONED)
+    sums, estimate = [evidence.sums(part) for part in _blocks(len(evidence.observed.tau), BLOCKS)], evidence.estimate
+    rows, b = [one.rows for one in sums], len(estimate.beta)
+    if sum(rows) - max(rows) <= b:
+        return not_made(
+            name, f"not made: {sum(rows) - max(rows)} rows outside a block for {b} parameters; record longer"
+        )
+    A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
+    d = np.linalg.norm(A, axis=0)
     trained, held, size, figures = 0.0, 0.0, 0.0, []
-    tau = evidence.observed.tau.T.reshape(-1)
-    for number, part in enumerate(_blocks(T, BLOCKS), 1):
-        Qk, Wk, Yk, tau_k, weight = (part_of(x, n, part) for x in (Q, W, rows.Y, tau, rows.weight))
-        beta = np.linalg.lstsq(A - Qk.T @ Wk, c - Qk.T @ Yk, rcond=1e-12)[0]
-        per = np.where(weight > 0, 1.0 / np.where(weight > 0, weight, 1.0), 0.0)
-        own = float(np.sum(((Yk - Wk @ (d * evidence.estimate.beta)) * per) ** 2))
-        other, torque = float(np.sum(((Yk - Wk @ beta) * per) ** 2)), float(np.sum((tau_k * (weight > 0)) ** 2))
+    for number, one in enumerate(sums, 1):
+        beta = np.linalg.lstsq((A - one.QW) / d, c - one.QY, rcond=1e-12)[0] / d
+        own, other, torque = one.rho_rho, one.error(beta - estimate.beta), one.tau_tau
         trained, held, size = trained + own, held + other, size + torque
         if torque > 0:
             percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
@@ -126,7 +124,7 @@ def _torque_of(evidence: Evidence, k: int) -> float:
     """Norm of recording k's torque in the rows that count; Y is another torque, where W is linearised."""
     observed = evidence.observed
     part, n = slices(observed.parts)[k], observed.tau.shape[1]
-    counts = observed.fast[part] if observed.reduced else part_of(evidence.used, n, part).reshape(n, -1).T
+    counts = part_of(evidence.used, n, part).reshape(n, -1).T
     return float(np.linalg.norm(observed.tau[part] * counts))
 
 
@@ -168,11 +166,6 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
         text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
         return TrustLine(test=test, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
     return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
-
-
-def part_of(x: Array, n: int, part: slice) -> Array:
-    """Rows of a part of the time, of all joints: x (r, ...) -> (n T_k, ...)."""
-    return np.asarray(x.reshape(n, -1, *x.shape[1:])[:, part].reshape(-1, *x.shape[1:]))
 
 
 def _blocks(T: int, count: int) -> list[slice]:

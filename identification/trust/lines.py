@@ -6,6 +6,9 @@ from typing import Literal
 Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
 REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
+ILL_CONDITIONED = (
+    "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
+)
 Verdict = Literal["trust", "caution", "do not use"]
 
 

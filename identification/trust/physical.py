@@ -25,6 +25,7 @@ from ..estimation import (
     intervals_of_blocks,
     r_factor,
     slices,
+    sums_of_blocks,
     weighted_least_squares,
 )
 from ..model import (
@@ -111,7 +112,7 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
     """Intervals of another least squares estimate of the same rows."""
     observed = evidence.observed
     if observed.time_blocks:
-        return intervals_of_blocks(estimate, observed.time_blocks)
+        return intervals_of_blocks(estimate, sums_of_blocks(estimate, observed.time_blocks))
     W, Y = observed.system.weighted(estimate.weights)
     return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1], observed.parts)
 

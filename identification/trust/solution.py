@@ -13,24 +13,23 @@ from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     are_moving,
-    cosines,
     estimate_deviations,
     f_tail,
     instrumental_variables,
     intervals,
-    scores_of_recordings,
     slices,
     whitened,
 )
 from .columns import added_columns_test
 from .evidence import Evidence
-from .held_out import held_out_test, part_of
+from .held_out import held_out_test
 from .lag import lag_test
-from .lines import REDUCED, Trust, TrustLine, not_made, worst_first
+from .lines import ILL_CONDITIONED, REDUCED, Trust, TrustLine, not_made, worst_first
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
 HALVES_LEVEL = 0.001  # of the Wald test
+LEAST_OF_HALF = 1e-10  # of the squares that a half has of a direction of Q, below which it does not determine it
 ROBUST = 6.0  # deviations, of a row that does not belong to the others
 BAD_END = 30.0  # deviations of a row at an end that spoils an estimate
 OUTSTANDING = 2.0  # times the largest deviation elsewhere, for a row at an end to be one that does not belong
@@ -103,10 +102,8 @@ def contrast_test(evidence: Evidence) -> TrustLine:
 
 def ends_test(evidence: Evidence) -> TrustLine:
     """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
-    if evidence.observed.reduced:
-        return not_made("ends", REDUCED)
-    rows, n = evidence.rows, evidence.observed.tau.shape[1]
-    rho, used = rows.rho.reshape(n, -1), (evidence.used.reshape(n, -1) > 0) & are_moving(evidence.observed.speed).T
+    rho = (evidence.observed.tau - evidence.predicted).T
+    n, used = len(rho), (evidence.used.reshape(rho.shape) > 0) & are_moving(evidence.observed.speed).T
     scale = np.array([1.4826 * np.median(np.abs(rho[j, used[j]])) if used[j].any() else np.inf for j in range(n)])
     size = np.where(used, np.abs(rho) / np.where(scale > 0, scale, np.inf)[:, None], 0.0)
     at_end = np.zeros(size.shape[1], dtype=bool)
@@ -131,20 +128,18 @@ def halves_test(evidence: Evidence) -> TrustLine:
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
-    if evidence.observed.reduced:
-        return not_made("halves", REDUCED)
+    if not evidence.sums_hold:
+        return not_made("halves", ILL_CONDITIONED)
     T, parts = len(evidence.observed.tau), evidence.observed.parts
     if len(parts) > 1:  # cut between recordings
-        cut = int(np.abs(np.cumsum(parts)[:-1] - T / 2).argmin()) + 1
-        halves = (parts[:cut], parts[cut:])
+        edges = np.cumsum(parts)[:-1]
+        cut = int(edges[np.abs(edges - T / 2).argmin()])
     else:
-        halves = ((round(T / 2),), (T - round(T / 2),))
-    solved = [
-        _part_solved(evidence, part, own) for part, own in zip(slices([sum(x) for x in halves]), halves, strict=True)
-    ]
+        cut = round(T / 2)
+    solved = [_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T))]
     if any(half is None for half in solved):
         return not_made("halves", "not made: a half alone does not determine the parameters; record longer")
-    (beta_1, C_1), (beta_2, C_2) = (half for half in solved if half is not None)
+    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = (half for half in solved if half is not None)
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
     if not (sigma > 0).all():
@@ -152,7 +147,7 @@ def halves_test(evidence: Evidence) -> TrustLine:
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
-    p, worst = f_tail(wald / b, b, sum(cosines(rows) for half in halves for rows in half)), int(np.abs(u).argmax())
+    p, worst = f_tail(wald / b, b, B_1 + B_2), int(np.abs(u).argmax())
     told = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
@@ -161,28 +156,25 @@ def halves_test(evidence: Evidence) -> TrustLine:
     return TrustLine(test="halves", level="ok", value=wald, text=told)
 
 
-def _part_solved(evidence: Evidence, part: slice, recordings: tuple[int, ...]) -> tuple[Array, Array] | None:
-    """Parameters (b,) of a part of the time and their covariance D R D (b, b); None where it does not determine them.
-
-    `recordings` are the numbers of instants of those that make the part up.
+def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
+    """Parameters (b,) of a part of the time, their covariance D R D (b, b) and its degrees of freedom; None where the part does
+    not determine them.
     """
-    rows, n = evidence.rows, evidence.observed.tau.shape[1]
-    Q, W, Y, used = (part_of(x, n, part) for x in (evidence.estimate.Q, rows.W, rows.Y, evidence.used))
-    d, count = np.linalg.norm(W, axis=0), int(used.sum())
-    b = len(d)
-    if not (d > 0).all() or count <= 2 * b:
+    sums = evidence.sums(part)
+    values, vectors = np.linalg.eigh(sums.QQ)
+    if sums.rows <= 2 * len(values) or not values[0] > LEAST_OF_HALF * values[-1]:
         return None
-    Q = np.linalg.qr(Q)[0]
-    A = Q.T @ (W / d)
-    if not np.linalg.cond(A) < 1e8:
+    basis = vectors / np.sqrt(values)  # Q basis is orthonormal in the rows of the part
+    A = basis.T @ sums.QW
+    d = np.linalg.norm(A, axis=0)
+    if not (d > 0).all() or not np.linalg.cond(A / d) < 1e8:
         return None
-    bread = np.linalg.inv(A) / d[:, None]
-    beta = bread @ (Q.T @ Y)
-    rho = (Y - W @ beta).reshape(n, -1)
-    sigma, _ = estimate_deviations(bread, scores_of_recordings(Q, bread, rho, recordings))
+    bread = np.linalg.inv(A / d) / d[:, None]
+    beta = bread @ (basis.T @ sums.QY)
+    sigma, freedom = estimate_deviations(bread, evidence.scores(part, beta, bread, basis))
     C = bread @ bread.T
     formula = np.sqrt(np.diag(C))
-    return beta, C * np.outer(sigma / formula, sigma / formula)
+    return beta, C * np.outer(sigma / formula, sigma / formula), freedom
 
 
 def prewhitened_test(evidence: Evidence) -> TrustLine:
