@@ -104,16 +104,32 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
 
 
 def test_instrument_blocks_are_sums_over_their_rows():
+    """As many instants as blocks: the intervals of the rows, and what is in the unit of the torque without the weights."""
     T, n, b, rng = 128, 2, 3, np.random.default_rng(7)
     Z, W, Y = rng.normal(size=(n, b, T)), rng.normal(size=(n, b, T)), rng.normal(size=(n, 1, T))
+    counts, weights = rng.uniform(size=(T, n)) > 0.3, np.array([1.0, 3.0])
     blocks = InstrumentBlocks.none_yet(T, tuple("abc"))
     for a, z in ((0, 40), (40, 41), (41, T)):
-        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], np.ones(n), np.ones((z - a, n), dtype=bool))
-    stacked = [x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y)]
-    system = System.whole(stacked[1], stacked[2][:, 0], np.repeat([0, 1], T), tuple("abc"))
-    fit = instrumental_variables(system, stacked[0], np.ones(n))
-    basis = np.linalg.inv(fit.Q.T @ stacked[0])
-    found = intervals_of_blocks(fit, sums_of_blocks(fit, [blocks], basis))
-    wanted = intervals(fit, system.Y - system.W @ fit.beta, n)
-    np.testing.assert_allclose(found.sigma, wanted.sigma, rtol=1e-9)
-    np.testing.assert_allclose(found.low, wanted.low, rtol=1e-9)
+        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], weights, counts[a:z])
+    Z, W, Y = (x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y))
+    used = counts.T.reshape(-1).astype(float)
+    system = System.whole(W, Y[:, 0], np.repeat([0, 1], T), tuple("abc")).with_rows(used)
+    for columns in (np.arange(3), np.array([0, 2])):
+        some = system.with_columns(columns)
+        fit = instrumental_variables(some, Z[:, columns], weights)
+        weight = weights[system.joint_of_row] * used
+        (sums,) = sums_of_blocks(fit, [blocks], np.linalg.inv(fit.Q.T @ (Z[:, columns] * weight[:, None])))
+        found = intervals_of_blocks(fit, [sums])
+        wanted = intervals(fit, (some.Y - some.W @ fit.beta) * weight, n)
+        np.testing.assert_allclose(found.sigma, wanted.sigma, rtol=1e-9)
+        np.testing.assert_allclose(found.low, wanted.low, rtol=1e-9)
+        part, own = sums.between(32, 96), np.tile((np.arange(T) >= 32) & (np.arange(T) < 96), n)
+        W_k, rho = some.W * (used * own)[:, None], (some.Y - some.W @ fit.beta) * used * own
+        np.testing.assert_allclose(part.WW.sum(axis=0), W_k.T @ W_k, rtol=1e-9)
+        np.testing.assert_allclose(part.WY.sum(axis=0), W_k.T @ some.Y, rtol=1e-9)
+        Q = fit.Q * own[:, None]
+        np.testing.assert_allclose(part.QW.sum(axis=0), Q.T @ (some.W * weight[:, None]), rtol=1e-9)
+        one = np.eye(len(columns))
+        scores = part.scores(fit.beta, one, one)
+        np.testing.assert_allclose(scores.scores.sum(axis=0), Q.T @ (rho * weight), rtol=1e-9)
+        assert scores.cosines == 6  # 0.4 * 64^(2/3)

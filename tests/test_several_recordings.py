@@ -245,6 +245,9 @@ def test_reduced_rows_give_the_same(monkeypatch):
     for one, other in zip(found.recordings, wanted.recordings, strict=True):
         assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=1e-9)
         assert one.errors[-1].relative_error_percent == pytest.approx(other.errors[-1].relative_error_percent, rel=1e-9)
+    ends, halves = (tuple(x.trust.line(test) for x in (found, wanted)) for test in ("ends", "halves"))
+    assert ends[0].text == ends[1].text
+    assert halves[0].value == pytest.approx(halves[1].value, rel=0.2)
     assert not len(found.problem.signals.q)
 
 

@@ -67,19 +67,32 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
     return runs.signals(description(toml, controller if name == "tx40" else None), 0)
 
 
-@cache
-def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, Evidence]:
-    """A fit, and the evidence that its tests looked at."""
+def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides) -> tuple[Fit, Evidence]:
+    """A fit, and the evidence that its tests looked at; `long`: as of a recording whose rows are not held, in short blocks."""
     seen: list[Evidence] = []
     with pytest.MonkeyPatch.context() as patch:
         made = assess.trust_in
         patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or made(evidence))
-        signals = recorded(name, cell, fault)
+        if long:
+            patch.setattr(regression_system, "_NUMBERS_IN_MEMORY", 100)
+            patch.setattr("identification.regression.problem._SERIES_BLOCK", 60_000)
         if method == "iv":
-            fit = identify_iv(signals, Overrides(), Iteration())
+            fit = identify_iv(signals, Overrides(**overrides), Iteration())
         else:
-            fit = identify_ls(signals, Overrides(), method=method)
+            fit = identify_ls(signals, Overrides(**overrides), method=method)
     return fit, seen[-1]
+
+
+@cache
+def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, Evidence]:
+    """A fit, and the evidence that its tests looked at."""
+    return looked_at(method, recorded(name, cell, fault))
+
+
+@cache
+def examined_as_long(method: str) -> tuple[Fit, Evidence]:
+    """The same of the SCARA as of a recording whose rows are not held."""
+    return looked_at(method, recorded("scara"), long=True)
 
 
 # The verdict
@@ -345,17 +358,89 @@ def test_prewhitened_rows_are_those_of_the_filter():
     np.testing.assert_allclose(_whitened(evidence).beta, np.linalg.solve(Z.T @ W, Z.T @ Y)[:, 0], rtol=1e-6)
 
 
-# Tests that cannot be made
+# Long recordings
 
 
-def test_reduced_rows_say_what_cannot_be_tested(monkeypatch):
-    monkeypatch.setattr(regression_system, "_NUMBERS_IN_MEMORY", 100)
-    trust = identify_ls(recorded("scara"), Overrides()).trust
-    for test in ("added columns", "held-out blocks", "halves", "ends"):
-        told = trust.line(test)
-        assert told.level == "not made"
-        assert "rows of a long recording are reduced" in told.text
+@pytest.mark.parametrize("method", ["iv", "wls"])
+def test_a_long_recording_is_tested_as_its_rows_are(method):
+    """Borders of blocks are off by half a block of 128 at most. By instruments a row or two more count: see `fast_rows`."""
+    (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
+    assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
+    rows = 1e-9 if method == "wls" else 0.01
+    told, wanted = (x.trust.line("held-out blocks") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.01))
+    assert [x.name for x in told.figures] == [x.name for x in wanted.figures]
+    for one, other in zip(told.figures, wanted.figures, strict=True):
+        assert one.value == pytest.approx(other.value, rel=0.05)
+    whole = slice(0, len(evidence.observed.tau))
+    assert of_blocks.sums(whole).rho_rho == pytest.approx(evidence.sums(whole).rho_rho, rel=2 * rows)
+    told, wanted = (x.trust.line("halves") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=0.2))
+    told, wanted = (x.trust.line("ends") for x in (long, fit))
+    assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=rows))
+    assert method == "iv" or told.text == wanted.text
+
+
+def test_sums_over_blocks_are_those_of_their_rows():
+    """Least squares of the blocks' own instants, held out or alone, is that of the rows at these instants."""
+    (_, evidence), (fit, long) = examined("wls", "scara"), examined_as_long("wls")
+    T, n, b = len(evidence.observed.tau), 2, len(fit.estimate.names)
+    for part in (slice(0, round(T / 5)), slice(round(T / 5), round(2 * T / 5)), slice(round(T / 2), T)):
+        covered = long.aligned(part)
+        assert max(abs(covered.start - part.start), abs(covered.stop - part.stop)) <= T / 256 + 1
+        inside = np.zeros((n, T), dtype=bool)
+        inside[:, covered] = True
+        W, Y = evidence.rows.W[inside.ravel()], evidence.rows.Y[inside.ravel()]
+        sums, bread = long.sums(part), long.estimate.bread
+        np.testing.assert_allclose(np.linalg.solve(sums.QW, sums.QY), np.linalg.lstsq(W, Y)[0], rtol=1e-7)
+        np.testing.assert_allclose(bread @ sums.QQ @ bread.T, bread @ bread.T @ (W.T @ W) @ bread @ bread.T, rtol=1e-7)
+        weight = evidence.rows.weight[inside.ravel()]
+        assert sums.rows == int((weight > 0).sum())
+        per = np.where(weight > 0, 1 / np.where(weight > 0, weight, 1.0), 0.0)
+        assert sums.tau_tau == pytest.approx(np.sum((evidence.observed.tau.T[inside] * (weight > 0)) ** 2), rel=1e-9)
+        off = 0.01 * np.random.default_rng(3).normal(size=b) * np.abs(fit.estimate.beta)
+        error = np.sum(((Y - W @ (fit.estimate.beta + off)) * per) ** 2)
+        assert sums.error(off) == pytest.approx(error, rel=1e-7)
+        assert evidence.sums(covered).error(off) == pytest.approx(error, rel=1e-7)
+
+
+def test_a_long_recording_that_changes_is_doubted():
+    """Torque of the second half 10 % larger; a raw end sample; 60 parameters from 2.6 s."""
+    signals, stop = recorded("scara"), examined("wls", "scara")[0].settings.stop
+    later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
+    noise = np.zeros_like(signals.effort)
+    noise[stop - 1] = 2.0
+    raised, noisy = replace(signals, effort=signals.effort * later), replace(signals, effort=signals.effort + noise)
+    assert looked_at("wls", raised, long=True)[0].trust.line("halves").level == "caution"
+    told, wanted = (looked_at("wls", noisy, long=x, edges="matlab")[0].trust.line("ends") for x in (True, False))
+    assert (told.level, told.text) == ("caution", wanted.text)
+    signals = recorded("tx40", fault="tilt of gravity")
+    short = replace(signals, **{name: getattr(signals, name)[:2600] for name in ("t_s", "q", "q_ref", "effort")})
+    told, wanted = (looked_at("wls", short, long=x)[0].trust.line("held-out blocks") for x in (True, False))
+    assert (told.level, told.value) == ("caution", pytest.approx(wanted.value, rel=0.1))
+
+
+def test_sums_that_lost_their_digits_are_not_used():
+    """Q'Q of all blocks is 1 and Q'W the inverse of the bread, unless squares are too ill-conditioned."""
+    _, long = examined_as_long("wls")
+    (blocks,) = long.blocks
+    assert long.sums_hold
+    for lost in ({"QQ": blocks.QQ * (1 + 1e-5)}, {"QW": blocks.QW * (1 + 1e-5)}):
+        ill = replace(long, blocks=(replace(blocks, **lost),))
+        for test in (held_out_test, halves_test):
+            assert test(ill).level == "not made"
+            assert "too ill-conditioned" in test(ill).text
+
+
+def test_reduced_rows_say_what_cannot_be_tested():
+    trust = examined_as_long("iv")[0].trust
+    assert {x.test for x in trust.lines if x.level == "not made"} >= {"added columns", "lag", "prewhitened"}
+    for test in ("added columns", "prewhitened"):
+        assert "rows of a long recording are reduced" in trust.line(test).text
     assert trust.line("physical").level == "ok"
+
+
+# Tests that cannot be made
 
 
 def test_one_joint_and_unknown_gains_have_no_relative_gain():

@@ -35,7 +35,7 @@ class Regression:
         parts: numbers of decimated samples of the recordings, which stand one after the other.
         links: what load friction depends on, block by block; empty where there is too much of it, or none is needed, and
             in another process than the one that made it.
-        time_blocks: of a system that is held reduced, what the residual's scores follow from, by recording; empty of others.
+        time_blocks: of a system that is held reduced, what scores and fits of parts follow from, by recording; else empty.
 
     The system of a long recording is held reduced: per joint the rows, at most b + 1, of the QR factor of those rows of [W Y]
     that count for least squares, which have the same normal equations.

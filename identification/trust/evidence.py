@@ -99,7 +99,7 @@ class Evidence:
         rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
         sizes = float(np.sum(rho**2)), float(np.sum(tau**2))
         if self.blocks:
-            each = [own for own in self._blocks(part) if len(own.QY)]
+            each = self._blocks(part)
             QQ, QW, QY, WW, WY = (
                 np.sum([getattr(own, name).sum(axis=0) for own in each], axis=0)
                 for name in ("QQ", "QW", "QY", "WW", "WY")

@@ -1,7 +1,8 @@
 """Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
 
 Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
-that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Nothing is simulated again.
+that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums over blocks of time
+in place of rows. Nothing is simulated again.
 """
 
 from collections.abc import Callable
