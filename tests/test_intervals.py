@@ -13,22 +13,14 @@ from scipy.signal import lfilter
 
 import identification.regression.system as regression_module
 from identification.data.signals import load_signals
-from identification.estimation.confidence import (
-    MOST,
-    TimeBlocks,
-    cosines,
-    deviations,
-    deviations_of_sums,
-    intervals,
-    intervals_of_blocks,
-    sums_of_blocks,
-)
+from identification.estimation.confidence import MOST, cosines, deviations, deviations_of_sums, intervals
 from identification.estimation.estimators import (
     instrumental_variables,
     ordinary_least_squares,
     weighted_least_squares,
 )
 from identification.estimation.system import System
+from identification.estimation.time_blocks import TimeBlocks, intervals_of_blocks, sums_of_blocks
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_ls
 from identification.regression.settings import Overrides

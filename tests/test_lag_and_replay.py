@@ -11,8 +11,8 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, references, simulate
 
 from identification.data.signals import Signals, load_signals
+from identification.estimation.diagnostics import autoregression, whitened
 from identification.estimation.system import System
-from identification.estimation.whitening import autoregression, whitened
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_ls, validate
 from identification.model.inverse import InverseModel

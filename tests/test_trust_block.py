@@ -25,8 +25,8 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from identification.data.signals import Signals
 from identification.estimation import instrumental_variables, intervals
+from identification.estimation.diagnostics import autoregression
 from identification.estimation.system import System
-from identification.estimation.whitening import autoregression
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration

@@ -1,19 +1,14 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import (
-    BlockSums,
-    InstrumentBlocks,
     Intervals,
     Scores,
-    TimeBlocks,
     deviations,
     deviations_of_sums,
     estimate_deviations,
     intervals,
-    intervals_of_blocks,
     scores_of_recordings,
     slices,
-    sums_of_blocks,
 )
 from .consistency import (
     GAMMA,
@@ -33,6 +28,7 @@ from .diagnostics import (
     lag_one,
     relative_error_percent,
     torque_errors,
+    whitened,
 )
 from .estimators import (
     Estimate,
@@ -46,7 +42,7 @@ from .estimators import (
 from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
 from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
-from .whitening import whitened
+from .time_blocks import BlockSums, InstrumentBlocks, TimeBlocks, intervals_of_blocks, sums_of_blocks
 
 __all__ = [
     "GAMMA",
