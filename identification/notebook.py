@@ -1,13 +1,13 @@
 """What `import identification` gives: a fit of arrays, the main names of the rooms, and a fit shown as its report."""
 
 import os
-from typing import Literal
+from typing import Literal, Unpack, cast
 
 from numpy.typing import ArrayLike
 
 from acquisition.robot import Robot, load_robot
 
-from .data import RecordingFile, Recordings, Signals, load_signals, signals_from_arrays
+from .data import OptionalColumns, RecordingFile, Recordings, Signals, load_signals, signals_from_arrays
 from .errors import IdentificationError
 from .methods import Fit, Iteration, identify_iv, identify_ls, validate
 from .regression import Overrides
@@ -29,13 +29,19 @@ __all__ = [
 ]
 
 
+class FitChoices(OptionalColumns, total=False):
+    """What may be said of a fit of arrays: the method, and columns beside position and effort."""
+
+    method: Literal["iv", "wls", "ols"]
+
+
 def fit(
     q: ArrayLike,
     tau: ArrayLike,
     sample_rate_hz: float,
     robot: str | os.PathLike[str] | Robot,
     q_ref: ArrayLike | None = None,
-    method: Literal["iv", "wls", "ols"] = "iv",
+    **choices: Unpack[FitChoices],
 ) -> Fit:
     """Base parameters of a robot from arrays, with the settings of its description.
 
@@ -51,7 +57,11 @@ def fit(
     robot : the description, or the path of a robot.toml.
     q_ref : (N, n) reference positions; without them the measured positions take their place, which leaves the instruments of
         `iv` not strictly exogenous (a warning of the fit).
-    method : `iv`, instrumental variables; `wls` or `ols`, least squares weighted joint by joint or not.
+    choices : `method`: `iv` (default), instrumental variables; `wls` or `ols`, least squares weighted joint by joint or not.
+        Of (N, n) each, as an import takes them: `known_torque` on the joints that is not of the drives, N m or N, positive
+        where it acts like theirs, which the model explains together with `tau`; `feedforward`, what was added to the
+        controller's output, by motor in the unit of its recorded effort (which has it in it), added to that of the simulated
+        controller; `velocity` of the joints, rad/s or m/s, compared with the derivative of q, which is what is fitted.
 
     Returns
     -------
@@ -60,12 +70,14 @@ def fit(
     Raises
     ------
     IdentificationError : where arrays do not belong together, or hold too little motion.
-    AcquisitionError : where the description cannot be read.
+    AcquisitionError : where the description cannot be read, or a velocity has another unit or sign.
     """
+    method = choices.get("method", "iv")
+    columns = cast(OptionalColumns, {name: x for name, x in choices.items() if name != "method"})
     if method not in ("iv", "wls", "ols"):
         raise IdentificationError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
     described = robot if isinstance(robot, Robot) else load_robot(robot)
-    signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref)
+    signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref, **columns)
     if method == "iv":
         return identify_iv(signals, Overrides(), Iteration())
     return identify_ls(signals, Overrides(), method=method)

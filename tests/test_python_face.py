@@ -8,7 +8,9 @@ import subprocess
 import sys
 import textwrap
 from dataclasses import replace
+from unittest.mock import ANY
 
+import msgspec
 import numpy as np
 import pytest
 from conftest import REPLAY, ROOT, robot_named
@@ -104,6 +106,10 @@ def test_arrays_stay_what_they_are(signals):
         ({"sample_rate_hz": 0.0}, "arrays", "sample_rate_hz", 0.0, "a number above 0"),
         ({"sample_rate_hz": -np.inf}, "arrays", "sample_rate_hz", -np.inf, "a number above 0"),
         ({"method": "ls"}, "", "method", "ls", "'iv', 'wls' or 'ols'"),
+        ({"velocity": np.zeros((49, 2))}, "arrays", "velocity.shape", (49, 2), "(50, 2), as q has"),
+        ({"known_torque": np.zeros((50, 1))}, "arrays", "known_torque.shape", (50, 1), "(N, 2), time first"),
+        ({"feedforward": [[0, np.nan]] * 50}, "arrays", "feedforward[0]", ANY, "finite numbers"),
+        ({"torque": np.zeros((50, 2))}, "arrays", "torque", None, "columns velocity, known_torque, feedforward"),
     ],
 )
 def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
@@ -114,6 +120,48 @@ def test_what_cannot_be_fitted_is_refused(change, place, key, value, expected):
     assert (error.place, error.key, error.value, error.expected) == (place, key, value, expected)
     assert str(error).startswith(f"{place}: {key}" if place else key)
     assert str(error).endswith(f": expected {expected}")
+
+
+def test_a_known_torque_is_explained_with_that_of_the_drives(signals):
+    """One is taken off the drives' torque: the fit is the same if it is told, another if it is not."""
+    known = np.sin(signals.t_s)[:, None] * [3.0, 1.0]
+    unshifted = msgspec.structs.replace(
+        signals.robot.identification, torque_lag_s="none"
+    )  # of the drives' torque alone
+    robot = replace(signals.robot, identification=unshifted)
+    plain, told, untold = (
+        identification.fit(signals.q, tau, 1000.0, robot, method="wls", known_torque=k).beta
+        for tau, k in ((signals.effort, None), (signals.effort - known, known), (signals.effort - known, None))
+    )
+    np.testing.assert_allclose(told, plain, rtol=1e-9)
+    assert np.abs(untold / plain - 1).max() > 0.1
+
+
+def test_columns_beside_position_and_effort_are_copied_and_checked(signals):
+    from identification.data import signals_from_arrays
+
+    speed, ahead = np.gradient(signals.q, 1e-3, axis=0), np.array(signals.effort)
+    fit = identification.fit(
+        signals.q, signals.effort, 1000.0, SCARA, method="wls", velocity=0.8 * speed, feedforward=ahead
+    )
+    kept, before = fit.problem.signals, ahead.copy()
+    ahead[:] = 0.0
+    np.testing.assert_array_equal(kept.feedforward, before)
+    np.testing.assert_array_equal(kept.velocity, 0.8 * speed)
+    assert kept.known_torque is None
+    warnings = [text for text in fit.warnings if "velocity" in text]
+    assert [text.split(", ")[0] for text in warnings] == [
+        f"recording: velocity of joint {name} = 0.8 x the derivative of its position" for name in ("shoulder", "elbow")
+    ]
+    right = signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=speed)
+    assert right.events == ()
+    with pytest.raises(acquisition.AcquisitionError, match="arrays: velocity of joint shoulder = -1 x the derivative"):
+        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, velocity=-speed)
+    made = [
+        signals_from_arrays(signals.q, signals.effort, 1000.0, signals.robot, **{name: before})
+        for name in ("known_torque", "feedforward")
+    ]
+    assert made[0].sha256 != made[1].sha256, "the same numbers under another name are another recording"
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):

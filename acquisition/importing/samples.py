@@ -7,17 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError
 from ..files import atomic_write
 from ..recording import EFFORT_MEASURED, EFFORT_TIMING, Header, RecordingWriter, sample_dtype
-from ..robot import Robot, check_recorded_positions
+from ..robot import Robot, check_recorded_positions, check_recorded_velocities
 from .time_base import TimeReport
-
-SPEED_WINDOW_S = (
-    0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
-)
-SPEED_OFF = 0.1  # of the change of position: speeds further off are told
-WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +59,7 @@ def write_samples(found: Samples, out: Path) -> Imported:
     warnings = check_recorded_positions(robot, t_s, parts["position"], found.place)
     doubts = [*found.doubts, *_effort_doubts(robot, parts["effort"])]
     if "velocity" in parts:
-        doubts += _speed_doubts(found)
+        doubts += check_recorded_velocities(robot, parts["position"], parts["velocity"], found.rate_hz, found.place)
     rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
     rows["stamp_ns"] = found.stamps
     for name, part in parts.items():
@@ -101,25 +94,3 @@ def _effort_doubts(robot: Robot, effort: Array) -> list[str]:
     """Warnings about joints whose effort is zero throughout."""
     dead = [joint.name for joint, column in zip(robot.joints, effort.T, strict=True) if not column.any()]
     return [f"the effort of {', '.join(dead)} is zero throughout"] if dead else []
-
-
-def _speed_doubts(found: Samples) -> list[str]:
-    """Warnings where recorded speeds are off the derivative of the position; refuses speeds of another unit or sign."""
-    q, v, h = found.parts["position"], found.parts["velocity"], 1 / found.rate_hz
-    travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
-    step = max(1, round(SPEED_WINDOW_S / h))
-    by_position, by_speed = np.diff(q[::step], axis=0), np.diff(travelled[::step], axis=0)
-    doubts = []
-    for j, joint in enumerate(found.robot.joints):
-        moved = float(by_position[:, j] @ by_position[:, j])
-        if moved == 0.0:
-            continue
-        gain = float(by_position[:, j] @ by_speed[:, j]) / moved
-        off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
-        text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, {100 * off:.2g} % off it"
-        if off > SPEED_OFF and not 1 / WRONG_SPEED < gain < WRONG_SPEED:
-            expected = "the joint's own speed: check its unit, side, sign and column"
-            raise AcquisitionError(text, place=found.place, expected=expected)
-        if off > SPEED_OFF:
-            doubts.append(text)
-    return doubts

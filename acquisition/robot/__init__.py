@@ -4,7 +4,7 @@ from .bus import BusFile, DriveFile, parse_homed
 from .description import DH, Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
-from .limits import EffortLimits, check_recorded_positions, effort_limits
+from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
 from .resolving import resolve
 from .robot import Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml
@@ -30,6 +30,7 @@ __all__ = [
     "axis_of",
     "check_carriers",
     "check_recorded_positions",
+    "check_recorded_velocities",
     "effort_limits",
     "extra_columns",
     "load_robot",

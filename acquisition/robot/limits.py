@@ -1,4 +1,4 @@
-"""Limits of the description: efforts of joints and drives, and recorded positions checked against their limits.
+"""Limits of the description: efforts of joints and drives; recorded positions and speeds checked.
 
 Impossible positions mean a wrong reading: degrees read as radians, a wrong ratio, a counter that wraps, a foreign sample. A
 fit shows none of them. A small overshoot of a stated limit gives a warning only.
@@ -21,6 +21,11 @@ FAR_FASTER = 3.0  # times the speed limit
 UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
 OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
+SPEED_WINDOW_S = (
+    0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
+)
+SPEED_OFF = 0.1  # of the change of position: speeds further off are told
+WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
 
 
@@ -104,6 +109,31 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
         overshoots += _position(joint, stamp_s, x, place)
         overshoots += _speed(joint, stamp_s, step_s, x, place)
     return tuple(overshoots)
+
+
+def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, place: str) -> tuple[str, ...]:
+    """Warnings about recorded speeds v (N, n) that are off the derivative of positions q (N, n), rad or m, at `rate_hz`.
+
+    Raises `AcquisitionError` where they are those of another unit or sign.
+    """
+    h = 1 / rate_hz
+    travelled = np.concatenate([np.zeros((1, q.shape[1])), np.cumsum(0.5 * h * (v[1:] + v[:-1]), axis=0)])
+    step = max(1, round(SPEED_WINDOW_S / h))
+    by_position, by_speed = np.diff(q[::step], axis=0), np.diff(travelled[::step], axis=0)
+    doubts = []
+    for j, joint in enumerate(robot.joints):
+        moved = float(by_position[:, j] @ by_position[:, j])
+        if moved == 0.0:
+            continue
+        gain = float(by_position[:, j] @ by_speed[:, j]) / moved
+        off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
+        text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, {100 * off:.2g} % off it"
+        if off > SPEED_OFF and not 1 / WRONG_SPEED < gain < WRONG_SPEED:
+            expected = "the joint's own speed: check its unit, side, sign and column"
+            raise AcquisitionError(text, place=place, expected=expected)
+        if off > SPEED_OFF:
+            doubts.append(text)
+    return tuple(doubts)
 
 
 def _shown(joint: Joint, value: float) -> str:

@@ -1,12 +1,13 @@
 """Recordings as signals on a uniform grid."""
 
 from .agreement import check_one_robot
-from .in_memory import signals_from_arrays
+from .in_memory import OptionalColumns, signals_from_arrays
 from .signals import ON_GRID, Signals, load_signals
 from .sources import RecordingFile, Recordings
 
 __all__ = [
     "ON_GRID",
+    "OptionalColumns",
     "RecordingFile",
     "Recordings",
     "Signals",

@@ -2,21 +2,37 @@
 
 import hashlib
 import math
+from dataclasses import replace
+from typing import TypedDict, Unpack
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.robot import Robot
+from acquisition.recording import OPTIONAL
+from acquisition.robot import Robot, check_recorded_velocities
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .signals import Signals
+from .signals import SignalEvent, Signals
 
 NAME = "arrays"  # stands where the name of a recording stands
 
 
+class OptionalColumns(TypedDict, total=False):
+    """Arrays (N, n) that may stand beside position and effort, by the names that they have in a recording."""
+
+    velocity: ArrayLike | None
+    known_torque: ArrayLike | None
+    feedforward: ArrayLike | None
+
+
 def signals_from_arrays(
-    q: ArrayLike, effort: ArrayLike, sample_rate_hz: float, robot: Robot, q_ref: ArrayLike | None = None
+    q: ArrayLike,
+    effort: ArrayLike,
+    sample_rate_hz: float,
+    robot: Robot,
+    q_ref: ArrayLike | None = None,
+    **columns: Unpack[OptionalColumns],
 ) -> Signals:
     """Signals out of arrays that are copied.
 
@@ -26,23 +42,41 @@ def signals_from_arrays(
     effort : (N, n) torques at the joint in N m, forces in N; in A or V where `robot` has no drive gain.
     sample_rate_hz : rate of the N samples.
     robot : its description, of n joints.
+    columns : (N, n) `velocity` of the joints, rad/s or m/s; `known_torque` on the joints that is not of the drives, N m or N;
+        `feedforward` that was added to the controller's output, by motor in the unit of its effort.
+
+    Returns
+    -------
+    Signals : a velocity that is over 10 % off the derivative of q is a warning among its events.
 
     Raises
     ------
     IdentificationError : where shapes differ from one another or from the robot, a number is not finite, the rate is not
-        above 0.
+        above 0, or a column has another name; for a known torque of a robot without drive gains.
+    AcquisitionError : for a velocity of another unit or sign.
     """
+    for name in columns:
+        if name not in OPTIONAL:
+            raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
     if not 0 < sample_rate_hz < math.inf:
         raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
-    given = {"q": q, "effort": effort, **({} if q_ref is None else {"q_ref": q_ref})}
-    arrays = {name: _copied(name, array, robot.n) for name, array in given.items()}
+    arrays = {"q": _copied("q", q, robot.n), "effort": _copied("effort", effort, robot.n)}
+    given = {
+        "q_ref": q_ref,
+        "velocity": columns.get("velocity"),
+        "known_torque": columns.get("known_torque"),
+        "feedforward": columns.get("feedforward"),
+    }
+    arrays |= {name: _copied(name, array, robot.n) for name, array in given.items() if array is not None}
     for name, array in arrays.items():
         if array.shape != arrays["q"].shape:
             raise IdentificationError(
                 place=NAME, key=f"{name}.shape", value=array.shape, expected=f"{arrays['q'].shape}, as q has"
             )
-    digest = hashlib.sha256(b"".join(array.tobytes() for array in arrays.values()))
-    return Signals(
+    digest = hashlib.sha256()
+    for name, array in arrays.items():
+        digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())
+    signals = Signals(
         t_s=np.arange(len(arrays["q"])) / sample_rate_hz,
         q=arrays["q"],
         q_ref=arrays.get("q_ref"),
@@ -52,7 +86,15 @@ def signals_from_arrays(
         robot=robot,
         recording=NAME,
         sha256=digest.hexdigest(),
+        velocity=arrays.get("velocity"),
+        known_torque=arrays.get("known_torque"),
+        feedforward=arrays.get("feedforward"),
     )
+    if signals.velocity is None:
+        return signals
+    doubts = check_recorded_velocities(robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME)
+    events = tuple(SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=text) for text in doubts)
+    return replace(signals, events=events)
 
 
 def _copied(name: str, array: ArrayLike, n: int) -> Array:
