@@ -24,6 +24,7 @@ from identification.report.comparison import Parameter, ParameterSet, difference
 from identification.study.study import Run
 from identification.trust.lines import Figure, Trust, TrustLine
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
+from identification.view.curves import column_plots
 from identification.view.panels import (
     GREEN,
     GREY,
@@ -227,6 +228,38 @@ def test_extra_objects_of_a_recording_are_shown(tmp_path):
         len(file.curves[f"/extra/velocity\\ rad\\/s/{m.name.replace(' ', chr(92) + ' ')}"][1]) for m in robot.motors
     ]
     assert extra_plots(made_up()) == []
+
+
+def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_are_recorded(tmp_path):
+    plain = made_up(types=("revolute", "prismatic"))
+    robot = plain.robot
+    columns = {name: k + plain.q for k, name in enumerate(("velocity", "known_torque", "feedforward"), 1)}
+    whole = replace(plain, **columns)
+    joints, motors = [j.name for j in robot.joints], [m.name for m in robot.motors]
+    plots = column_plots(whole)
+    assert [plot.title for plot in plots[:2]] == ["velocity measured", "known torque"]
+    assert [curve.name for curve in plots[0].curves] == [f"{joints[0]} [rad/s]", f"{joints[1]} [m/s]"]
+    assert [curve.name for curve in plots[1].curves] == [f"{joints[0]} [N m]", f"{joints[1]} [N]"]
+    for plot, name, keys in zip(plots, columns, (joints, joints, motors), strict=True):
+        assert [curve.key for curve in plot.curves] == keys
+        for c, curve in enumerate(plot.curves):
+            t_s, x = curve.line
+            np.testing.assert_array_equal(x, columns[name][np.searchsorted(plain.t_s, t_s), c])
+            assert x.max() == columns[name][:, c].max()
+    assert column_plots(plain) == []
+    alike = made_up(types=("revolute", "revolute"))
+    (only,) = column_plots(replace(alike, known_torque=alike.q))
+    assert (only.path, only.title) == (("column", "known_torque"), "known torque [N m]")
+    (only,) = column_plots(replace(alike, feedforward=alike.q))
+    assert only.title == f"feed-forward [{alike.robot.motors[0].recorded_unit}]"
+    write_recording_rrd(tmp_path / "view.rrd", whole, Overrides())
+    file = Written(tmp_path / "view.rrd")
+    assert file.is_complete()
+    shown = {path.replace("\\", "") for path in file.curves if path.startswith("/column/")}
+    named = zip(columns, (joints, joints, motors), strict=True)
+    assert shown == {f"/column/{name}/{key}" for name, keys in named for key in keys}
+    write_recording_rrd(tmp_path / "plain.rrd", plain, Overrides())
+    assert not any(path.startswith("/column") for path in Written(tmp_path / "plain.rrd").curves)
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):

@@ -12,7 +12,7 @@ from ..estimation import are_moving
 from ..fleet import Chart, Drift
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
-from .panels import MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
+from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
 MODEL_PER_CUTOFF = (
@@ -177,6 +177,29 @@ def torque_plots(signals: Signals, fit: Fit | None, seen: Observed) -> list[Plot
             curves.append(Curve(key="model_ddm", name="DDM", color=SIMULATED, line=seen.simulated["tau"][j]))
         title = f"{joint.name} [{signals.robot.effort_units[j]}]"
         plots.append(Plot(path=("torque", joint.name), title=title, curves=tuple(curves), legend=legend))
+    return plots
+
+
+def column_plots(signals: Signals) -> list[Plot]:
+    """What was recorded beside position and effort, a plot per quantity with a curve per joint, of feed-forward per motor."""
+    robot = signals.robot
+    of_joints = [joint.name for joint in robot.joints]
+    of_motors = [motor.name for motor in robot.motors]
+    plots = []
+    for key, title, values, names, units in (
+        ("velocity", "velocity measured", signals.velocity, of_joints, [f"{j.position_unit}/s" for j in robot.joints]),
+        ("known_torque", "known torque", signals.known_torque, of_joints, list(robot.effort_units)),
+        ("feedforward", "feed-forward", signals.feedforward, of_motors, [m.recorded_unit for m in robot.motors]),
+    ):
+        if values is None:
+            continue
+        curves, one_unit = [], len(set(units)) == 1
+        for c, (name, unit) in enumerate(zip(names, units, strict=True)):
+            k = extremes(values[:, c], thinning(len(values)))
+            shown, line = "" if one_unit else f"{name} [{unit}]", (signals.t_s[k], values[k, c])
+            curves.append(Curve(key=name, name=shown, color=JOINTS[c % len(JOINTS)], line=line))
+        title = f"{title} [{units[0]}]" if one_unit else title
+        plots.append(Plot(path=("column", key), title=title, curves=tuple(curves)))
     return plots
 
 

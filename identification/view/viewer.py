@@ -32,7 +32,7 @@ from ..report import (
 )
 from ..study import Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
-from .curves import motion_plots, observed, position_plots, torque_plots
+from .curves import column_plots, motion_plots, observed, position_plots, torque_plots
 from .design_panels import excitation_page, fleet_pages, friction_page
 from .panels import Drawing, Note, Plot, report_note
 from .rerun_panels import Show, shown_text, write_pages
@@ -275,11 +275,13 @@ def _answer(
 
 
 def _signal_pages(show: Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
-    """How good was the signal: spectra with the cut-offs, phases, the recorder's counters, events; extra objects of drives."""
+    """How good was the signal: spectra, optional columns, phases, the counters, events; extra objects of drives."""
     spectra = [show(drawing) for drawing in spectrum_drawings(signals, settings)]
     lanes = span_lanes(signals, settings, fitted=fitted)
     below = [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]
     rows = [(rrb.Horizontal(*spectra), 5.0)] if spectra else []
+    columns = [show(plot) for plot in column_plots(signals)]
+    rows += [(rrb.Horizontal(*columns), 3.0)] if columns else []
     rows += [(show(lanes), 0.6 + 0.4 * len(lanes.lanes))] if lanes else []
     rows += [(rrb.Horizontal(*below), 2.0)] if below else []
     pages = []
