@@ -379,6 +379,9 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     told, wanted = (x.trust.line("ends") for x in (long, fit))
     assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=rows))
     assert method == "iv" or told.text == wanted.text
+    np.testing.assert_array_equal(of_blocks.predicted, long.rows.tau_predicted)
+    left = (evidence.observed.tau - evidence.predicted).T.reshape(-1) * evidence.rows.weight
+    np.testing.assert_allclose(left, evidence.rows.rho, atol=1e-9 * np.abs(evidence.rows.rho).max())
 
 
 def test_sums_over_blocks_are_those_of_their_rows():
@@ -418,6 +421,16 @@ def test_a_long_recording_that_changes_is_doubted():
     short = replace(signals, **{name: getattr(signals, name)[:2600] for name in ("t_s", "q", "q_ref", "effort")})
     told, wanted = (looked_at("wls", short, long=x)[0].trust.line("held-out blocks") for x in (True, False))
     assert (told.level, told.value) == ("caution", pytest.approx(wanted.value, rel=0.1))
+
+
+@pytest.mark.parametrize("long", [False, True])
+def test_a_half_without_motion_of_a_joint_determines_nothing_of_it(long):
+    signals = recorded("scara")
+    q, middle = signals.q.copy(), len(signals.q) // 2
+    q[:middle, 1] = q[middle, 1]
+    told = looked_at("wls", replace(signals, q=q), long=long, decimation=10)[0].trust.line("halves")
+    assert told.level == "not made"
+    assert "a half alone does not determine the parameters" in told.text
 
 
 def test_sums_that_lost_their_digits_are_not_used():
