@@ -18,7 +18,7 @@ from ..errors import IdentificationError
 from ..estimation import System, instrumental_variables, intervals, whitened
 from ..regression import Problem, differentiate, fast_rows, torque_rate
 from .evidence import Evidence, Part
-from .lines import Figure, TrustLine
+from .lines import REDUCED, Figure, TrustLine
 
 WIDEST = 0.25  # samples: a half-width beyond this does not tell one sample from none
 FURTHEST = 0.25  # samples off the expected value
@@ -120,7 +120,7 @@ def _rates(evidence: Evidence, part: Part) -> tuple[Array, Array, Array]:
 
 def _not_made(evidence: Evidence) -> str | None:
     if evidence.observed.reduced:
-        return "the recording is too long for instruments; fit a part of it, or with a larger --decimate"
+        return REDUCED.removeprefix("not made: ")
     if evidence.Z is None:
         return "least squares has no instruments"
     if any(part.simulated is None for part in evidence.parts):
