@@ -83,7 +83,9 @@ def identify_ls(
     if trust and not observed.regression.reduced:
         say("simulating the robot")
         lab = observed.lab(inertia_prior(observed, ls), gain_update=True)
-        evidence = with_instruments(evidence, lab.instruments(ls.full.beta, ls.full.covariance, ls.full.weights))
+        evidence = with_instruments(
+            evidence, lab.instruments(ls.full.beta, ls.full.covariance, ls.full.weights, motion=True)
+        )
     return assess_ls(observed, evidence, ls)
 
 

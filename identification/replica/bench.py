@@ -4,9 +4,6 @@ from collections import OrderedDict
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from ..arrays import Array
 from ..data import RecordingFile, Signals
 from ..estimation import one_thread
@@ -118,15 +115,9 @@ class Replica:
 
 @one_thread
 def instruments_at(
-    bench: Bench,
-    rate_per_bandwidth: float,
-    beta: Array,
-    covariance: Array | None,
-    weights: Array,
-    kept: NDArray[np.bool_] | None,
+    bench: Bench, rate_per_bandwidth: float, beta: Array, covariance: Array | None, counting: Counting
 ) -> Instruments:
-    """Instruments of a recording along the robot simulated with parameters near to beta (b,); rows as of `Counting`."""
-    counting = Counting(slip_noise=bench.slip_noise, weights=weights, kept=kept)
+    """Instruments of a recording along the robot simulated with parameters near to beta (b,)."""
     return simulate_instruments(bench.at(rate_per_bandwidth), beta, covariance, counting)
 
 

@@ -29,17 +29,19 @@ InstrumentKind = Literal["simulated", "consistent", "reference"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Counting:
-    """Which rows count, and what they weigh.
+    """Which rows count, what they weigh, and what else is wanted.
 
     Attributes:
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         weights: (n,) of the rows of the joints.
         kept: (rows, n) rows that count, from a pass before; None where the simulated speeds tell.
+        motion: whether the simulated motion is kept; of a long recording it never is.
     """
 
     slip_noise: Array
     weights: Array
     kept: NDArray[np.bool_] | None = None
+    motion: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +64,7 @@ class Instruments:
         beta: (b,) the parameters asked for, to which those simulated are the nearest.
         Z: (r, b) instruments, rows as those of W; of a long recording there are `factors` in their place.
         fast: (rows, n) which rows count: those at which the simulated robot is fast enough.
-        simulated: its motion; None along the reference, and of a long recording.
+        simulated: its motion, where it was wanted; None along the reference.
         reference_kind: that of the experiment.
         kind, reason: as in `methods.Pass`.
         gains: (n,) factors on the controller's gains.
@@ -105,7 +107,7 @@ def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None, c
         Z=rows.Z,
         factors=rows.factors,
         fast=rows.fast,
-        simulated=None if e.long else simulated,
+        simulated=simulated if counting.motion and not e.long else None,
         reference_kind=e.reference_kind,
         kind="reference" if simulated is None else "simulated" if reason is None else "consistent",
         reason=reason,
@@ -127,7 +129,11 @@ def _collected(
 ) -> tuple[_Rows, Followed]:
     """Z about the parameters `near` (b,) along a motion, and, of a long recording, its factors with W and Y about `beta`."""
     problem, base, n = e.problem, e.problem.base, e.problem.signals.robot.n
-    followed, directions, rows = Followed(e, keep=not e.long), problem.model.coulomb_directions, e.blocks[0].rows
+    followed, directions, rows = (
+        Followed(e, keep=counting.motion and not e.long),
+        problem.model.coulomb_directions,
+        e.blocks[0].rows,
+    )
     factors, time_blocks = Factors(n, 2 * base.b + 1), InstrumentBlocks.none_yet(rows if e.long else 0, base.names)
     Z, slip, fast = list[Array](), list[Array](), list[NDArray[np.bool_]]()
     percent = problem.settings.low_speed.iv

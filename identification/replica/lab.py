@@ -13,7 +13,7 @@ from ..regression import OwnParameters
 from ..work import Work
 from .bench import Bench, Replica, instruments_at, replica
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH
-from .instruments import InstrumentKind, Instruments
+from .instruments import Counting, InstrumentKind, Instruments
 
 WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
@@ -121,15 +121,19 @@ class Lab:
         *,
         kept: Sequence[NDArray[np.bool_]] | None = None,
         coarse: bool = False,
+        motion: bool = False,
     ) -> PassInstruments:
         """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
 
         Joints have the `weights` (n,); `kept` are the rows that count, as of `PassInstruments.fast`, or None for those at which
-        the simulated robot is fast enough.
+        the simulated robot is fast enough. The motion itself is kept where it is asked for: it need not be sent otherwise.
         """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
         rows: Sequence[NDArray[np.bool_] | None] = kept or [None] * len(self.benches)
-        tasks = [(*task, weights, own) for task, own in zip(self._tasks(rate, beta, covariance), rows, strict=True)]
+        tasks = [
+            (*task, Counting(slip_noise=bench.slip_noise, weights=weights, kept=own, motion=motion))
+            for task, bench, own in zip(self._tasks(rate, beta, covariance), self.benches, rows, strict=True)
+        ]
         each = tuple(self.work.run(instruments_at, tasks))
         return PassInstruments(beta=beta, each=each, names=self.names, parameters=self.parameters)
 
