@@ -38,6 +38,7 @@ from acquisition.simulated.lock_step import serve
 
 __all__ = ["folder", "port"]  # fixtures
 
+SLOW_SYNC_S = 0.05  # a session ends where a drive leaves three SYNCs unanswered: a busy machine holds node.js up
 THIRD_PARTY_DRIVE = ROOT.parent / "shared" / "tools" / "third_party_drive.js"
 PACKAGES = ("canopen@6.2.1", "@msgpack/msgpack@3")
 
@@ -82,7 +83,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
         pytest.skip("the third-party drive is not here: ../shared/tools/third_party_drive.js")
     group, number = channel_of(folder)
     channel = f"{group}:{number}"
-    text = bus_text(1, period_s=SYNC_S, ratio=1.0, interface="udp_multicast", channel=channel, extra=HEARTBEAT)
+    text = bus_text(1, period_s=SLOW_SYNC_S, ratio=1.0, interface="udp_multicast", channel=channel, extra=HEARTBEAT)
     text = text.replace("node = 1\n", "node = 7\n").replace("65536", "6553600")
     (folder / "npm.toml").write_text(text)
     out = folder / "log.mcap"
@@ -99,7 +100,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     frames = frames_of(recording)
     syncs = count(frames, 0x80)
     pdos = frames[frames["can_id"] == 0x187]
-    assert syncs >= 0.5 * 3 / SYNC_S
+    assert syncs >= 0.5 * 3 / SLOW_SYNC_S
     assert syncs - LAST <= len(pdos) <= syncs  # each is answered once; its values tell that none lacks in between
     assert "node 7 end: rx" in output
     # k counts SYNCs since it became operational; T is 1 ms whatever the clock.
