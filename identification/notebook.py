@@ -9,7 +9,7 @@ from acquisition.robot import Robot, load_robot
 
 from .data import OptionalColumns, RecordingFile, Recordings, Signals, load_signals, signals_from_arrays
 from .errors import IdentificationError
-from .methods import Fit, Iteration, identify_iv, identify_ls, validate
+from .methods import Fit, Iteration, identify, identify_iv, identify_ls, validate
 from .regression import Overrides
 from .work import processes
 
@@ -50,14 +50,14 @@ def fit(
     Parameters
     ----------
     q : (N, n) measured joint positions, rad or m, time first.
-    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. Where it states
-        `controller.sample_rate_hz` they are commands, each held after its instant; `torque_lag_s` of `[identification]`
-        states another lag, "none" leaves them as they are.
+    tau : (N, n) torques at the joint in N m, forces in N; in A or V where the description has no drive gain. What instants
+        they belong to is not known: `torque_lag_s` of `[identification]` states their lag.
     sample_rate_hz : rate of the samples.
     robot : the description, or the path of a robot.toml.
-    q_ref : (N, n) reference positions; without them the measured positions take their place, which leaves the instruments of
-        `iv` not strictly exogenous (a warning of the fit).
-    choices : `method`: `iv` (default), instrumental variables; `wls` or `ols`, least squares weighted joint by joint or not.
+    q_ref : (N, n) reference positions; without them `iv` takes the measured positions in their place, which leaves the
+        instruments not strictly exogenous (a warning of the fit).
+    choices : `method`: `iv`, instrumental variables (default with `q_ref`); `wls` (default without) or `ols`, least squares
+        weighted joint by joint or not.
         Of (N, n) each, as an import takes them: `known_torque` on the joints that is not of the drives, N m or N, positive
         where it acts like theirs, which the model explains together with `tau`; `feedforward`, what was added to the
         controller's output, by motor in the unit of its recorded effort (which has it in it), added to that of the simulated
@@ -72,15 +72,13 @@ def fit(
     IdentificationError : where arrays do not belong together, or hold too little motion.
     AcquisitionError : where the description cannot be read, or a velocity has another unit or sign.
     """
-    method = choices.get("method", "iv")
+    method = choices.get("method")
     columns = cast(OptionalColumns, {name: x for name, x in choices.items() if name != "method"})
-    if method not in ("iv", "wls", "ols"):
+    if method not in (None, "iv", "wls", "ols"):
         raise IdentificationError(key="method", value=method, expected="'iv', 'wls' or 'ols'")
     described = robot if isinstance(robot, Robot) else load_robot(robot)
     signals = signals_from_arrays(q, tau, sample_rate_hz, described, q_ref, **columns)
-    if method == "iv":
-        return identify_iv(signals, Overrides(), Iteration())
-    return identify_ls(signals, Overrides(), method=method)
+    return identify(signals, Overrides(), method=method)
 
 
 def _fit_html(fit: Fit) -> str:

@@ -84,7 +84,7 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
         source=f"ROS 2 bag {bag.name}, topic {choice.topic}",
         provenance=provenance,
         report=replace(grid.report, clock=clock),
-        effort_measured=True,
+        effort_timing="measured",
         doubts=(*doubts, *rate_doubts(grid.report), *([warning] if warning else [])),
     )
     return write_samples(samples, out)

@@ -58,6 +58,7 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
         robot=robot,
         sample_rate_hz=1.0 / bus.file.sync_period_s,
         effort_provenance=bus.provenance,
+        effort_timing=bus.file.effort_timing,
         notes={**recording.metadata, "decoded_from": recording.sha256},
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
@@ -101,6 +102,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
         source=f"log {log.name}",
         sample_rate_hz=1.0 / bus.file.sync_period_s,
         effort_provenance=bus.provenance,
+        effort_timing=bus.file.effort_timing,
         notes={"left_out": "; ".join(left_out)} if left_out else {},
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:

@@ -8,8 +8,8 @@ import numpy as np
 
 from ..arrays import Array, Ints
 from ..files import atomic_write
-from ..recording import EFFORT_MEASURED, EFFORT_TIMING, Header, RecordingWriter, sample_dtype
-from ..robot import Robot, check_recorded_positions, check_recorded_velocities
+from ..recording import Header, RecordingWriter, sample_dtype
+from ..robot import EffortTiming, Robot, check_recorded_positions, check_recorded_velocities
 from .time_base import TimeReport
 
 
@@ -33,8 +33,8 @@ class Samples:
     """What an import found, on a uniform grid.
 
     `parts` (N, n) by the names of a sample's fields; `stamps` (N,) ns; `place`: the files, for errors; `source`, `provenance`:
-    as in the recording's header; `doubts`: warnings about the times, which are kept in the recording; `effort_measured`:
-    efforts were measured at the instants of the samples, not commands that are held after them.
+    as in the recording's header; `doubts`: warnings about the times, which are kept in the recording; `effort_timing`
+    as in the recording's header.
     """
 
     robot: Robot
@@ -46,7 +46,7 @@ class Samples:
     provenance: str
     report: TimeReport | None = None
     doubts: tuple[str, ...] = ()
-    effort_measured: bool = False
+    effort_timing: EffortTiming = "unknown"
 
 
 def write_samples(found: Samples, out: Path) -> Imported:
@@ -65,13 +65,13 @@ def write_samples(found: Samples, out: Path) -> Imported:
     for name, part in parts.items():
         rows[name] = part
     times = {} if found.report is None else {"times": found.report.text}
-    timing = {EFFORT_TIMING: EFFORT_MEASURED} if found.effort_measured else {}
     header = Header(
         robot=robot,
         source=found.source,
         sample_rate_hz=found.rate_hz,
         effort_provenance=found.provenance,
-        notes={**times, **timing},
+        effort_timing=found.effort_timing,
+        notes=times,
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.samples(rows)

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 import msgspec
 import numpy as np
 
-from ..robot import Positive
+from ..robot import EffortTiming, Positive
 
 Side = Literal["motor", "joint"]
 TablePlace = Annotated[int, msgspec.Meta(ge=1)]
@@ -78,7 +78,8 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`map.toml`: where positions, efforts and what else was recorded are found, and the rate or the times of the samples.
 
-    `effort_timing`: efforts are commands, each held from its sample to the next, or were measured at its instant.
+    `effort_timing`: efforts are commands, each held from its sample to the next, means over the period about it, or were
+    measured at its instant.
     """
 
     position: Quantity
@@ -89,4 +90,4 @@ class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     feedforward: Quantity | None = None
     time: Time | None = None
     sample_rate_hz: Positive | None = None
-    effort_timing: Literal["command", "measured"] = "command"
+    effort_timing: EffortTiming = "unknown"

@@ -66,7 +66,7 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
         provenance=provenance,
         report=timed.report,
         doubts=timed.doubts,
-        effort_measured=table_map.effort_timing == "measured",
+        effort_timing=table_map.effort_timing,
     )
     return write_samples(samples, out)
 

@@ -85,6 +85,7 @@ class Recorder:
                     source=source,
                     sample_rate_hz=1.0 / file.sync_period_s,
                     effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
+                    effort_timing=file.effort_timing,
                     notes={
                         "bus": f"{file.interface} {file.channel}",
                         "bitrate": str(file.bitrate),

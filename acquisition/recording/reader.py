@@ -14,10 +14,10 @@ import msgspec
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..robot import Robot, robot_from_files
+from ..robot import EffortTiming, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
-from .schema import FRAMES_TOPIC, SCHEMA_VERSION, Header, metadata_crc, sample_layouts
+from .schema import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, metadata_crc, sample_layouts
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
@@ -86,6 +86,12 @@ class Recording:
         return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
 
     @property
+    def effort_timing(self) -> EffortTiming:
+        """What instants efforts belong to, by what the recording says of them."""
+        said = self.metadata.get("effort_timing")
+        return next((timing for timing, text in EFFORT_TIMINGS.items() if text == said), "unknown")
+
+    @property
     def header(self) -> Header:
         """For another recording of the same session."""
         own = self.robot.files
@@ -94,6 +100,7 @@ class Recording:
             source=self.metadata.get("source", ""),
             sample_rate_hz=self.sample_rate_hz,
             effort_provenance=self.metadata.get("effort_provenance", ""),
+            effort_timing=self.effort_timing,
             notes=self.metadata,
             attachments={name: content for name, content in self.attachments.items() if name not in own},
         )
@@ -172,6 +179,21 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         cut=cut,
         sha256=content.sha256,
     )
+
+
+def has_reference(path: Path) -> bool:
+    """Whether a recording's samples have a reference, by its summary alone; True of what cannot be read as a whole."""
+    from mcap.exceptions import McapError
+    from mcap.reader import make_reader
+
+    try:
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+    except (OSError, McapError):
+        return True
+    channels = () if summary is None else summary.channels.values()
+    schemas = [summary.schemas[c.schema_id].data for c in channels if summary is not None and c.topic == "/samples"]
+    return all(b"'reference'" in text for text in schemas)
 
 
 def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:

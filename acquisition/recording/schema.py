@@ -25,12 +25,16 @@ from itertools import combinations
 
 import numpy as np
 
-from ..robot import Robot, extra_columns
+from ..robot import EffortTiming, Robot, extra_columns
 from .rows import OPTIONAL, sample_dtype
 
-# Key of the metadata and its values: what instants efforts belong to. Without it they are commands, each held after its own.
-EFFORT_TIMING = "effort_timing"
-EFFORT_MEAN, EFFORT_MEASURED = "mean over the control period", "measured at the instant of the sample"
+# Texts of the metadata's key `effort_timing`; without the key it is not known.
+EFFORT_TIMINGS: Mapping[EffortTiming, str] = {
+    "command": "command of the instant, held after it",
+    "mean": "mean over the control period",
+    "measured": "measured at the instant of the sample",
+    "unknown": "not known",
+}
 
 SCHEMA_VERSION = 2  # 1: samples without the fields `OPTIONAL`
 
@@ -46,6 +50,7 @@ class Header:
         source: where the data come from, in words.
         sample_rate_hz: nominal rate of the samples.
         effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, in words.
+        effort_timing: what instants efforts belong to.
         notes: further metadata by key (bus, bitrate); keys that the header writes itself are written anew.
         attachments: files by name, in addition to the robot's own.
     """
@@ -54,6 +59,7 @@ class Header:
     source: str
     sample_rate_hz: float
     effort_provenance: str
+    effort_timing: EffortTiming = "unknown"
     notes: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -73,6 +79,7 @@ class Header:
             "position_unit": json.dumps([j.position_unit for j in joints]),
             "effort_unit": json.dumps(self.robot.effort_units),
             "effort_provenance": self.effort_provenance,
+            "effort_timing": EFFORT_TIMINGS[self.effort_timing],
         }
         return entries | {"crc32": metadata_crc(entries)}
 

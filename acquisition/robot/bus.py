@@ -20,6 +20,8 @@ ObjectName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})
 HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
+EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instants recorded efforts belong to
+
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -99,6 +101,8 @@ class BusFile(TomlTable, frozen=True):
         master_node: node id under which this master sends its heartbeat while it moves drives.
         late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
         enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled.
+        effort_timing: what the drives' effort objects mean: the `command` of an instant, held after it; the `mean` over the
+            period about it; `measured` at the instant.
     """
 
     interface: Word
@@ -114,6 +118,7 @@ class BusFile(TomlTable, frozen=True):
     late_sync_s: Positive | None = None
     enable_motion_deg: Positive = 1.0
     enable_motion_m: Positive = 0.005
+    effort_timing: EffortTiming = "unknown"
 
 
 def parse_object(name: str) -> tuple[int, int]:

@@ -36,11 +36,6 @@ def add(commands: Commands) -> None:
     settings.add_argument(
         "--essential", action="store_true", help="keep only the parameters the recording determines well"
     )
-    settings.add_argument(
-        "--trust",
-        action="store_true",
-        help="after least squares, simulate the robot once for the tests that need it: lag, instruments, contrast",
-    )
     consistent = parser.add_argument_group("physically consistent parameters")
     consistent.add_argument(
         "--consistent", action="store_true", help="also give all standard parameters, as a physical robot can have them"
@@ -54,7 +49,7 @@ def add(commands: Commands) -> None:
     consistent.add_argument(
         "--prior-weight", type=above_zero, metavar="W", help="weight of the expected links (default 1)"
     )
-    iv = parser.add_argument_group("settings of --method iv")
+    iv = parser.add_argument_group("settings of instrumental variables")
     iv.add_argument(
         "--start",
         metavar="regular|ls|FIT.json",
@@ -66,6 +61,7 @@ def add(commands: Commands) -> None:
     iv.add_argument("--max-iterations", type=positive, metavar="N", help="most passes (default 10)")
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
+    outputs.add_argument("--require", choices=["trust"], help="exit status 3 where the verdict is less, for scripts")
     outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
     outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
     outputs.add_argument(
@@ -78,7 +74,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> int:
     """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
     for name in ("start", "tolerance_percent", "max_iterations"):
-        if options.method != "iv" and getattr(options, name) is not None:
+        if options.method in ("ols", "wls") and getattr(options, name) is not None:
             raise IdentificationError(
                 f"does nothing with --method {options.method}",
                 key=f"--{name.replace('_', '-')}",
@@ -126,7 +122,10 @@ def run(options: argparse.Namespace) -> int:
                 write_fit_rrd(picture, one.problem.signals, fit.on(one))
     finally:  # print the fit even if a file cannot be written
         print_results(document)
-    return untrusted(fit.distrust)
+    verdict, reasons = fit.trust.verdict, fit.distrust
+    if options.require and not reasons and verdict != options.require:
+        reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
+    return untrusted(reasons)
 
 
 def _prior(options: argparse.Namespace) -> "Prior":
@@ -150,17 +149,17 @@ def _prior(options: argparse.Namespace) -> "Prior":
 
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
-    from ..methods import Iteration, identify_iv, identify_ls
+    from ..methods import Iteration, identify
     from ..regression import Overrides
     from ..report import read_fit
 
     overrides = from_options(Overrides, options)
-    if options.method != "iv":
-        return identify_ls(
-            recordings, overrides, method=options.method, essential=options.essential, trust=options.trust, say=say
-        )
-    values = None
-    if options.start not in (None, "regular", "ls"):
-        values = partial(read_fit(Path(options.start)).beta, place=options.start)
-    iteration = from_options(Iteration, options, values=values)
-    return identify_iv(recordings, overrides, iteration, essential=options.essential, say=say)
+    iteration = None
+    if any(getattr(options, name) is not None for name in ("start", "tolerance_percent", "max_iterations")):
+        values = None
+        if options.start not in (None, "regular", "ls"):
+            values = partial(read_fit(Path(options.start)).beta, place=options.start)
+        iteration = from_options(Iteration, options, values=values)
+    return identify(
+        recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
+    )

@@ -51,7 +51,8 @@ def run(options: argparse.Namespace) -> int:
     with Progress("reading") as progress:
         from ..fleet import drifts, fleet_document, found_recordings, run_fleet, write_table
 
-        settings, recordings = _settings(options), found_recordings(options.folders, by_folder=options.by_folder)
+        recordings = found_recordings(options.folders, by_folder=options.by_folder)
+        settings = _settings(options, [path for _, path in recordings])
         refuse_outputs([path for _, path in recordings], options.out, options.rrd)
         kept = options.out.with_name(f"{options.out.name}.rows")
         make_folder(kept)
@@ -75,15 +76,15 @@ def run(options: argparse.Namespace) -> int:
     return untrusted([] if any(row.is_fitted for row in rows) else [f"no recording could be fitted: {rows[0].reason}"])
 
 
-def _settings(options: argparse.Namespace) -> "FleetSettings":
+def _settings(options: argparse.Namespace, recordings: list[Path]) -> "FleetSettings":
     from acquisition.robot import load_robot
 
-    from ..fleet import FleetSettings
+    from ..fleet import FleetSettings, method_of
     from ..regression import Overrides
 
     robot = load_robot(options.robot) if options.robot else None
     return FleetSettings(
-        method=options.method,
+        method=options.method or method_of(recordings),
         overrides=from_options(Overrides, options),
         description=None if robot is None else tuple(robot.files.items()),
     )

@@ -127,8 +127,8 @@ def add_method(settings: "argparse._ArgumentGroup") -> None:
     settings.add_argument(
         "--method",
         choices=["ols", "wls", "iv"],
-        default="wls",
-        help="least squares, ordinary or weighted joint by joint (default); or instrumental variables",
+        help="least squares, ordinary or weighted joint by joint; or instrumental variables (default: iv where every recording "
+        "has its reference, else wls)",
     )
     settings.add_argument(
         "--low-speed-percent",

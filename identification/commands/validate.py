@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> int:
         stored, recordings, notes = read_fit(options.fit), [], []
         for path, own in zip(options.recordings, load(options), strict=True):
             signals, told = as_fitted(own, path, stored, str(options.fit), chosen=options.robot is not None)
-            overrides = from_options(Overrides, options).over(stored.settings(signals.sample_rate_hz))
+            overrides = from_options(Overrides, options).over(stored.settings(signals))
             recordings.append((signals, overrides))
             notes += told
         progress.say("predicting")

@@ -6,20 +6,18 @@ from datetime import datetime
 from functools import cached_property
 from os import PathLike
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from acquisition.files import field_of, let_go
-from acquisition.recording import EFFORT_MEAN, EFFORT_MEASURED, EFFORT_TIMING, OPTIONAL, Recording, read_recording
-from acquisition.robot import ExtraColumn, Robot, extra_columns
+from acquisition.recording import OPTIONAL, Recording, read_recording
+from acquisition.robot import EffortTiming, ExtraColumn, Robot, extra_columns
 
 from ..arrays import Array
 from ..errors import IdentificationError
 
 ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
-EffortTiming = Literal["command", "mean", "measured", "drive"]
 LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
 
 
@@ -50,8 +48,8 @@ class Signals:
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
         effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
-            package simulates; `measured` at the instant, as in joint states of ROS; `drive`: an object of drives whose loops
-            are faster than the recording.
+            package simulates; `measured` at the instant, as in joint states of ROS; or `unknown`.
+        provenance: where the efforts come from, in words.
         velocity: (N, n) measured speeds of the joints, rad/s or m/s, or None.
         known_torque: (N, n) torques on the joints that are known and not of the drives, N m or N, or None.
         feedforward: (N, n) what was added to the controller's output, by motor in the unit of the recorded effort, or None.
@@ -71,7 +69,8 @@ class Signals:
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
-    effort_timing: EffortTiming = "command"
+    effort_timing: EffortTiming = "unknown"
+    provenance: str = ""
     velocity: Array | None = None
     known_torque: Array | None = None
     feedforward: Array | None = None
@@ -111,6 +110,11 @@ class Signals:
                     )
                 array.flags.writeable = False
                 let_go(array)
+
+    @property
+    def of_drives(self) -> bool:
+        """Whether efforts are objects of drives, which have loops of their own."""
+        return ": object " in self.provenance
 
     @cached_property
     def torque(self) -> Array:
@@ -187,19 +191,12 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         ),
         health=_health(recording, int(stamps[0])),
         extras=_extras(samples, recording.robot),
-        effort_timing=_effort_timing(recording.metadata),
+        effort_timing=recording.effort_timing,
+        provenance=recording.metadata.get("effort_provenance", ""),
         began=recording.began,
         off_grid=off_grid,
         **optional,
     )
-
-
-def _effort_timing(metadata: Mapping[str, str]) -> EffortTiming:
-    """What instants efforts belong to, by what the recording says of them."""
-    stated: dict[str | None, EffortTiming] = {EFFORT_MEAN: "mean", EFFORT_MEASURED: "measured"}
-    if (timing := stated.get(metadata.get(EFFORT_TIMING))) is not None:
-        return timing
-    return "drive" if ": object " in metadata.get("effort_provenance", "") else "command"
 
 
 def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:

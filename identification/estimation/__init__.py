@@ -7,6 +7,7 @@ from .confidence import (
     deviations_of_sums,
     estimate_deviations,
     intervals,
+    intervals_from,
     scores_of_recordings,
     slices,
 )
@@ -75,6 +76,7 @@ __all__ = [
     "instrument_tests",
     "instrumental_variables",
     "intervals",
+    "intervals_from",
     "intervals_of_blocks",
     "lag_one",
     "link_parameters",

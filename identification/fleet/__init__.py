@@ -2,7 +2,7 @@
 
 from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
 from .rows import FleetSettings, Row, Value, fit_row
-from .run import Kept, found_recordings, run_fleet
+from .run import Kept, found_recordings, method_of, run_fleet
 
 __all__ = [
     "Chart",
@@ -16,6 +16,7 @@ __all__ = [
     "fit_row",
     "fleet_document",
     "found_recordings",
+    "method_of",
     "run_fleet",
     "write_table",
 ]

@@ -9,9 +9,9 @@ import msgspec
 
 from acquisition.errors import AcquisitionError
 
-from ..data import RecordingFile, Recordings, Signals
+from ..data import RecordingFile, Recordings
 from ..errors import IdentificationError
-from ..methods import Fit, Iteration, Method, identify_iv, identify_ls
+from ..methods import Fit, Method, identify
 from ..regression import Overrides
 from ..report import fitted_parameters
 from ..work import versions
@@ -110,18 +110,13 @@ def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Ro
             raise IdentificationError(
                 "has changed since the run began", place=row.file, expected="a finished recording"
             )
-        return _fitted(row, _fit(loaded[0] if len(loaded) == 1 else Recordings(sources=loaded), settings))
+        given = loaded[0] if len(loaded) == 1 else Recordings(sources=loaded)
+        return _fitted(row, identify(given, settings.overrides, method=settings.method))
     except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:
         reason = str(error) or type(error).__name__
     except Exception as error:  # one recording that shows a mistake of this program must not end a run of days
         reason = f"unexpected {type(error).__name__}: {error}"
     return msgspec.structs.replace(row, status="failed", reason=reason.replace("\n", " "))
-
-
-def _fit(signals: Signals | Recordings, settings: FleetSettings) -> Fit:
-    if settings.method == "iv":
-        return identify_iv(signals, settings.overrides, Iteration())
-    return identify_ls(signals, settings.overrides, method=settings.method)
 
 
 def _fitted(row: Row, fit: Fit) -> Row:

@@ -5,10 +5,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from acquisition.files import atomic_write
+from acquisition.recording import has_reference
 
 from ..data import RecordingFile
 from ..errors import IdentificationError
@@ -74,6 +76,12 @@ def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> lis
             "no recordings", place=", ".join(map(str, folders)), expected="files *.mcap in the folders or below them"
         )
     return list(found.values())
+
+
+def method_of(recordings: Sequence[Path]) -> Literal["iv", "wls"]:
+    """The method of a whole table: instrumental variables where every recording, or all of every folder, has its reference."""
+    files = [file for path in recordings for file in (path.glob("*.mcap") if path.is_dir() else [path])]
+    return "iv" if all(has_reference(file) for file in files if _is_recording(file)) else "wls"
 
 
 def _is_recording(path: Path) -> bool:

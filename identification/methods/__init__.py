@@ -14,7 +14,7 @@ from .fit import (
     Rows,
     Status,
 )
-from .idim import identify_iv, identify_ls, validate, validate_all
+from .idim import identify, identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
 from .recordings import observe_all
 
@@ -33,6 +33,7 @@ __all__ = [
     "Rows",
     "Status",
     "consistent_set",
+    "identify",
     "identify_iv",
     "identify_ls",
     "observe_all",

@@ -22,8 +22,19 @@ from ..estimation import (
 )
 from ..regression import Regression, base_name
 from ..replica import PassInstruments, Replica
-from ..trust import Evidence, held_out_recordings, trust_in
-from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Method, OwnTest, Rows, Status
+from ..trust import Evidence, Lag, held_out_recordings, trust_in
+from .fit import (
+    Fit,
+    FittedRecording,
+    InstrumentEvidence,
+    LeastSquares,
+    Method,
+    OwnTest,
+    Rows,
+    Status,
+    essential_names,
+)
+from .position_noise import position_noise_line
 from .recordings import Observed
 
 
@@ -37,8 +48,8 @@ class Verdict:
     replicas: tuple[Replica, ...] = ()
 
 
-def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares) -> Evidence:
-    """What least squares has to show for itself: it has no instruments."""
+def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+    """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
     return Evidence(
         parts=observed.evidence,
         observed=observed.regression,
@@ -51,6 +62,9 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares) -> Evid
         least_squares=ls.full,
         blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
         factors=factors_of_ls(observed),
+        position_noise=position_noise_line(observed, method, ls),
+        lags=lags,
+        essential=essential_names(ls.essential, ls.estimate, ls.intervals),
     )
 
 
@@ -81,12 +95,17 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
     trust, held_out = trust_in(evidence), held_out_recordings(evidence)
+    # The error of the model, whatever noise of the position a fit without the rule's filter lets through.
+    of_model = predicted
+    if (behind := observed.behind_rule()) is not None:
+        estimate = solved.estimate
+        of_model = behind.at(estimate.among(observed.regression.system.names)).predicted(estimate)
     fitted = [
         FittedRecording(
             problem=one.problem,
             parameters=observed.parameters.of[k],
             rows=part,
-            errors=torque_errors(rows.tau[part], predicted[part], rows.speed[part], names),
+            errors=torque_errors(rows.tau[part], of_model[part], rows.speed[part], names),
             held_out=held,
             replica=verdict.replicas[k] if verdict.replicas else None,
         )
@@ -106,7 +125,8 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
             tau_predicted=predicted,
             speed=rows.speed,
         ),
-        errors=torque_errors(rows.tau, predicted, rows.speed, names),
+        errors=torque_errors(rows.tau, of_model, rows.speed, names),
+        lags=evidence.lags,
         warnings=_warnings(observed, verdict.warnings),
         trust=trust,
         own=own_test(observed, solved.full),

@@ -12,7 +12,7 @@ from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, Torque
 from ..model import BaseParameters
 from ..regression import Motion, Problem, Settings
 from ..replica import DirectModelError, InstrumentKind, Replica
-from ..trust import HeldOut, Trust
+from ..trust import HeldOut, Lag, Trust
 
 Method = Literal["ols", "wls", "iv"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
@@ -68,6 +68,7 @@ class InstrumentEvidence:
         passes: one by one; `returned` is the number of the one whose estimate this is, counted from 1.
         reason: why the status is what it is, None for `converged`.
         tests: of the instruments.
+        contrast, contrast_at: least squares off the estimate, in half-widths of the parameter that is furthest off.
         rows_used_percent: rows left after those at low simulated speed were taken out.
         saturated_percent: share of recorded samples at a drive's limit, None where no limit is stated.
         direct: the direct model's errors by joint, empty where the final estimate could not be simulated.
@@ -81,6 +82,8 @@ class InstrumentEvidence:
     returned: int
     reason: str | None
     tests: InstrumentTests
+    contrast: float
+    contrast_at: str
     rows_used_percent: float
     saturated_percent: float | None
     direct: tuple[DirectModelError, ...]
@@ -112,6 +115,12 @@ class LeastSquares:
         """The same without the estimates' Q, each as large as W."""
         essential = replace(self.essential, estimate=self.essential.estimate.without_rows())
         return replace(self, estimate=self.estimate.without_rows(), full=self.full.without_rows(), essential=essential)
+
+
+def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) -> tuple[str, ...]:
+    """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
+    kept, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
+    return tuple(name for name, n in zip(estimate.names, narrow, strict=True) if n and name in kept)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -218,6 +227,8 @@ class Fit:
         iv: there for the instrumental variable method only.
         consistent: the nearest physically consistent parameters, where asked for, and `consistent_errors`: their torque errors,
             as `errors`.
+        method_reason: why this method.
+        lags: of the recordings' torques, corrected and counted in the intervals.
         own: the test of the parameters that recordings have for themselves; None where they share all.
     """
 
@@ -236,6 +247,8 @@ class Fit:
     consistent: ConsistentSet | None = None
     consistent_errors: tuple[TorqueError, ...] = ()
     own: OwnTest | None = None
+    method_reason: str = "asked for"
+    lags: tuple[Lag, ...] = ()
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     def on(self, one: FittedRecording) -> "Fit":
@@ -270,6 +283,21 @@ class Fit:
         return self.least_squares.essential
 
     @property
+    def essential_names(self) -> tuple[str, ...]:
+        """Those of the essential parameters whose 95 % interval is narrower than their value."""
+        return essential_names(self.essential, self.estimate, self.intervals)
+
+    @property
+    def widest_essential_percent(self) -> float | None:
+        """The widest interval among the essential parameters, half of it in percent of the value; None where there are none."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            percent = 100 * self.intervals.half / np.abs(self.estimate.beta)
+        essential = set(self.essential_names)
+        return max(
+            (float(p) for name, p in zip(self.estimate.names, percent, strict=True) if name in essential), default=None
+        )
+
+    @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero where one was left out."""
         return self.estimate.among(self.recordings[0].parameters)
@@ -280,7 +308,7 @@ class Fit:
         return self.trust.severe
 
     def __repr__(self) -> str:
-        essential, error = len(self.essential.kept), self.errors[-1].moving_relative_error_percent
+        essential, error = len(self.essential_names), self.errors[-1].moving_relative_error_percent
         moving = "nothing moves" if error is None else f"moving error {error:.3g} %"
         names = ", ".join(one.problem.signals.recording for one in self.recordings)
         made = f"{self.problem.signals.robot.name}, {names}, {self.method}, {self.status}"

@@ -5,6 +5,7 @@ approach for rigid industrial robots identification", Control Engineering Practi
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..replica import PassInstruments
 from ..trust import covariance_of_all
 from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of, robust_sigma
-from .fit import Fit, LeastSquares
+from .fit import Fit, LeastSquares, Method
 from .iteration import (
     Iteration,
     Trial,
@@ -38,7 +39,8 @@ from .iteration import (
     start_values,
 )
 from .recordings import Observed, observe_all
-from .verdict import assess_iv, assess_pass, with_instruments
+from .timing import counted, lags_along, lags_of_ls
+from .verdict import assess_iv, assess_pass
 
 Say = Callable[[str], None]
 
@@ -47,49 +49,68 @@ def _silent(text: str) -> None:
     pass
 
 
-@one_thread
+def identify(
+    signals: Signals | Recordings,
+    overrides: Overrides,
+    *,
+    method: Method | None = None,
+    iteration: Iteration | None = None,
+    essential: bool = False,
+    say: Say = _silent,
+) -> Fit:
+    """Base parameters beta from measured torque and position.
+
+    Parameters
+    ----------
+    signals : the recording, or several of one robot, each filtered and decimated by itself.
+    overrides : settings in place of those of the description; `Overrides()` for none.
+    method : `iv`, instrumental variables; `wls`, least squares with rows weighted joint by joint; `ols`, all rows alike. By
+        default `iv` where every recording has its reference, else `wls`.
+    iteration : of `iv`: where the passes start, and when they end.
+    essential : keep only the parameters that the recording determines well.
+    say : called with a line of text for each step.
+
+    Returns
+    -------
+    The estimate with its evidence. Its status is `solved` of least squares; of `iv` `converged` only where two passes agree and
+    the robot simulated with the estimate follows the recording.
+
+    Raises
+    ------
+    IdentificationError : where a recording is too short, all together excite too little, or they are not of one robot; where
+        the first pass gives no estimate; for an `iteration` that least squares does not have.
+    """
+    # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
+    observed = observe_all(signals, overrides, say)
+    chosen, reason = (method, "asked for") if method is not None else observed.method
+    if chosen == "iv":
+        try:
+            fit = _by_instruments(observed, iteration or Iteration(), essential=essential, say=say)
+        except IdentificationError as error:
+            if method is not None:
+                raise
+            raise IdentificationError(f"{error}; least squares: --method wls") from error
+    else:
+        if iteration is not None:
+            raise IdentificationError(
+                "passes are of instrumental variables", key="method", value=chosen, expected=f"iv ({reason})"
+            )
+        fit = _by_least_squares(observed, chosen, essential=essential)
+    return replace(fit, method_reason=reason)
+
+
 def identify_ls(
     signals: Signals | Recordings,
     overrides: Overrides,
     *,
     method: Literal["ols", "wls"] = "wls",
     essential: bool = False,
-    trust: bool = False,
     say: Say = _silent,
 ) -> Fit:
-    """IDIM-LS, section 2: base parameters beta from measured torque and filtered position.
-
-    Parameters
-    ----------
-    signals : the recording, or several of one robot, each filtered and decimated by itself.
-    overrides : settings in place of those of the description; `Overrides()` for none.
-    method : `wls`, rows weighted joint by joint, or `ols`, all rows alike.
-    essential : keep only the parameters that the recording determines well.
-    trust : simulate the robot once with the estimate, for the tests that need instruments; the estimate stays the same.
-    say : called with a line of text for each step.
-
-    Returns
-    -------
-    The estimate with its evidence; its status is `solved`.
-
-    Raises
-    ------
-    IdentificationError : where a recording is too short, all together excite too little, or they are not of one robot.
-    """
-    # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    observed, full = observe_all(signals, overrides, say).settled(method)
-    ls = solve_least_squares(observed, full, essential=essential)
-    evidence = evidence_of_ls(observed, method, ls)
-    if trust and not observed.regression.reduced:
-        say("simulating the robot")
-        lab = observed.lab(inertia_prior(observed, ls), gain_update=True)
-        evidence = with_instruments(
-            evidence, lab.instruments(ls.full.beta, ls.full.covariance, ls.full.weights, motion=True)
-        )
-    return assess_ls(observed, evidence, ls)
+    """IDIM-LS, section 2; parameters as of `identify`."""
+    return identify(signals, overrides, method=method, essential=essential, say=say)
 
 
-@one_thread
 def identify_iv(
     signals: Signals | Recordings,
     overrides: Overrides,
@@ -98,32 +119,34 @@ def identify_iv(
     essential: bool = False,
     say: Say = _silent,
 ) -> Fit:
-    """IDIM-IV, section 3: the instruments Z are the model along the robot simulated with the estimate before.
+    """IDIM-IV, section 3; parameters as of `identify`."""
+    return identify(signals, overrides, method="iv", iteration=iteration, essential=essential, say=say)
+
+
+@one_thread
+def _by_least_squares(observed: Observed, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
+    """IDIM-LS: W and Y from the measured torque and the filtered position."""
+    observed, full = observed.settled(method)
+    ls = solve_least_squares(observed, full, essential=essential)
+    within, lags = counted(ls.estimate, ls.intervals, lags_of_ls(observed, ls.estimate))
+    ls = replace(ls, intervals=within)
+    return assess_ls(observed, evidence_of_ls(observed, method, ls, lags), ls)
+
+
+@one_thread
+def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
+    """IDIM-IV: the instruments Z are the model along the robot simulated with the estimate before.
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
-
-    Parameters
-    ----------
-    signals, overrides, essential, say : as of `identify_ls`.
-    iteration : where the passes start, and when they end.
-
-    Returns
-    -------
-    The estimate with its evidence. Its status is `converged` only where two passes agree and the robot simulated with the
-    estimate follows the recording.
-
-    Raises
-    ------
-    IdentificationError : as `identify_ls`, or where the first pass gives no estimate.
     """
-    observed, full = observe_all(signals, overrides, say).settled()  # (2), (5), (6)
+    observed, full = observed.settled()
     ls = solve_least_squares(observed, full, essential=essential)
     names, weights = observed.regression.system.names, full.weights
     kept = ls.essential.kept if essential else np.arange(len(names))
     lab = observed.lab(inertia_prior(observed, ls), gain_update=iteration.gain_update)
 
-    def solve(z: PassInstruments) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: PassInstruments, observed: Observed = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
         system, Z = observed.along(z)
         return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
@@ -148,7 +171,9 @@ def identify_iv(
         trials = [*(before.without_rows() for before in trials), trial]
         beta = next_values(trials, names)
     result = conclude(lab, iteration, trials, failure, solve)
-    return assess_iv(observed.about(result.z), ls, result)
+    # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
+    observed, estimate, lags = lags_along(observed, result.z, result.final, solve)
+    return assess_iv(observed.about(result.z), ls, replace(result, estimate=estimate), lags)
 
 
 def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:

@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate
 from ..model import BaseParameters, InverseModel
-from ..regression import Problem, rule_cutoff_hz
+from ..regression import Problem
 from ..replica import Lab, PassInstruments, Replica
 from ..simulation import has_controller
 from ..trust import covariance_of_all
@@ -168,13 +168,9 @@ def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:
 
     Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
     """
-    if all(one.problem.settings.filtered for one in observed.observations):
-        return ls.full.beta
-    signals = [one.problem.signals for one in observed.observations]
-    cutoff_hz = min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals)
     try:
-        _, full = observed.at_cutoff(cutoff_hz).settled()
-        return full.among(observed.regression.system.names)
+        behind = observed.behind_rule()
+        return ls.full.beta if behind is None else behind.settled()[1].among(observed.regression.system.names)
     except IdentificationError:
         return ls.full.beta
 

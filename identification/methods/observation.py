@@ -11,6 +11,8 @@ from ..estimation import one_thread
 from ..model import SHAPES
 from ..passes import RowStates, row_states
 from ..regression import (
+    NOTHING,
+    KnownLag,
     Overrides,
     Problem,
     Regression,
@@ -18,6 +20,7 @@ from ..regression import (
     make_problem,
     make_settings,
     regression_of_recording,
+    retimed,
     torque_of_recording,
 )
 from ..replica import Place
@@ -34,7 +37,7 @@ class Observation:
         problem: recording, settings and model; without samples where rows are reduced and recordings are several.
         regression: its W and Y.
         poses: (P, n) positions at which M is looked at.
-        replay: its described control law against the recorded effort.
+        replay: its described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
         t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them; None where friction has the usual terms alone.
     """
@@ -43,6 +46,7 @@ class Observation:
     regression: Regression
     poses: Array
     replay: TrustLine
+    replay_lag: KnownLag | None
     t_s: Array
     states: RowStates | None
 
@@ -54,8 +58,17 @@ class Observation:
             slip_noise=self.regression.slip_noise,
             poses=self.poses,
             replay=self.replay,
+            replay_lag=self.replay_lag,
             states=self.states,
         )
+
+    @property
+    def known_lag(self) -> KnownLag:
+        """What is known of its torque's lag without an estimate."""
+        known, replayed = self.problem.settings.known_lag, self.replay_lag
+        if known.stated or replayed is None:
+            return known
+        return replayed if known.source == NOTHING else known.with_other(replayed)
 
 
 @one_thread
@@ -77,7 +90,7 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     regression = regression_of_recording(problem, say, share=share)
     # Decimation keeps the last sample and every n_d-th before it.
     kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
-    poses, replay = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
+    poses, (replay, replay_lag) = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
     shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
     states = row_states(problem) if shaped else None
     if share > 1 and regression.reduced:
@@ -87,6 +100,7 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
         regression=regression,
         poses=np.array(poses),
         replay=replay,
+        replay_lag=replay_lag,
         t_s=signals.t_s[kept],
         states=states,
     )
@@ -98,6 +112,12 @@ def regression_at(place: Place, overrides: Overrides, share: int) -> tuple[Setti
     problem = place.problem()
     settings = make_settings(problem.signals, overrides, problem.motion)
     return settings, regression_of_recording(replace(problem, settings=settings), share=share)
+
+
+@one_thread
+def retimed_at(place: Place, regression: Regression, lag_s: float) -> Regression:
+    """The regression of a recording with its torque corrected by another lag."""
+    return retimed(regression, place.problem().corrected(lag_s))
 
 
 @one_thread

@@ -1,7 +1,9 @@
 """The recordings of a fit, and the system that all of them make together."""
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -9,10 +11,12 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..errors import IdentificationError
 from ..estimation import Estimate, System, slices
 from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
     ALL_REDUCED,
+    KnownLag,
     Overrides,
     OwnParameters,
     Problem,
@@ -20,10 +24,11 @@ from ..regression import (
     make_problem,
     own_parameters,
     refuse_slow_joints,
+    rule_cutoff_hz,
 )
 from ..replica import Bench, Lab, PassInstruments, Place
 from ..trust import Part
-from .observation import Observation, Say, observation_of, observe, predict, regression_at
+from .observation import Observation, Say, observation_of, observe, predict, regression_at, retimed_at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,6 +144,66 @@ class Observed:
         left_out = tuple(self.linearised.left_out)
         return _observed(self.recordings, self.overrides, tuple(observations), self.order, left_out)
 
+    @property
+    def method(self) -> tuple[Literal["iv", "wls"], str]:
+        """The method by default, and why: instruments where every recording has its reference."""
+        without = [one.problem.signals for one in self.observations if one.problem.signals.q_ref is None]
+        if not without:
+            return "iv", "reference recorded"
+        where = f" in {without[0].recording}" if len(self.observations) > 1 else ""
+        return "wls", f"no reference{where}"
+
+    @cached_property
+    def lag_groups(self) -> tuple[tuple[int, ...], ...]:
+        """Places of recordings whose torques have one lag: those of one effort object, timing and rate."""
+        groups: dict[object, list[int]] = {}
+        for k, one in enumerate(self.observations):
+            signals, known = one.problem.signals, one.problem.settings.known_lag
+            key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.stated and known.value_s)
+            groups.setdefault(key, []).append(k)
+        return tuple(map(tuple, groups.values()))
+
+    @property
+    def known_lags(self) -> list[KnownLag]:
+        """What is known of the lag of each group of recordings: the mean of theirs, with the deviation of the best known."""
+        found = []
+        for group in self.lag_groups:
+            each = [self.observations[k].known_lag for k in group]
+            best = min(each, key=lambda known: known.sd_s)
+            found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
+        return found
+
+    def behind_rule(self) -> "Observed | None":
+        """The same recordings behind the rule's low-pass; None where all are behind it, or behind a lower one.
+
+        None too where a recording is too short for it.
+        """
+        if all(one.problem.settings.filtered for one in self.observations):
+            return None
+        signals = [one.problem.signals for one in self.observations]
+        with suppress(IdentificationError):
+            return self.at_cutoff(min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals))
+        return None
+
+    def with_lags(self, values_s: Sequence[float]) -> "Observed":
+        """The same with the torques of each group of recordings corrected by another lag, s."""
+        by_place = {k: value for group, value in zip(self.lag_groups, values_s, strict=True) for k in group}
+        return self.corrected([by_place[k] for k in range(len(by_place))])
+
+    def corrected(self, lags_s: Sequence[float]) -> "Observed":
+        """The same with the torque of each recording corrected by another lag, s; columns of load friction are zero."""
+        if all(one.problem.settings.torque_lag_s == lag for one, lag in zip(self.observations, lags_s, strict=True)):
+            return self
+        tasks = list(zip(self.places(), self.linearised.each, lags_s, strict=True))
+        observations = (
+            replace(one, problem=one.problem.corrected(lag_s), regression=regression)
+            for one, lag_s, regression in zip(
+                self.observations, lags_s, self.recordings.work.run(retimed_at, tasks), strict=True
+            )
+        )
+        left_out = tuple(self.linearised.left_out)
+        return _observed(self.recordings, self.overrides, tuple(observations), self.order, left_out)
+
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
         observed = self.regression
@@ -188,7 +253,8 @@ def _places(
         in_file = isinstance(source, RecordingFile) and recordings.work.remote
         common = replace(overrides, cutoff_hz=settings.cutoff_hz or 0.0, decimation=settings.decimation)
         at_hand = None if in_file or without_samples else problem
-        found.append(Place(source=source, overrides=common, at_hand=at_hand, left_out=left_out))
+        lag_s = settings.torque_lag_s
+        found.append(Place(source=source, overrides=common, at_hand=at_hand, lag_s=lag_s, left_out=left_out))
     return found
 
 
@@ -205,7 +271,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
         one = observation_of(make_problem(signals, overrides), 1, say)
-        return _observed(Recordings(sources=(signals,)), overrides, (one,), (0,))
+        return _in_known_time(_observed(Recordings(sources=(signals,)), overrides, (one,), (0,)))
     say(f"reading {len(given.sources)} recordings")
     given, found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
@@ -222,7 +288,12 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
     )
     joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
     refuse_slow_joints(observed.regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
-    return observed
+    return _in_known_time(observed)
+
+
+def _in_known_time(observed: Observed) -> Observed:
+    """The recordings with their torques corrected by what is known of their lags."""
+    return observed.with_lags([known.value_s for known in observed.known_lags])
 
 
 def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:

@@ -5,39 +5,42 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
-from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
     InstrumentTests,
     System,
     instrument_tests,
-    instrumental_variables,
     lag_one,
 )
 from ..replica import DirectModelError, PassInstruments, Replica, told, worst
-from ..trust import Evidence, Part
+from ..trust import Evidence, Lag, Part
 from .assess import Verdict, assess_estimate, intervals_along, sums_along
-from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status
+from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names
 from .iteration import IterationResult
 from .recordings import Observed
+from .timing import counted
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) -> Fit:
+def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult, lags: tuple[Lag, ...]) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
     estimate, replicas, passes = outcome.estimate, outcome.final, outcome.passes
     predicted, (system, Z) = observed.predicted(estimate), observed.along(outcome.z)
     tests = _tests(system, estimate, observed.regression.tau - predicted, outcome.z.used)
-    direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.observations]
+    direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.evidence]
     final_reason = told([one.simulated.reason for one in replicas], names)
     tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
     status, reason = _status(passes, final_reason, tracking_percent, outcome.failure, direct, tests)
     first = replicas[observed.order[0]]
     if reason is not None and outcome.returned != len(passes):
         reason += f"; pass {outcome.returned} is returned, which tracks best"
+    within, lags = counted(estimate, intervals_along(observed, outcome.z, estimate), lags)
+    off = ls.full.among(estimate.names) - estimate.beta
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.nan_to_num(np.abs(off) / within.half)
     evidence = InstrumentEvidence(
         start=outcome.start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
@@ -46,6 +49,8 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) ->
         returned=outcome.returned,
         reason=reason,
         tests=tests,
+        contrast=float(apart.max()),
+        contrast_at=estimate.names[int(apart.argmax())],
         rows_used_percent=float(100 * outcome.z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
@@ -63,13 +68,15 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult) ->
         estimate=estimate,
         predicted=predicted,
         used=outcome.z.used,
-        intervals=intervals_along(observed, outcome.z, estimate),
+        intervals=within,
         least_squares=ls.full,
         Z=None if long else Z,
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         factors=tuple(factors) if len(factors) > 1 else (),
         blocks=sums_along(outcome.z, estimate),
+        lags=lags,
+        essential=essential_names(ls.essential, estimate, within),
     )
     return assess_estimate(observed, found, ls, predicted, verdict)
 
@@ -78,28 +85,6 @@ def _simulated(part: Part, simulated: Replica) -> Part:
     """A recording's part of the evidence with the robot simulated in it."""
     motion, decimation = simulated.simulated.motion, simulated.simulated.decimation
     return replace(part, simulated=motion, decimation=decimation, reference=simulated.reference_kind)
-
-
-def with_instruments(evidence: Evidence, z: PassInstruments) -> Evidence:
-    """The evidence of least squares with the instruments of a robot simulated with it, for the tests that need them."""
-    system, weights = evidence.observed.system.with_rows(evidence.used), evidence.least_squares.weights
-    assert z.Z is not None
-    try:
-        estimate = instrumental_variables(system, z.Z, weights)
-    except IdentificationError:
-        return evidence
-    parts = (
-        replace(
-            part,
-            simulated=None if one.simulated is None else one.simulated.motion,
-            decimation=None if one.simulated is None else one.simulated.decimation,
-            reference=one.reference_kind,
-        )
-        for part, one in zip(evidence.parts, z.each, strict=True)
-    )
-    rho = evidence.observed.tau - evidence.observed.predicted(estimate.among(system.names))
-    tests = _tests(system, estimate, rho, evidence.used)
-    return replace(evidence, parts=tuple(parts), Z=z.Z, first_stage_F=tests.first_stage_F)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything

@@ -8,6 +8,8 @@ from .own import OwnParameters, base_name, own_parameters
 from .problem import Problem, RowBlock, make_problem, motion_blocks, row_blocks
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
+    NOTHING,
+    KnownLag,
     Overrides,
     Settings,
     Span,
@@ -23,6 +25,7 @@ from .system import (
     known_torque_rows,
     predicted_torque,
     regression_of_recording,
+    retimed,
     rows_of_block,
     stacked,
     torque_of_recording,
@@ -32,8 +35,10 @@ from .system import (
 __all__ = [
     "ALL_REDUCED",
     "CUTOFF_PER_BANDWIDTH",
+    "NOTHING",
     "Decimation",
     "FilteredMotion",
+    "KnownLag",
     "LinkSeries",
     "LoadFriction",
     "Motion",
@@ -63,6 +68,7 @@ __all__ = [
     "predicted_torque",
     "refuse_slow_joints",
     "regression_of_recording",
+    "retimed",
     "row_blocks",
     "rows_of_block",
     "rule_cutoff_hz",

@@ -41,6 +41,12 @@ class FilteredMotion:
         self._signals = signals
         self._filtered: dict[float, Array] = {}
 
+    def with_torque_of(self, signals: Signals) -> "FilteredMotion":
+        """The same position, filtered as far as it is, beside the torque of other signals."""
+        other = FilteredMotion(signals)
+        other._filtered = self._filtered
+        return other
+
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None leaves the position as it is."""
         s = self._signals

@@ -8,7 +8,7 @@ from ..data import Signals
 from ..model import BaseParameters, InverseModel, base_parameters
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
-from .settings import Overrides, Settings, make_settings, rule_cutoff_hz, torque_lag_s
+from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
 _SERIES_BLOCK = 12_000_000  # numbers of a block's regressor, 96 MB; shorter, more is spent on what reaches beyond it
 
@@ -18,7 +18,7 @@ class Problem:
     """The data of an identification, made once per fit.
 
     Attributes:
-        signals: the recording, the lag of its torque corrected.
+        signals: the recording, the lag of its torque corrected; `recorded`: as it was recorded.
         settings: cut-off, decimation and span, resolved.
         model: inverse dynamic model of the robot, linear in its standard parameters.
         base: its base parameters.
@@ -26,6 +26,7 @@ class Problem:
     """
 
     signals: Signals
+    recorded: Signals
     settings: Settings
     model: InverseModel
     base: BaseParameters
@@ -44,7 +45,14 @@ class Problem:
         s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
         none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={}, extras={})
-        return replace(self, signals=signals, motion=FilteredMotion(signals))
+        return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
+
+    def corrected(self, lag_s: float) -> "Problem":
+        """The same with the torque corrected by another lag, s, positive where it is late."""
+        by, effort = lag_s * self.recorded.sample_rate_hz, self.recorded.effort
+        signals = replace(self.recorded, effort=later(effort, by)) if by and len(effort) else self.recorded
+        settings = replace(self.settings, torque_lag_s=lag_s)
+        return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:
@@ -52,13 +60,17 @@ def make_problem(signals: Signals, overrides: Overrides) -> Problem:
 
     Raises `IdentificationError` where the settings do not suit the recording, or the robot cannot be modelled.
     """
-    lag_s, _ = torque_lag_s(signals, overrides)
-    if lag_s:
-        signals = replace(signals, effort=later(signals.effort, lag_s * signals.sample_rate_hz))
-    motion = FilteredMotion(signals)
+    motion, model = FilteredMotion(signals), InverseModel(signals.robot)
     settings = make_settings(signals, overrides, motion)
-    model = InverseModel(signals.robot)
-    return Problem(signals=signals, settings=settings, model=model, base=base_parameters(model), motion=motion)
+    problem = Problem(
+        signals=signals,
+        recorded=signals,
+        settings=settings,
+        model=model,
+        base=base_parameters(model),
+        motion=motion,
+    )
+    return problem.corrected(settings.torque_lag_s)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,8 @@ CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
 STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
+LAG_REACH = 3.0  # deviations that a lag may be off what is known of it
+NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of the lag of an effort of which nothing is known
 _BLOCK = 200_000  # samples looked through at a time for the span of motion
 
 
@@ -46,6 +48,29 @@ class Overrides:
 
 
 @dataclass(frozen=True, kw_only=True)
+class KnownLag:
+    """What is known of a torque's lag without a fit: value and deviation, s, positive where it is late; and whence.
+
+    A value that the user states has no deviation.
+    """
+
+    value_s: float
+    sd_s: float
+    source: str
+
+    @property
+    def stated(self) -> bool:
+        """Whether the user stated it."""
+        return self.sd_s == 0.0
+
+    def with_other(self, other: "KnownLag") -> "KnownLag":
+        """Both together, by their variances."""
+        own, others = self.sd_s**-2, other.sd_s**-2
+        value = (own * self.value_s + others * other.value_s) / (own + others)
+        return KnownLag(value_s=value, sd_s=(own + others) ** -0.5, source=f"{self.source} and {other.source}")
+
+
+@dataclass(frozen=True, kw_only=True)
 class Settings:
     """A fit's settings, resolved.
 
@@ -57,7 +82,7 @@ class Settings:
         edges: how the decimation treats the two ends (`filtering.decimate`).
         low_speed: rows slower than this are left out, by method (`low_speed.fast_rows`).
         torque_lag_s: lag of the recorded torque in s, positive where it is late, that is corrected; 0 where none is.
-        expected_lag_s: the lag, in s, of a torque that is recorded as it should be.
+        known_lag: what is known of it without a fit, by what the user states and the recording says.
         span: what that range is, in words; `span_rule` the setting it follows from.
         warnings: rules of the method that the settings leave.
     """
@@ -70,7 +95,7 @@ class Settings:
     edges: Edges
     low_speed: LowSpeed
     torque_lag_s: float
-    expected_lag_s: float
+    known_lag: KnownLag
     span: str
     span_rule: Span
     warnings: tuple[str, ...]
@@ -147,9 +172,9 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
     border = 2 if cutoff_hz is None else math.ceil(CUT_PERIODS * fs / cutoff_hz)
     start = max(start, border if stored.cut_start_samples is None else stored.cut_start_samples)
     stop = min(stop, N - (border if stored.cut_end_samples is None else stored.cut_end_samples))
-    lag_s, expected_lag_s = torque_lag_s(signals, overrides)
-    moved = lag_s * fs  # samples without a torque, at one end
-    start, stop = max(start, math.ceil(-moved)), min(stop, N - math.ceil(moved))
+    lag = known_lag(signals, overrides)
+    early, late = (fs * (lag.value_s + way * LAG_REACH * lag.sd_s) for way in (-1, 1))
+    start, stop = max(start, math.ceil(-early)), min(stop, N - math.ceil(late))  # others may be left without a torque
     filtered = cutoff_hz is not None and cutoff_hz <= CUTOFF_PER_BANDWIDTH * bandwidth_hz * (1 + 1e-9)
     given = overrides.low_speed_percent
     if stop - start < 30 * decimation:
@@ -167,27 +192,30 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         filtered=filtered,
         edges=overrides.edges or stored.edges,
         low_speed=low_speed_by_method(stored.low_speed if given is None else given),
-        torque_lag_s=lag_s,
-        expected_lag_s=expected_lag_s,
+        torque_lag_s=lag.value_s,
+        known_lag=lag,
         span=span,
         span_rule=span_rule,
         warnings=tuple(warnings),
     )
 
 
-def torque_lag_s(signals: Signals, overrides: Overrides) -> tuple[float, float]:
-    """The lag of a recording's torque that is corrected, and the one expected of it, in s, positive where it is late.
+def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
+    """What is known of the lag of a recording's torque, of which the value is corrected before anything is fitted.
 
-    A lag that is stated is both. Otherwise a command held for a control period is half that period early: it is written down
-    at the tick, and acts on the mean half a period later. Efforts of other kinds, or without a described period, have 0.
-    `"none"` corrects nothing and expects the same.
+    A command held for a control period is half that period early: it is written down at the tick, and acts on the mean half
+    a period later. Without a described period it is that of the samples. `"none"` corrects nothing.
     """
-    own, rate_hz = signals.robot.identification.torque_lag_s, signals.robot.controller.sample_rate_hz
+    own, period_s = signals.robot.identification.torque_lag_s, 1 / signals.sample_rate_hz
     given = own if overrides.torque_lag_s is None else overrides.torque_lag_s
-    if given is not None and given != "none":
-        return given, given
-    expected = 0.0 if rate_hz is None or signals.effort_timing != "command" else -0.5 / rate_hz
-    return 0.0 if given == "none" else expected, expected
+    if given is not None:
+        return KnownLag(value_s=0.0 if given == "none" else given, sd_s=0.0, source="torque_lag_s")
+    timing, rate_hz = signals.effort_timing, signals.robot.controller.sample_rate_hz
+    if timing == "unknown":
+        return KnownLag(value_s=0.0, sd_s=UNKNOWN_LAG_S, source=NOTHING)
+    period_s = 1 / rate_hz if rate_hz is not None else period_s
+    value_s = -0.5 * period_s if timing == "command" else 0.0
+    return KnownLag(value_s=value_s, sd_s=0.25 * period_s, source=f"effort_timing {timing}")
 
 
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:

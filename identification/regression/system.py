@@ -158,6 +158,16 @@ def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Ar
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
 
+def retimed(regression: Regression, problem: Problem) -> Regression:
+    """The regression with the torque of the same recording corrected by another lag, which `problem` has."""
+    if regression.reduced:
+        return regression_of_recording(problem, share=ALL_REDUCED)
+    settings = problem.settings
+    tau = settings.decimator.filtered(problem.signals.torque[settings.start : settings.stop].T).T
+    Y = regression.system.Y + (tau - regression.tau).T.reshape(-1)
+    return replace(regression, tau=tau, system=replace(regression.system, Y=Y))
+
+
 def known_torque_rows(problem: Problem) -> Array:
     """Known torques (rows, n) of the span used, decimated as the torques are; zeros where there are none."""
     settings, known = problem.settings, problem.signals.known_torque
@@ -167,7 +177,7 @@ def known_torque_rows(problem: Problem) -> Array:
 
 
 def torque_rate(problem: Problem, beta: Array) -> Array:
-    """Rate of change (rows, n) of the drives' torque that beta (b,) predicts, per sample of the recording, decimated.
+    """Rate of change (rows, n) of the drives' torque that beta (b,) predicts, per second, decimated.
 
     Known torques are left out: no drive records them. Differences are central, of the samples before decimation: there they
     are exact.
@@ -178,7 +188,7 @@ def torque_rate(problem: Problem, beta: Array) -> Array:
         if known is not None:
             first = round(motion.t_s[0] * problem.signals.sample_rate_hz)
             predicted = predicted - known[first : first + len(predicted)]
-        rate = differentiate(predicted, 1.0)
+        rate = differentiate(predicted, problem.signals.sample_rate_hz)
         parts.append(problem.settings.decimator.filtered(rate.T)[:, inside].T)
     return np.concatenate(parts)
 

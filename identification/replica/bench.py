@@ -21,12 +21,14 @@ NUMBERS_KEPT = (
 class Place:
     """Where a task finds a recording: its problem `at_hand`, or its file, read by the process that runs the task.
 
-    `left_out` are friction terms that the fit leaves out of the description.
+    `lag_s` is the lag of its torque that is corrected, None for the one that is known without a fit; `left_out` are friction
+    terms that the fit leaves out of the description.
     """
 
     source: Signals | RecordingFile
     overrides: Overrides
     at_hand: Problem | None = None
+    lag_s: float | None = None
     left_out: tuple[str, ...] = ()
 
     def problem(self) -> Problem:
@@ -39,14 +41,17 @@ class Place:
     def _made(self) -> Problem:
         """The problem with all terms of the description."""
         if isinstance(self.source, Signals):
-            return make_problem(self.source, self.overrides)
-        key = f"{self.source.key} {self.overrides}"
+            return self._corrected(make_problem(self.source, self.overrides))
+        key = f"{self.source.key} {self.overrides} {self.lag_s}"
         if key not in _problems:
-            _problems[key] = make_problem(self.source.load(), self.overrides)
+            _problems[key] = self._corrected(make_problem(self.source.load(), self.overrides))
             while len(_problems) > 1 and sum(p.signals.q.size for p in _problems.values()) > NUMBERS_KEPT:
                 _problems.popitem(last=False)
         _problems.move_to_end(key)
         return _problems[key]
+
+    def _corrected(self, problem: Problem) -> Problem:
+        return problem if self.lag_s in (None, problem.settings.torque_lag_s) else problem.corrected(self.lag_s)
 
 
 _problems: OrderedDict[str, Problem] = OrderedDict()  # of this process, those used last at the end

@@ -17,7 +17,7 @@ from ..estimation import TorqueError
 from ..methods import Fit, InstrumentEvidence, Method, OwnTest, Status
 from ..regression import Span, forward_backward_3db_hz
 from ..replica import DirectModelError, InstrumentKind
-from ..trust import Level, Verdict
+from ..trust import Assumed, Level, Verdict
 from .comparison import Parameter, fitted_parameters
 from .document import Document, ResultFile, document_json
 from .recording_report import Validated
@@ -25,6 +25,8 @@ from .stored_fit import (
     ConsistentFile,
     Covariance,
     Doubt,
+    KnownLagFile,
+    LagFile,
     LeftOut,
     RecordingOfFit,
     StandardParameter,
@@ -139,6 +141,9 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     consistent: ConsistentFile | UnsetType = UNSET
     standard_parameters: list[StandardParameter] | UnsetType = UNSET
     verdict: Verdict | UnsetType = UNSET
+    method_reason: str | UnsetType = UNSET
+    assumed: list[Assumed] | UnsetType = UNSET
+    lag: LagFile | UnsetType = UNSET
     trust: list[TrustLineFile] | UnsetType = UNSET
     held_out_error_percent: float | UnsetType | None = UNSET
     own_parameters: OwnTest | UnsetType = UNSET
@@ -149,6 +154,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     controller: str | UnsetType = UNSET
     iterations: list[PassFile] | UnsetType = UNSET
     instrument_tests: dict[str, float | None] | UnsetType = UNSET
+    contrast_half_widths: float | UnsetType | None = UNSET
     rows_used_percent: float | UnsetType = UNSET
     saturated_percent: float | UnsetType | None = UNSET
     direct_model: list[DirectModelError] | UnsetType = UNSET
@@ -183,6 +189,9 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
             if line.test == "physical" and line.level != "ok"
         ],
         verdict=fit.trust.verdict,
+        method_reason=fit.method_reason,
+        assumed=list(fit.trust.assumed),
+        lag=_lag(fit),
         held_out_error_percent=_finite(fit.trust.line("held-out blocks").value),
         trust=[
             TrustLineFile(test=line.test, level=line.level, value=_finite(line.value), text=line.text)
@@ -197,7 +206,7 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
         ],
         **consistent_keys(fit),
         essential=EssentialSet(
-            names=list(reduction.estimate.names),
+            names=list(fit.essential_names),
             F=_number(reduction.F),
             p_value=_number(reduction.p_value),
             F_effective=_number(reduction.F_effective),
@@ -210,6 +219,23 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
         },
         **(_iv_keys(fit.iv) if fit.iv else {}),
     )
+
+
+def _lag(fit: Fit) -> LagFile | UnsetType:
+    """That of the first recording; others of several may have their own."""
+    signals = fit.problem.signals
+    for lag in fit.lags:
+        if signals.recording in lag.recordings:
+            prior = KnownLagFile(value_s=lag.prior.value_s, half_width_s=2 * lag.prior.sd_s, source=lag.prior.source)
+            return LagFile(
+                value_s=lag.value_s,
+                half_width_s=lag.half_width_s,
+                source=lag.source,
+                prior=prior,
+                effort_timing=signals.effort_timing,
+                effort_provenance=signals.provenance,
+            )
+    return UNSET
 
 
 def validation_file(
@@ -253,6 +279,7 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
             for p in iv.passes
         ],
         "instrument_tests": {name: _finite(x) for name, x in vars(iv.tests).items()},
+        "contrast_half_widths": _finite(iv.contrast),
         "rows_used_percent": iv.rows_used_percent,
         "saturated_percent": iv.saturated_percent,
         "direct_model": list(iv.direct),

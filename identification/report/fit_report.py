@@ -3,7 +3,8 @@
 import math
 
 from ..data import Signals
-from ..methods import Fit, InstrumentEvidence
+from ..estimation import relative_error_percent
+from ..methods import NO_FIXED_POINT, Fit, InstrumentEvidence
 from ..regression import base_name
 from .document import Document, Number, Row, Section, Table, columns, value_form
 from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
@@ -30,7 +31,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
     )
     several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
     return Document(
-        title=f"{signals.robot.name}: {fit.method.upper()}, {fit.status}, {fit.trust.verdict}, {headline(fit.errors)}",
+        title=f"{signals.robot.name}: {first_line(fit)}",
         sections=(
             _verdict_section(fit),
             _trust_section(fit),
@@ -45,16 +46,33 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
     )
 
 
+def first_line(fit: Fit) -> str:
+    """Method and why, how it ended, the verdict with its worst finding, and how far the word goes."""
+    finding = f": {fit.trust.finding}" if fit.trust.finding else ""
+    figures = [headline(fit.errors)]
+    if (held := fit.trust.line("held-out blocks").value) is not None:
+        figures.append(f"{held:.2g} % held out")
+    if (widest := fit.widest_essential_percent) is not None:
+        figures.append(f"essentials to ±{widest:.2g} %")
+    return (
+        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}, {fit.trust.verdict}{finding}; {', '.join(figures)}"
+    )
+
+
 def _verdict_section(fit: Fit) -> Section:
     reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
-    return Section(
-        lines=(f"status: {fit.status}{reason}", error_line(fit.errors), _essential_line(fit)), warnings=fit.warnings
-    )
+    lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
+    lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
+    if fit.status in NO_FIXED_POINT:
+        rows, ls = fit.rows, fit.least_squares
+        error = relative_error_percent(rows.tau, rows.tau - ls.tau_predicted)
+        lines.append(f"least squares leaves {_percent(error)} of all rows: --method wls")
+    return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
 
 
 def trust_document(fit: Fit) -> Document:
     """The verdict on a fit and the tests that it rests on."""
-    return Document(title=f"{fit.method.upper()}, {fit.status}", sections=(_trust_section(fit),))
+    return Document(title=first_line(fit), sections=(_trust_section(fit),))
 
 
 def _trust_section(fit: Fit) -> Section:
@@ -66,7 +84,7 @@ def _trust_section(fit: Fit) -> Section:
 def _essential_line(fit: Fit) -> str:
     reduction = fit.essential
     by = " (by least squares)" if fit.iv else ""
-    line = f"essential{by}: {len(reduction.estimate.names)} of {len(fit.least_squares.full.names)} parameters"
+    line = f"essential{by}: {len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters"
     if not math.isfinite(reduction.F):
         return line
     return (
@@ -76,7 +94,7 @@ def _essential_line(fit: Fit) -> str:
 
 
 def _parameters(fit: Fit, *, everything: bool) -> Section:
-    e, essential = fit.estimate, set(fit.essential.estimate.names)
+    e, essential = fit.estimate, set(fit.essential_names)
     units = dict(zip(fit.base.names, fit.base.units, strict=True))
     rows: list[Row] = []
     for k, name in enumerate(e.names):
@@ -203,7 +221,8 @@ def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
         )
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
-    return (*lines, dwh, strength, used)
+    contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"
+    return (*lines, dwh, strength, contrast, used)
 
 
 def _expressions(fit: Fit) -> list[Section]:

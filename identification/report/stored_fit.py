@@ -2,13 +2,13 @@
 
 import math
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 from msgspec import UNSET, UnsetType
 
-from acquisition.robot import Edges, Robot, robot_from_files
+from acquisition.robot import Edges, EffortTiming, LowSpeed, Robot, robot_from_files
 
 from ..arrays import Array
 from ..data import Signals
@@ -115,6 +115,28 @@ def recording_of_fit(
     )
 
 
+class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
+    """What is known of a torque's lag without a fit, s."""
+
+    value_s: float
+    half_width_s: float
+    source: str
+
+
+class LagFile(msgspec.Struct, frozen=True, kw_only=True):
+    """The lag of a recording's torque, s, positive where it is late, that a fit corrects and counts in its intervals.
+
+    It is that of other recordings of the same timing, effort objects and rate too.
+    """
+
+    value_s: float
+    half_width_s: float
+    source: str
+    prior: KnownLagFile
+    effort_timing: EffortTiming = "unknown"
+    effort_provenance: str = ""
+
+
 class StoredFit(msgspec.Struct, frozen=True):
     """The JSON file of a fit, or of known values, as far as it is read back."""
 
@@ -136,18 +158,29 @@ class StoredFit(msgspec.Struct, frozen=True):
     span_rule: Span | None = None
     edges: Edges | None = None
     torque_lag_s: float | None = None
+    low_speed_percent: LowSpeed | None = None
+    lag: LagFile | UnsetType = UNSET
 
-    def settings(self, sample_rate_hz: float) -> Overrides:
-        """The settings that the fit was made with, for a recording of that rate; known values have none."""
+    def settings(self, signals: Signals) -> Overrides:
+        """The settings that the fit was made with, for another recording; known values have none.
+
+        The lag is the fit's where timing, effort objects and rate are those of its recording; else what is known of it.
+        """
         if self.sample_rate_hz is None:
             return Overrides()
-        n_d = self.decimation and max(1, round(self.decimation * sample_rate_hz / self.sample_rate_hz))
+        rate_hz = signals.sample_rate_hz
+        n_d = self.decimation and max(1, round(self.decimation * rate_hz / self.sample_rate_hz))
+        lag_s: float | Literal["none"] | None = "none" if self.torque_lag_s is None else self.torque_lag_s
+        if self.lag is not UNSET:
+            like = (self.lag.effort_timing, self.lag.effort_provenance, self.sample_rate_hz)
+            lag_s = self.lag.value_s if like == (signals.effort_timing, signals.provenance, rate_hz) else None
         return Overrides(
             cutoff_hz=self.cutoff_hz or 0.0,
             decimation=n_d,
             span=self.span_rule,
             edges=self.edges,
-            torque_lag_s="none" if self.torque_lag_s is None else self.torque_lag_s,
+            low_speed_percent=self.low_speed_percent,
+            torque_lag_s=lag_s,
         )
 
     def robot(self, place: str) -> Robot | None:

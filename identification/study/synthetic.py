@@ -12,9 +12,6 @@ import numpy as np
 
 from acquisition.files import atomic_write
 from acquisition.recording import (
-    EFFORT_MEAN,
-    EFFORT_MEASURED,
-    EFFORT_TIMING,
     OPTIONAL,
     Header,
     RecordingWriter,
@@ -179,8 +176,6 @@ def write_signals(
         samples["reference"] = signals.q_ref
     for name, values in optional.items():
         samples[name] = values
-    stated = {"mean": EFFORT_MEAN, "measured": EFFORT_MEASURED}.get(signals.effort_timing)
-    timing = {} if stated is None else {EFFORT_TIMING: stated}
     with (
         atomic_write(path) as partial,
         RecordingWriter(
@@ -190,7 +185,8 @@ def write_signals(
                 source=source,
                 sample_rate_hz=signals.sample_rate_hz,
                 effort_provenance=provenance,
-                notes={"simulated": "true", **timing, **cell, **(notes or {})},
+                effort_timing=signals.effort_timing,
+                notes={"simulated": "true", **cell, **(notes or {})},
             ),
         ) as writer,
     ):

@@ -1,25 +1,33 @@
 """When to believe a fit: tests of an estimate against everything that the recording tells, and one verdict."""
 
-from .evidence import Evidence, Part, covariance_of_all
+from .evidence import Evidence, Lag, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
-from .lines import LEVELS, Figure, Level, Trust, TrustLine, Verdict
+from .lag import Groups, combined_lag, lag_columns, lag_moves, lags_in
+from .lines import LEVELS, Assumed, Figure, Level, Trust, TrustLine, Verdict
 from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of
 from .replay import replay_line
 from .solution import trust_in
 
 __all__ = [
     "LEVELS",
+    "Assumed",
     "Evidence",
     "Figure",
+    "Groups",
     "HeldOut",
+    "Lag",
     "Level",
     "Part",
     "Trust",
     "TrustLine",
     "Verdict",
+    "combined_lag",
     "covariance_of_all",
     "held_out_recordings",
     "inertias",
+    "lag_columns",
+    "lag_moves",
+    "lags_in",
     "nearest_consistent",
     "not_positive",
     "pose_step",

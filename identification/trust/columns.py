@@ -18,13 +18,16 @@ from ..estimation import deviations_of_sums
 from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from .evidence import Evidence, Part
-from .lines import TrustLine
+from .lag import simulated_rates
+from .lines import TrustLine, not_made
 
 BEYOND = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
 SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
 SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
 STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction", "offset", "spring"
+ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
+SELECT = "run `robot-identify friction`"
 ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
 TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
@@ -48,6 +51,7 @@ class Lack:
         kind, where: what it is, and of which joint or axis.
         value, unit, t: its coefficient, and that in deviations.
         taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
+        moves: half-widths by which it moves the essential parameter that it moves most.
         advice: what to do.
     """
 
@@ -58,11 +62,14 @@ class Lack:
     t: float
     taken_percent: float
     together_percent: float
+    moves: float
     advice: str
 
     @property
     def found(self) -> bool:
         """Whether chance does not explain it, and it matters."""
+        if self.kind == LAG:  # it hardly shows in the residual
+            return abs(self.t) > BEYOND and self.moves > 1
         least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
         return abs(self.t) > BEYOND and self.taken_percent > least
 
@@ -71,8 +78,7 @@ def added_columns_test(evidence: Evidence) -> TrustLine:
     """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
     if evidence.observed.reduced:
-        text = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
-        return TrustLine(test=name, level="not made", value=None, text=text)
+        return not_made(name, "not made: the rows of a long recording are reduced")
     lacks = lacks_of(evidence)
     if not lacks:
         return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")
@@ -88,7 +94,8 @@ def added_columns_test(evidence: Evidence) -> TrustLine:
             text=f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}",
         )
     more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
-    return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}")
+    finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
+    return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}", finding=finding)
 
 
 def _untried(evidence: Evidence) -> str:
@@ -102,10 +109,12 @@ def _untried(evidence: Evidence) -> str:
 def _rank(lack: Lack) -> tuple[float, float]:
     """What comes first. Several joints may lack the same: kinds count as a whole, or one that acts on all joints would lead.
 
-    Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both.
+    Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both. A tilt
+    of gravity follows the position, as springs do.
     """
-    ahead = ALIKE_PERCENT if lack.kind == ASYMMETRIC else 0.0
-    return lack.together_percent + ahead, lack.taken_percent
+    ahead = ALIKE_PERCENT if lack.kind in (ASYMMETRIC, TILT) else 0.0
+    behind = 0.5 if lack.kind in (SPRING, DRIFT) else 1.0
+    return behind * lack.together_percent + ahead, lack.taken_percent
 
 
 def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
@@ -129,6 +138,9 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     by_joint = (n, -1, len(columns))
     sigma = deviations_of_sums(z.reshape(by_joint), rho.reshape(by_joint), Q, evidence.observed.parts) / np.abs(size)
     whole = max(float(rows.rho @ rows.rho), 1e-300)
+    counts = np.array([name in evidence.essential for name in evidence.estimate.names])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        moved = np.nan_to_num(np.abs(bread @ (Q.T @ C) * g) / evidence.intervals.half[:, None]) * counts[:, None]
     taken = 100 * (1 - np.einsum("rk,rk->k", rho, rho) / whole)
     together = {}
     for kind in {column.kind for column in columns}:
@@ -145,9 +157,10 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
             t=float(value / s) if s > 0 else 0.0,
             taken_percent=float(percent),
             together_percent=together[column.kind],
+            moves=float(moves),
             advice=column.advice,
         )
-        for column, value, s, percent in zip(columns, g, sigma, taken, strict=True)
+        for column, value, s, percent, moves in zip(columns, g, sigma, taken, moved.max(axis=0), strict=True)
         if column.kind != STRIBECK or value > 0
     )
 
@@ -185,7 +198,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             advice = _to_describe(joint, "offset", "offset = true")
             yield _Column(kind=OFFSET, where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
         yield _Column(
-            kind="drift",
+            kind=DRIFT,
             where=where,
             torque=np.outer(time, only),
             unit=f"{effort} over the recording",
@@ -207,6 +220,9 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
                 advice="leave out slow rows by a larger --low-speed-percent",
             )
     yield from _tilts(evidence, chi, position)
+    yield from _frictions(evidence, chi)
+    if n > 1 and evidence.method == "iv" and all(part.reference == "recorded" for part in evidence.parts):
+        yield from _lags(evidence)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)
 
@@ -237,12 +253,48 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
             continue
         torque = direct_model(idm, links).gravity(q, along=turned)
         yield _Column(
-            kind="tilt of gravity",
+            kind=TILT,
             where=f"about {about}",
             torque=torque,
             unit="rad",
             advice="level the base, or set gravity_m_s2",
         )
+
+
+def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
+    """Friction by the root of speed along each direction of Coulomb friction, and by the load of each joint."""
+    robot, idm = evidence.problem.signals.robot, evidence.problem.model
+    links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
+    roots, loads = list[Array](), list[Array]()
+    for part in evidence.parts:
+        motion, decimation = _motion(part, evidence.method)
+        slip = motion.dq @ idm.coulomb_directions.T
+        rigid = links.torque(motion.q, motion.dq, motion.ddq)
+        roots.append(decimation.filtered((np.sign(slip) * np.sqrt(np.abs(slip))).T).T)
+        loads.append(decimation.filtered((np.abs(rigid) * np.sign(motion.dq)).T).T)
+    root, load = np.concatenate(roots), np.concatenate(loads)
+    for along, column in zip(idm.coulomb_directions, root.T, strict=True):
+        joint = robot.joints[int(np.flatnonzero(along)[-1])]
+        where = f"of joint {joint.name}" if np.count_nonzero(along) == 1 else f"of the motor of joint {joint.name}"
+        if "root" not in joint.terms:
+            unit = f"{robot.effort_units[int(np.flatnonzero(along)[-1])]} ({joint.position_unit}/s)^-½"
+            yield _Column(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT)
+    for j, joint in enumerate(robot.joints):
+        if "load" not in joint.terms:
+            torque = np.outer(load[:, j], np.eye(robot.n)[j])
+            yield _Column(kind=LOAD, where=f"of joint {joint.name}", torque=torque, unit="", advice=SELECT)
+
+
+def _lags(evidence: Evidence) -> Iterator[_Column]:
+    """The torque's rate of each joint, in fast rows: beside reversals friction that rises smoothly looks like a lag."""
+    rates, robot = list[Array](), evidence.problem.signals.robot
+    for part in evidence.parts:
+        rate, fast = simulated_rates(part)
+        rates.append((-1e-3 * rate * fast).T)
+    for j, joint in enumerate(robot.joints):
+        torque = np.outer(np.concatenate(rates)[:, j], np.eye(robot.n)[j])
+        advice = "look at how its effort is filtered or stamped"
+        yield _Column(kind=LAG, where=f"of joint {joint.name}", torque=torque, unit="ms", advice=advice)
 
 
 def _gains(evidence: Evidence) -> Iterator[_Column]:

@@ -1,6 +1,6 @@
 """What the tests of a fit look at: everything computed on the way to the estimate, so that nothing is simulated again."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
 
@@ -9,7 +9,7 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..passes import RowStates
-from ..regression import Decimation, Motion, Problem, Regression
+from ..regression import Decimation, KnownLag, Motion, Problem, Regression
 from .lines import TrustLine
 
 SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
@@ -24,7 +24,7 @@ class Part:
         parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         poses: (P, n) positions at which the inertia matrix M is looked at.
-        replay: the described control law against the recorded effort.
+        replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
         simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
             `decimation` to the rows; None where there is none.
@@ -36,10 +36,41 @@ class Part:
     slip_noise: Array
     poses: Array
     replay: TrustLine
+    replay_lag: KnownLag | None = None
     states: RowStates | None = None
     simulated: Motion | None = None
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lag:
+    """The lag of the torque of recordings alike, s, positive where it is late.
+
+    Attributes:
+        value_s, sd_s: what is corrected, and its deviation, which the intervals count; half a 95 % interval is `reach` of them.
+        source: what it follows from; `prior`: what is known of it without a fit.
+        found: value and deviation by the instruments alone, and the reach; None where they say nothing, `why` not.
+        delay_s: time from command to torque and half its interval, where the described controller could be replayed.
+        moved: (b,) by how many half-widths of its interval without it one deviation of the lag moves each parameter.
+        recordings: their names.
+    """
+
+    value_s: float
+    sd_s: float
+    reach: float
+    source: str
+    prior: KnownLag
+    found: tuple[float, float, float] | None
+    why: str = ""
+    delay_s: tuple[float, float] | None = None
+    moved: Array = field(default_factory=lambda: np.zeros(0))
+    recordings: tuple[str, ...] = ()
+
+    @property
+    def half_width_s(self) -> float:
+        """Half its 95 % interval."""
+        return self.reach * self.sd_s
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,6 +92,9 @@ class Evidence:
         first_stage_F: of the instruments, None without.
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
         blocks: where rows are reduced, sums over the blocks of time of each recording.
+        position_noise: whether noise of the position biases least squares; None of instrumental variables.
+        lags: of the torques, those of each group of recordings alike.
+        essential: names of the parameters that the recordings determine well.
     """
 
     parts: tuple[Part, ...]
@@ -77,6 +111,9 @@ class Evidence:
     unconfirmed: str | None = None
     factors: tuple[tuple[System, Array], ...] = ()
     blocks: tuple[BlockSums, ...] = ()
+    position_noise: TrustLine | None = None
+    lags: tuple[Lag, ...] = ()
+    essential: tuple[str, ...] = ()
 
     @property
     def problem(self) -> Problem:

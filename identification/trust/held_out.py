@@ -17,6 +17,7 @@ from .evidence import Evidence, part_of
 from .lines import ILL_CONDITIONED, Figure, TrustLine, not_made
 
 BLOCKS = 5
+FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
 HELD_OUT_FACTOR = 1.5  # held-out over training error that says that the fit does not carry over
 
 
@@ -69,7 +70,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     told = f"error {error:.3g} % held out, {training:.3g} % trained"
     if error > HELD_OUT_FACTOR * training:
         text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
-        return TrustLine(test=name, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
+        return _doubtful(error, training, text, figures)
     return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
 
 
@@ -164,8 +165,21 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
     text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
     if error > HELD_OUT_FACTOR * training:
         text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
-        return TrustLine(test=test, level="caution", value=error, text=text, figures=tuple(figures), unit="%")
+        return _doubtful(error, training, text, figures)
     return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
+
+
+def _doubtful(error: float, training: float, text: str, figures: list[Figure]) -> TrustLine:
+    return TrustLine(
+        test="held-out blocks",
+        level="caution",
+        value=error,
+        text=text,
+        finding="does not carry over",
+        figures=tuple(figures),
+        unit="%",
+        far_off=error > FAR_FACTOR * training,
+    )
 
 
 def _blocks(T: int, count: int) -> list[slice]:

@@ -1,160 +1,163 @@
-"""How late the recorded torque is against the motion, joint by joint, found with instruments.
+"""How late the recorded torque is against the motion: one lag for recordings alike, found with instruments and counted.
 
-To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta), one for each joint in that joint's rows, takes the
-coefficient L. Its instrument is -d/dt of the simulated torque, so that noise of the position does not bias it; least squares
-would find a lag where there is none. Rows slower than a fifth of the peak are left out: friction that rises smoothly from a
-reversal on, where the model has a step, looks like a lag. Residuals are whitened: noise of the position grows with frequency in
-them, and drowns a lag otherwise.
+To first order tau(t - L) = tau(t) - L d/dt tau(t): the column -d/dt(W beta) takes the coefficient L. Its instrument is -d/dt of
+the simulated torque, so that noise of the position does not bias it; least squares would find a lag where there is none. Rows
+slower than a fifth of the peak are left out: friction that rises smoothly from a reversal on, where the model has a step, looks
+like a lag. Residuals are whitened: noise of the position grows with frequency in them, and drowns a lag otherwise.
 
-A controller's command, recorded at its tick, acts from there until the next one: it is half a control period early.
+What is known besides (what the recording says of its efforts, the replay of the described controller) counts by its variance.
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import IdentificationError
-from ..estimation import System, instrumental_variables, intervals, whitened
-from ..regression import Problem, differentiate, fast_rows, torque_rate
-from .evidence import Evidence, Part
-from .lines import REDUCED, Figure, TrustLine
+from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
+from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
+from .evidence import Evidence, Lag, Part
+from .lines import Figure, Level, TrustLine
 
-WIDEST = 0.25  # samples: a half-width beyond this does not tell one sample from none
-FURTHEST = 0.25  # samples off the expected value
-BEYOND = 4.0  # deviations off the expected value
+APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
+CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
+NEGATIVE = 0.75  # samples that a torque may come before its command, beyond the interval
 SLOW_PERCENT = 20.0  # of the peak speed: rows slower than this are left out
 ORDER = 6  # of the autoregression that whitens: shorter, model error passes for a lag; longer, few rows are left
 
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Lags:
-    """Lags of the torque by joint, (n,) each, in samples of the first recording; positive where the torque is late."""
-
-    found: Array
-    expected: float
-    sigma: Array
-    half: Array
-
-    @property
-    def off(self) -> Array:
-        """How far they are off the expected value."""
-        return self.found - self.expected
-
-    @property
-    def t(self) -> Array:
-        """The same in deviations."""
-        with np.errstate(divide="ignore", invalid="ignore"):
-            return np.asarray(self.off / self.sigma)
+Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one lag
 
 
-def lag_test(evidence: Evidence) -> TrustLine:
-    """Whether torque and motion belong to the same instants."""
-    reason = _not_made(evidence)
-    if reason is None:
-        try:
-            return _line(evidence.problem, lags(evidence))
-        except IdentificationError as error:
-            reason = str(error)
-    on_request = evidence.method != "iv" and evidence.Z is None and not evidence.observed.reduced
-    advice = "; --trust or --method iv makes this test" if on_request else ": the delay is not verified"
-    return TrustLine(test="lag", level="not made", value=None, text=f"not made: {reason}{advice}", caps=not on_request)
+def lag_columns(parts: Sequence[Part], groups: Groups, estimate: Estimate) -> Array:
+    """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, rows as those of the system."""
+    rates = [torque_rate(part.problem, estimate.among(part.parameters)).T for part in parts]
+    return _by_group(rates, groups)
 
 
-def lags(evidence: Evidence) -> Lags:
-    """Lags by instrumental variables, with one more column for each joint.
+def lags_in(
+    parts: Sequence[Part], groups: Groups, system: System, Z: Array, estimate: Estimate
+) -> tuple[Array, Array, float]:
+    """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
 
-    Raises `IdentificationError` where the instruments do not determine them.
+    Parameters
+    ----------
+    parts : the recordings, simulated with the estimate.
+    groups : recordings whose torques have one lag.
+    system, Z : W, Y and instruments of all parameters.
+    estimate : by which the torques' rates go, and its weights.
+
+    Raises
+    ------
+    IdentificationError : where the instruments do not determine the lags.
     """
-    problem, n, b = evidence.problem, evidence.problem.signals.robot.n, len(evidence.observed.system.names)
-    system, Z = _with_lag_columns(evidence)
-    first = instrumental_variables(system, Z, evidence.least_squares.weights)
-    rho = system.Y - system.W @ first.beta
-    parts = evidence.observed.parts
-    system, Z = whitened(system, Z, rho, ORDER, parts)
+    rates, fast = zip(*map(simulated_rates, parts), strict=True)
+    b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
+    names = (*system.names, *(f"lag {k}" for k in range(len(groups))))
+    used = np.concatenate(fast, axis=1).reshape(-1).astype(float)
+    system = replace(system, W=np.c_[system.W, columns], names=names).with_rows(used)
+    Z = np.c_[Z, _by_group(rates, groups)]
+    first = instrumental_variables(system, Z, estimate.weights)
+    system, Z = whitened(system, Z, system.Y - system.W @ first.beta, ORDER, tuple(lengths))
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
-    estimate = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
-    w = estimate.weights[system.joint_of_row] * system.used
-    within = intervals(estimate, w * (system.Y - system.W @ estimate.beta), n, parts)
-    return Lags(
-        found=estimate.beta[b:] + _samples(problem, problem.settings.torque_lag_s),
-        expected=_samples(problem, problem.settings.expected_lag_s),
-        sigma=within.sigma[b:],
-        half=within.half[b:],
-    )
+    found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
+    w = found.weights[system.joint_of_row] * system.used
+    within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))
+    return found.beta[b:], within.sigma[b:], within.reach
 
 
-def _with_lag_columns(evidence: Evidence) -> tuple[System, Array]:
-    """The system and the instruments with the lag columns, in rows that are fast."""
-    assert evidence.Z is not None
-    robot = evidence.problem.signals.robot
-    rate, rate_simulated, fast = (
-        np.concatenate(x, axis=1) for x in zip(*(_rates(evidence, part) for part in evidence.parts), strict=True)
-    )
-    system = evidence.observed.system.with_rows(fast.reshape(-1))
-    own = np.eye(robot.n)[system.joint_of_row]  # a column for each joint, in its rows
-    names = (*system.names, *(f"lag {joint.name}" for joint in robot.joints))
-    W, Z = (np.c_[A, -own * r.reshape(-1, 1)] for A, r in ((system.W, rate), (evidence.Z, rate_simulated)))
-    return replace(system, W=W, names=names), Z
+def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
+    """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups'."""
+    lengths = [rate.shape[1] for rate in rates]
+    whole, columns = -np.concatenate(rates, axis=1), []
+    for group in groups:
+        own = np.zeros(sum(lengths))
+        for k in group:
+            own[slices(lengths)[k]] = 1.0
+        columns.append((whole * own).reshape(-1))
+    return np.stack(columns, axis=1)
 
 
-def _rates(evidence: Evidence, part: Part) -> tuple[Array, Array, Array]:
-    """Of a recording d/dt of the torque predicted and of the simulated one, and which rows are fast, (n, rows) each.
-
-    Rates are per sample of the first recording.
-    """
+def simulated_rates(part: Part) -> tuple[Array, NDArray[np.bool_]]:
+    """Of a recording d/dt of the simulated torque, per second, and which rows are fast, (n, rows) each."""
     problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
     assert decimation is not None
-    first_hz, own_hz = evidence.problem.signals.sample_rate_hz, problem.signals.sample_rate_hz
-    per_sample = 1 / ((simulated.t_s[1] - simulated.t_s[0]) * first_hz)
-    rate = torque_rate(problem, evidence.estimate.among(part.parameters)) * (own_hz / first_hz)
-    rate_simulated = decimation.filtered(differentiate(simulated.tau, per_sample).T)
+    rate = decimation.filtered(differentiate(simulated.tau, 1 / (simulated.t_s[1] - simulated.t_s[0])).T)
     directions = problem.model.coulomb_directions
     percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
-    used = fast_rows(slip, part.slip_noise, directions, percent).T.astype(float)
-    return rate.T, rate_simulated, used
+    return rate, _well_before_slow(fast_rows(slip, part.slip_noise, directions, percent).T)
 
 
-def _not_made(evidence: Evidence) -> str | None:
-    if evidence.observed.reduced:
-        return REDUCED.removeprefix("not made: ")
-    if evidence.Z is None:
-        return "least squares has no instruments"
-    if any(part.simulated is None for part in evidence.parts):
-        return "the robot could not be simulated with the estimate"
-    if any(part.reference != "recorded" for part in evidence.parts):
-        return "the recording has no reference" if len(evidence.parts) == 1 else "a recording has no reference"
-    corrections = [(p.settings.torque_lag_s, p.settings.expected_lag_s) for p in (x.problem for x in evidence.parts)]
-    if len(set(corrections)) > 1:
-        return "recordings whose torques have different lags by the description"
-    return None
+def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Rows (n, rows) that are not followed by a slow one soon: decimation, without phase shift, spreads a reversal both ways.
+
+    Rows soon after a slow one are left out by the whitening.
+    """
+    for _ in range(ORDER):
+        fast = fast & np.c_[fast[:, 1:], fast[:, -1:]]
+    return fast
 
 
-def _line(problem: Problem, found: Lags) -> TrustLine:
-    names, fs = [joint.name for joint in problem.signals.robot.joints], problem.signals.sample_rate_hz
-    figures = tuple(
-        Figure(name=name, value=float(value), half_width=float(half), expected=found.expected)
-        for name, value, half in zip(names, found.found, found.half, strict=True)
-    )
-    told = found.half <= WIDEST
-    late = told & (np.abs(found.off) > FURTHEST) & (np.abs(found.t) > BEYOND)
-    among = late if late.any() else told if told.any() else np.isfinite(found.half)
-    worst = int(np.argmax(np.where(among, np.abs(found.off), -1.0)))
-    value = float(found.found[worst])
-    text = f"joint {names[worst]}: torque {value:.2f} ± {found.half[worst]:.2f} samples late, {found.expected:.2g} expected"
-    blind = [name for name, is_told in zip(names, told, strict=True) if not is_told]
-    unknown = f"the interval is wider than {WIDEST:g} samples for {', '.join(blind)}" if blind else ""
-    if late.any():
-        text += f", t = {found.t[worst]:.1f}: state torque_lag_s = {value / fs:.3g} if this is the drive's delay"
-        return TrustLine(test="lag", level="caution", value=value, text=text, figures=figures, unit="samples")
-    if blind:
-        text = unknown if not told.any() else f"{text}; {unknown}"
-        return TrustLine(test="lag", level="cannot tell", value=value, text=text, figures=figures, unit="samples")
-    return TrustLine(test="lag", level="ok", value=value, text=text, figures=figures, unit="samples")
+def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None, why: str) -> Lag:
+    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach.
+
+    `why` says why the data say nothing, where they do not.
+    """
+    if found is None or prior.stated:
+        return Lag(
+            value_s=prior.value_s, sd_s=prior.sd_s, reach=2.0, source=prior.source, prior=prior, found=found, why=why
+        )
+    value, sd, reach = found
+    if abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s):
+        return Lag(value_s=value, sd_s=sd, reach=reach, source="data", prior=prior, found=found, why=why)
+    both = prior.with_other(KnownLag(value_s=value, sd_s=sd, source="data"))
+    return Lag(value_s=both.value_s, sd_s=both.sd_s, reach=reach, source=both.source, prior=prior, found=found, why=why)
 
 
-def _samples(problem: Problem, seconds: float) -> float:
-    return seconds * problem.signals.sample_rate_hz
+def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:
+    """d beta / d lag (b, K) per s: bread QᵀC of the weighted columns C in the rows that count, `used` (r,)."""
+    weight = estimate.weights[observed.system.joint_of_row] * used
+    return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
+
+
+def lag_test(evidence: Evidence) -> TrustLine:
+    """Whether torque and motion belong to the same instants, and what it costs where that is not known; the worst group's."""
+    lines = [_line(evidence, lag) for lag in evidence.lags]
+    return max(lines, key=lambda line: (line.level == "caution", abs(line.value or 0.0)))
+
+
+def _line(evidence: Evidence, lag: Lag) -> TrustLine:
+    fs = evidence.problem.signals.sample_rate_hz
+    late, half = lag.value_s * fs, lag.half_width_s * fs
+    figures = (Figure(name="lag", value=late, half_width=half, expected=lag.prior.value_s * fs),)
+    level: Level = "ok"
+    text = f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}"
+    names, moved = evidence.estimate.names, lag.moved
+    counts = [i for i, name in enumerate(names) if name in evidence.essential] or range(len(names))
+    worst = max(counts, key=lambda i: moved[i])
+    cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}"
+    if lag.prior.stated:
+        text = f"{lag.value_s:.4g} s, as torque_lag_s states"
+        if lag.found is not None and abs(lag.found[0] - lag.value_s) > CONTRADICTED * lag.found[1]:
+            level = "caution"
+            text += f"; the data say {lag.found[0]:.4g} ± {lag.found[1] * lag.reach:.2g} s: leave torque_lag_s out"
+    elif lag.found is None:
+        known = f"{lag.value_s * 1e3:.2g} ± {lag.sd_s * 1e3:.2g} ms by {lag.prior.source}"
+        if lag.prior.source == "nothing":
+            known = f"not known, {lag.value_s * 1e3:g} ± {lag.sd_s * 1e3:g} ms"
+        text = f"{known}: {cost}, counted in the intervals"
+        if moved[worst] > 1:
+            level, text = "caution", f"{text}: state effort_timing, or record the reference"
+    else:
+        text += ": corrected, counted in the intervals"
+        if lag.source == "data":
+            text += f"; {lag.prior.source} says {lag.prior.value_s * fs:.2f}, too far off to count"
+        if lag.delay_s is not None:
+            delay, off = lag.delay_s[0] * fs, lag.delay_s[1] * fs
+            text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
+            if delay < -NEGATIVE - off:
+                level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
+    return TrustLine(test="lag", level=level, value=late, text=text, figures=figures, unit="samples")

@@ -5,7 +5,6 @@ from typing import Literal
 
 Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
-REDUCED = "not made: the rows of a long recording are reduced; fit a part of it, or with a larger --decimate"
 ILL_CONDITIONED = (
     "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
 )
@@ -31,29 +30,41 @@ class TrustLine:
         level: `not made` where the test could not be made, `cannot tell` where it says nothing either way.
         value: its figure, None where there is none.
         text: one sentence with the figure, and what to do.
-        caps: whether a test that was not made keeps the verdict from being `trust`.
+        finding: the same in a few words, for the first line of a report.
         figures: its figures one by one, to be drawn, in `unit`.
+        far_off: whether held-out errors are so far above the trained ones that other doubts weigh more.
     """
 
     test: str
     level: Level
     value: float | None
     text: str
-    caps: bool = False
+    finding: str = ""
     figures: tuple[Figure, ...] = ()
     unit: str = ""
+    far_off: bool = False
 
 
-def not_made(test: str, text: str, caps: bool = False) -> TrustLine:
-    """The line of a test that could not be made, `text` saying why; `caps` as of the line."""
-    return TrustLine(test=test, level="not made", value=None, text=text, caps=caps)
+def not_made(test: str, text: str) -> TrustLine:
+    """The line of a test that could not be made, `text` saying why."""
+    return TrustLine(test=test, level="not made", value=None, text=text)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Assumed:
+    """What was given and not tested: its value, and why no test sees it."""
+
+    what: str
+    value: str
+    why: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class Trust:
-    """All tests of a fit, worst first."""
+    """All tests of a fit, worst first, and what none of them tests. A test that was not made says nothing either way."""
 
     lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
 
     def line(self, test: str) -> TrustLine:
         """That of a test."""
@@ -66,13 +77,17 @@ class Trust:
 
     @property
     def verdict(self) -> Verdict:
-        """The worst level; a test that was not made, but must be, counts as caution."""
-        if any(line.level == "do not use" for line in self.lines):
-            return "do not use"
-        doubtful = any(line.level == "caution" or (line.level == "not made" and line.caps) for line in self.lines)
-        return "caution" if doubtful else "trust"
+        """The worst level."""
+        levels = {line.level for line in self.lines}
+        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
 
 
-def worst_first(lines: list[TrustLine]) -> Trust:
+def worst_first(lines: list[TrustLine], assumed: tuple[Assumed, ...]) -> Trust:
     """The trust block of these tests."""
-    return Trust(lines=tuple(sorted(lines, key=lambda line: LEVELS.index(line.level))))
+    return Trust(lines=tuple(sorted(lines, key=lambda line: LEVELS.index(line.level))), assumed=assumed)

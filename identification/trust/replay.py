@@ -15,11 +15,12 @@ from acquisition.files import let_go
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
-from ..regression import Problem, differentiate, sampled_at
+from ..regression import KnownLag, Problem, differentiate, sampled_at
 from ..simulation import Control, ControlLaw, Reference, has_controller, recorded_loop
 from .evidence import Evidence
 from .lines import LEVELS, Figure, TrustLine
 
+DRIVE_DELAY_S = 0.0005  # deviation of the time from a command to its torque
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
 REPLAYED_S = 600.0  # of a long recording: what the law gives later it gives for the same reasons
 MOST_LAG = 20  # samples looked at, to start from
@@ -34,13 +35,14 @@ STILL = 1e-9  # of the largest: a joint whose law gives less than this is not co
 class Replay:
     """By joint, (n,) each; NaN for a joint whose law gives nothing.
 
-    gain, lag: the recorded effort is gain times the replayed one, `lag` samples later. `error_percent`: what the described
-    law leaves of it as it is, its gain one, in percent of it; `left_percent`: what the gain leaves. Lag, and the integral
-    that the law started with, are taken out of both.
+    gain, lag, lag_sd: the recorded effort is gain times the replayed one, `lag` samples later; its deviation, of white noise.
+    `error_percent`: what the described law leaves of it as it is, its gain one, in percent of it; `left_percent`: what the
+    gain leaves. Lag, and the integral that the law started with, are taken out of both.
     """
 
     gain: Array
     lag: Array
+    lag_sd: Array
     error_percent: Array
     left_percent: Array
 
@@ -60,17 +62,29 @@ def _rank(line: TrustLine) -> tuple[int, float]:
     return LEVELS.index(line.level), -abs((1.0 if line.value is None else line.value) - 1.0)
 
 
-def replay_line(problem: Problem) -> TrustLine:
-    """Whether the recorded effort is what the described controller gives; needs no estimate."""
+def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
+    """Whether the recorded effort is what the described controller gives; and the lag of the torque that follows from it.
+
+    That needs no estimate. A command acts from its tick to the next one, half a period later in the mean, and the drive's own
+    delay is not in it.
+    """
     loop = None
     if has_controller(problem.signals.robot.controller):
         with suppress(IdentificationError):  # described in part
             loop = recorded_loop(problem.signals.robot)
     reason = _not_made(problem, loop)
     if reason is not None or loop is None:
-        text = f"not made: {reason}: gain and delay are not verified"
-        return TrustLine(test="replay", level="not made", value=None, text=text, caps=True)
-    return _line([joint.name for joint in problem.signals.robot.joints], replay(problem, loop))
+        text = f"not made: {reason}"
+        return TrustLine(test="replay", level="not made", value=None, text=text), None
+    found = replay(problem, loop)
+    line = _line([joint.name for joint in problem.signals.robot.joints], found)
+    alike = np.nan_to_num(found.left_percent, nan=np.inf) <= ERROR_PERCENT
+    if not alike.any():
+        return line, None
+    fs = problem.signals.sample_rate_hz
+    value_s = float(found.lag[alike].mean()) / fs - 0.5 * loop.period_s
+    sd_s = float(np.hypot(found.lag_sd[alike].max() / fs, DRIVE_DELAY_S))
+    return line, KnownLag(value_s=value_s, sd_s=sd_s, source="the replay of the described controller")
 
 
 def replay(problem: Problem, loop: ControlLaw) -> Replay:
@@ -79,21 +93,23 @@ def replay(problem: Problem, loop: ControlLaw) -> Replay:
     size = np.abs(replayed).max(axis=0)
     acts = size > STILL * max(size.max(), np.abs(effort).max())
     integrates = bool(loop.Ki.any())
-    found = np.full((4, len(acts)), np.nan)
+    found = np.full((5, len(acts)), np.nan)
     for j in np.flatnonzero(acts):
         found[:, j] = _compared(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
-    found[1] += problem.settings.torque_lag_s * problem.signals.sample_rate_hz
-    return Replay(gain=found[0], lag=found[1], error_percent=found[2], left_percent=found[3])
+    return Replay(gain=found[0], lag=found[1], lag_sd=found[2], error_percent=found[3], left_percent=found[4])
 
 
 def _compared(
     problem: Problem, effort: Array, replayed: Array, *, integrates: bool
-) -> tuple[float, float, float, float]:
-    """Gain, lag in samples, errors in percent of efforts (N, 1). An unknown start of the integral is a constant."""
+) -> tuple[float, float, float, float, float]:
+    """Gain, lag in samples and its deviation, errors in percent of efforts (N, 1).
+
+    An unknown start of the integral is a constant.
+    """
     settings, decimation = problem.settings, problem.settings.decimator
     start, stop = max(settings.start, EARLIER), _stop(problem)
     measured = decimation.filtered(effort[start:stop].T)[0]
-    norm, gain, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0
+    norm, gain, sd, error, left = float(np.linalg.norm(measured)), 1.0, 0.0, 0.0, 0.0
     lag = _whole_lag(effort[start:stop, 0], replayed[:, 0], start)
     for _ in range(LAG_PASSES):
         law = sampled_at(np.arange(start, stop, dtype=np.float64) - lag, replayed)
@@ -107,8 +123,9 @@ def _compared(
         error, left = (
             100 * float(np.linalg.norm(r)) / norm if norm > 0 else np.inf for r in (rho, measured - A @ solution)
         )
+        sd = 0.01 * left * norm / np.sqrt(len(measured)) / max(abs(gain) * float(np.linalg.norm(rows[1])), 1e-300)
         lag += step
-    return gain, lag, error, left
+    return gain, lag, sd, error, left
 
 
 def _whole_lag(effort: Array, replayed: Array, start: int) -> float:
@@ -121,7 +138,7 @@ def _whole_lag(effort: Array, replayed: Array, start: int) -> float:
 
 def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     """Recorded and replayed joint efforts (N, n) up to beyond the last sample replayed; zero where none is."""
-    signals, fs = problem.signals, problem.signals.sample_rate_hz
+    signals, fs = problem.recorded, problem.signals.sample_rate_hz
     assert signals.q_ref is not None
     first, last = max(0, problem.settings.start - EARLIER), _stop(problem) - 1
     count = int((last - first) / (loop.period_s * fs) + 1e-6) + 1
@@ -152,7 +169,7 @@ def _stop(problem: Problem) -> int:
 def _not_made(problem: Problem, loop: ControlLaw | None) -> str | None:
     if problem.signals.q_ref is None:
         return "the recording has no reference"
-    if problem.signals.effort_timing == "drive":
+    if problem.signals.of_drives:
         return "the drives have loops of their own, which interpolate the reference between two SYNCs"
     if loop is None:
         return "[controller] describes no control law, or not all of one"

@@ -6,6 +6,7 @@ in place of rows. Nothing is simulated again.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,15 +18,17 @@ from ..estimation import (
     estimate_deviations,
     f_tail,
     instrumental_variables,
-    intervals,
     slices,
     whitened,
 )
+from ..model import JointTerm
+from ..regression import base_name
+from .assumed import assumed
 from .columns import added_columns_test
 from .evidence import Evidence
 from .held_out import held_out_test
 from .lag import lag_test
-from .lines import ILL_CONDITIONED, REDUCED, Trust, TrustLine, not_made, worst_first
+from .lines import ILL_CONDITIONED, Trust, TrustLine, not_made, worst_first
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
@@ -35,11 +38,10 @@ ROBUST = 6.0  # deviations, of a row that does not belong to the others
 BAD_END = 30.0  # deviations of a row at an end that spoils an estimate
 OUTSTANDING = 2.0  # times the largest deviation elsewhere, for a row at an end to be one that does not belong
 END_ROWS = 5  # rows at each end that a bad edge shows in
-CONTRAST = 3.0  # deviations of IV from LS that say that LS is biased
+SHARED = 1e-9  # of a column over all joints: less of it at a joint is rounding
 WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
 ORDER = 12  # of the autoregression that whitens a joint's residual, at most
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
-NO_INSTRUMENTS = "not made: least squares has no instruments; --trust or --method iv makes this test"
 
 
 def fixed_point_test(evidence: Evidence) -> TrustLine:
@@ -60,7 +62,7 @@ def instruments_test(evidence: Evidence) -> TrustLine:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     F = evidence.first_stage_F
     if F is None:
-        return not_made("instruments", NO_INSTRUMENTS)
+        return not_made("instruments", "not made: there are none")
     if F < WEAK_F:
         text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
         return TrustLine(test="instruments", level="caution", value=F, text=text)
@@ -70,35 +72,41 @@ def instruments_test(evidence: Evidence) -> TrustLine:
     return TrustLine(test="instruments", level="ok", value=F, text=f"strong: first-stage F = {F:.3g}")
 
 
-def contrast_test(evidence: Evidence) -> TrustLine:
-    """How far instrumental variables and least squares are apart, in deviations; it matters where LS is reported.
+def units_test(evidence: Evidence) -> TrustLine:
+    """Whether joints share parameters although their drive gains are not known: then the torques are in different units."""
+    name, robot = "units", evidence.problem.signals.robot
+    if robot.gain_known or robot.n == 1:
+        return TrustLine(test=name, level="ok", value=None, text="torques of all joints are in known units")
+    rows = evidence.observed.system
+    by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
+    acts = by_joint > SHARED * np.linalg.norm(by_joint, axis=0)
+    shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
+    if not shared:
+        return TrustLine(
+            test=name, level="ok", value=None, text="drive gains are not known, but no joints share a parameter"
+        )
+    text = f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: state drive_gain"
+    return TrustLine(test=name, level="do not use", value=None, text=text, finding="drive gains not known")
 
-    Without the rule's low-pass noise of the position biases least squares by many intervals, and no other test sees it.
-    """
-    name, estimate = "contrast of IV and LS", evidence.estimate
-    if evidence.method == "iv":
-        off, sigma = evidence.least_squares.among(estimate.names) - estimate.beta, evidence.intervals.sigma
-    elif evidence.Z is None:
-        unknown = not evidence.problem.settings.filtered
-        return not_made(name, REDUCED if evidence.observed.reduced else NO_INSTRUMENTS, caps=unknown)
-    else:
-        system = evidence.observed.system.with_rows(evidence.used)
-        kept = np.array([system.names.index(x) for x in estimate.names])
-        try:
-            iv = instrumental_variables(system.with_columns(kept), evidence.Z[:, kept], estimate.weights)
-        except IdentificationError as error:
-            return not_made(name, f"not made: {error}")
-        rho = evidence.rows.Y - evidence.rows.W @ iv.beta
-        observed = evidence.observed
-        off, sigma = iv.beta - estimate.beta, intervals(iv, rho, observed.tau.shape[1], observed.parts).sigma
-    with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(off) / sigma, nan=0.0)
-    worst = int(apart.argmax())
-    value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma apart, at {estimate.names[worst]}"
-    if evidence.method != "iv" and value > CONTRAST:
-        text = f"{told}: noise of the position biases least squares: take --method iv, or a lower --cutoff-hz"
-        return TrustLine(test=name, level="caution", value=value, text=text)
-    return TrustLine(test=name, level="ok", value=value, text=told)
+
+def essential_test(evidence: Evidence) -> TrustLine:
+    """Whether some inertia is known to better than its own size."""
+    name, estimate = "essential", evidence.estimate
+    inertial = {
+        base_name(one)
+        for one in estimate.names
+        if _is_inertia(evidence, base_name(one)) and base_name(one) in {base_name(x) for x in evidence.essential}
+    }
+    if inertial:
+        return TrustLine(test=name, level="ok", value=None, text=f"{len(evidence.essential)} of {len(estimate.names)}")
+    text = "no inertia has an interval narrower than itself: record faster, longer motion"
+    return TrustLine(test=name, level="caution", value=None, text=text, finding="no inertia is determined")
+
+
+def _is_inertia(evidence: Evidence, name: str) -> bool:
+    base, idm = evidence.problem.base, evidence.problem.model
+    sources = [idm.sources[c] for c in np.flatnonzero(base.K[base.names.index(name)])]
+    return any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
 
 
 def ends_test(evidence: Evidence) -> TrustLine:
@@ -181,10 +189,8 @@ def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | 
 def prewhitened_test(evidence: Evidence) -> TrustLine:
     """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
     name = "prewhitened"
-    if evidence.method != "iv":
-        return not_made(name, NO_INSTRUMENTS)
     if evidence.Z is None:
-        return not_made(name, REDUCED)
+        return not_made(name, "not made: there are no instruments")
     estimate = _whitened(evidence)
     if isinstance(estimate, str):
         return not_made(name, estimate)
@@ -214,22 +220,35 @@ def _whitened(evidence: Evidence) -> Estimate | str:
         return f"not made: {error}"
 
 
-TESTS: tuple[Callable[[Evidence], TrustLine], ...] = (
+OF_ALL: tuple[Callable[[Evidence], TrustLine], ...] = (
     fixed_point_test,
     physical_test,
-    consistent_test,
-    lag_test,
+    units_test,
     replay_test,
     added_columns_test,
+    lag_test,
     held_out_test,
     halves_test,
+    consistent_test,
     ends_test,
-    contrast_test,
-    instruments_test,
-    prewhitened_test,
+    essential_test,
 )
+OF_INSTRUMENTS = (instruments_test, prewhitened_test)
 
 
 def trust_in(evidence: Evidence) -> Trust:
-    """All tests of an estimate, worst first."""
-    return worst_first([test(evidence) for test in TESTS])
+    """All tests of an estimate, worst first, and what is assumed."""
+    lines = [test(evidence) for test in (*OF_ALL, *(OF_INSTRUMENTS if evidence.method == "iv" else ()))]
+    lines += [evidence.position_noise] if evidence.position_noise is not None else []
+    return worst_first(_judged_together(lines), assumed(evidence, {line.test: line for line in lines}))
+
+
+def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
+    """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
+    by_test = {line.test: line for line in lines}
+    held, physical = by_test["held-out blocks"], by_test["physical"]
+    not_positive = physical.value is not None and physical.value <= 0
+    if not (not_positive and held.far_off):
+        return lines
+    text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
+    return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
