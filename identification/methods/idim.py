@@ -6,6 +6,7 @@ approach for rigid industrial robots identification", Control Engineering Practi
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -39,7 +40,7 @@ from .iteration import (
     start_values,
 )
 from .recordings import Observed, observe_all
-from .timing import counted, lags_along, lags_of_ls
+from .timing import counted, lags_of_ls, over_all, timed
 from .verdict import assess_iv, assess_pass
 
 Say = Callable[[str], None]
@@ -128,9 +129,15 @@ def _by_least_squares(observed: Observed, method: Literal["ols", "wls"], *, esse
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
     observed, full = observed.settled(method)
     ls = solve_least_squares(observed, full, essential=essential)
-    within, lags = counted(ls.estimate, ls.intervals, lags_of_ls(observed, ls.estimate))
-    ls = replace(ls, intervals=within)
-    return assess_ls(observed, evidence_of_ls(observed, method, ls, lags), ls)
+    beginning = None
+    if observed.regression.reduced:  # what needs rows looks at the beginning
+        span, full = observed.on_span().settled(method)
+        of_span = solve_least_squares(span, full, essential=essential)
+        beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
+    lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
+    ls = replace(ls, intervals=counted(ls.estimate, ls.intervals, lags))
+    evidence = evidence_of_ls(observed, method, ls, lags)
+    return assess_ls(observed, replace(evidence, looked_at=beginning), ls)
 
 
 @one_thread
@@ -144,7 +151,8 @@ def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool
     ls = solve_least_squares(observed, full, essential=essential)
     names, weights = observed.regression.system.names, full.weights
     kept = ls.essential.kept if essential else np.arange(len(names))
-    lab = observed.lab(inertia_prior(observed, ls), gain_update=iteration.gain_update)
+    prior = inertia_prior(observed, ls)
+    lab = observed.lab(prior, gain_update=iteration.gain_update)
 
     def solve(z: PassInstruments, observed: Observed = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
@@ -172,8 +180,8 @@ def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool
         beta = next_values(trials, names)
     result = conclude(lab, iteration, trials, failure, solve)
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
-    observed, estimate, lags = lags_along(observed, result.z, result.final, solve)
-    return assess_iv(observed.about(result.z), ls, replace(result, estimate=estimate), lags)
+    found = timed(observed, result, solve, partial(Observed.lab, prior=prior, gain_update=iteration.gain_update))
+    return assess_iv(found, ls, replace(result, estimate=found.whole.estimate, z=found.whole.z))
 
 
 def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:

@@ -70,6 +70,7 @@ class IterationResult:
     Attributes:
         estimate: that of the pass number `returned`, counted from 1.
         z: the instruments that gave it.
+        asked: covariance that these were asked for with; `covariance` (b, b) that of the estimate.
         final: the robot simulated with it in each recording, or with the nearest consistent parameters.
         passes: all of them.
         start: what the iteration started from.
@@ -78,6 +79,8 @@ class IterationResult:
 
     estimate: Estimate
     z: PassInstruments
+    asked: Array | None
+    covariance: Array
     final: tuple[Replica, ...]
     passes: tuple[Pass, ...]
     returned: int
@@ -140,6 +143,8 @@ def conclude(
     return IterationResult(
         estimate=estimate,
         z=z,
+        asked=trial.asked,
+        covariance=trial.covariance,
         final=final or lab.replicas(estimate.among(lab.parameters.names), trial.covariance),
         passes=tuple(trial.evidence for trial in trials),
         returned=returned + 1,

@@ -17,11 +17,10 @@ from ..estimation import Estimate, ordinary_least_squares, weighted_least_square
 from ..regression import FilteredMotion, Problem, base_name, regression_of_recording
 from ..trust import TrustLine
 from .fit import LeastSquares, Method
-from .recordings import Observed
+from .recordings import SPAN_S, Observed
 
 NAME = "position noise"
 LARGEST_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is seen alone
-LONGEST_S = 180.0  # of a recording that is looked at
 BIASED, BIASED_PERCENT = 1.0, 1.0  # half-widths, and percent of the value, that a bias may have
 ADVICE = "take --method iv, which needs the reference recorded"
 
@@ -35,7 +34,7 @@ def position_noise_line(observed: Observed, method: Method, ls: LeastSquares) ->
         return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
     problem = observed.places()[observed.order[0]].problem()
-    stop = min(settings.stop, settings.start + round(LONGEST_S * fs))
+    stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
     noise = np.random.default_rng(0).standard_normal(problem.signals.q.shape) * _deviations(problem)
     try:

@@ -30,6 +30,9 @@ from ..replica import Bench, Lab, PassInstruments, Place
 from ..trust import Part
 from .observation import Observation, Say, observation_of, observe, predict, regression_at, retimed_at
 
+SPAN_S = 180.0  # of a long recording, for what needs rows
+SPAN_NUMBERS = 3_000_000  # of its W
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observed:
@@ -184,6 +187,18 @@ class Observed:
         with suppress(IdentificationError):
             return self.at_cutoff(min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals))
         return None
+
+    def on_span(self) -> "Observed":
+        """The recordings as they are where rows are held; else the beginning of the first, with rows, three minutes at most."""
+        if not self.regression.reduced:
+            return self
+        problem = self.places()[self.order[0]].problem()
+        settings, fs = problem.settings, problem.signals.sample_rate_hz
+        rows = min(SPAN_NUMBERS // (problem.signals.robot.n * problem.base.b), int(SPAN_S * fs / settings.decimation))
+        stop = min(settings.stop, settings.start + rows * settings.decimation)
+        one = observation_of(replace(problem, settings=replace(settings, stop=stop)), 1)
+        left_out = tuple(self.linearised.left_out)
+        return _observed(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,), left_out)
 
     def with_lags(self, values_s: Sequence[float]) -> "Observed":
         """The same with the torques of each group of recordings corrected by another lag, s."""

@@ -1,91 +1,153 @@
 """The lag of the torque in a fit: what is known of it is corrected before, what the instruments find of it after the passes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
-from ..replica import PassInstruments, Replica
-from ..trust import Lag, combined_lag, lag_columns, lag_moves, lags_in
+from ..replica import Lab, PassInstruments, Replica
+from ..trust import Lag, Part, combined_lag, lag_columns, lag_moves, lags_in
+from .iteration import IterationResult
 from .recordings import Observed
 
 LAG_PASSES = (
     4  # of correcting the torque and looking again: a lag of many samples is not quite the column of its first order
 )
 NEAR = 0.25  # samples that the last of them may find
+MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
+
+Solve = Callable[[PassInstruments, Observed], Estimate]
 
 
-def lags_along(
-    observed: Observed,
-    z: PassInstruments,
-    replicas: Sequence[Replica],
-    solve: Callable[[PassInstruments, Observed], Estimate],
-) -> tuple[Observed, Estimate, tuple[Lag, ...]]:
-    """The recordings with their torques corrected by their lags, found along instruments where the reference is recorded.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Along:
+    """Recordings, instruments, and the estimate along them; `replicas` are the robot simulated with it in each recording."""
+
+    observed: Observed
+    z: PassInstruments
+    estimate: Estimate
+    replicas: tuple[Replica, ...]
+
+    @property
+    def parts(self) -> list[Part]:
+        """The recordings' parts of the evidence, simulated."""
+        return [
+            replace(
+                part,
+                simulated=one.simulated.motion,
+                decimation=one.simulated.decimation,
+                reference=one.reference_kind,
+            )
+            for part, one in zip(self.observed.evidence, self.replicas, strict=True)
+        ]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timed:
+    """The `whole` of the recordings in time, the lags of their torques, and the `beginning` with rows of long ones."""
+
+    whole: Along
+    lags: tuple[Lag, ...]
+    beginning: Along | None
+
+
+def timed(observed: Observed, result: IterationResult, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Timed:
+    """The recordings corrected by the lags of their torques, which the instruments of the result find.
 
     Parameters
     ----------
-    observed, z : the recordings, and the instruments of the pass that is returned.
-    replicas : the robot simulated with its estimate.
+    observed, result : the recordings, and how the passes ended.
     solve : the estimate along instruments.
-
-    Returns
-    -------
-    The recordings, the estimate along the same instruments, and the lags with what they move.
+    lab_of : recordings laid out for simulation.
     """
+    whole = Along(observed=observed, z=result.z, estimate=result.estimate, replicas=result.final)
+    if not observed.regression.reduced:
+        whole, lags = _in_time(whole, solve)
+        return Timed(whole=whole, lags=lags, beginning=None)
+    span, weights = observed.on_span(), result.estimate.weights
+    lab, beta = lab_of(span), result.estimate.among(observed.regression.system.names)
+    z = lab.instruments(beta, result.covariance, weights)
+    replicas = lab.replicas(beta, result.covariance)
+    beginning, found = _in_time(Along(observed=span, z=z, estimate=solve(z, span), replicas=replicas), solve)
+    lags = over_all(observed, result.estimate, found)
+    now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in observed.lag_groups]
+    off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
+    if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
+        observed = observed.with_lags([lag.value_s for lag in lags])
+        z = lab_of(observed).instruments(result.z.beta, result.asked, weights, kept=result.z.fast)
+        whole = replace(whole, observed=observed, z=z, estimate=solve(z, observed))
+    return Timed(whole=whole, lags=lags, beginning=beginning)
+
+
+def _in_time(along: Along, solve: Solve) -> tuple[Along, tuple[Lag, ...]]:
+    """The same with the torques corrected by their lags, found where the reference is recorded; and the lags.
+
+    `solve` gives the estimate along the same instruments.
+    """
+    observed, z, estimate, why = along.observed, along.z, along.estimate, _not_looked_at(along)
     groups, known = observed.lag_groups, observed.known_lags
-    estimate, why = solve(z, observed), _not_looked_at(observed, replicas)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
-        parts = [
-            replace(part, simulated=one.simulated.motion, decimation=one.simulated.decimation)
-            for part, one in zip(observed.evidence, replicas, strict=True)
-        ]
         try:
+            parts = replace(along, observed=observed).parts
             steps, sd, reach = lags_in(parts, groups, *observed.along(z), estimate)
         except IdentificationError as error:
             why = str(error)
             break
         now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
-        lags = [combined_lag(prior, data, "") for prior, data in zip(known, found, strict=True)]
-        observed = observed.with_lags([lag.value_s for lag in lags])
+        values = [combined_lag(prior, data, "").value_s for prior, data in zip(known, found, strict=True)]
+        observed = observed.with_lags(values)
         estimate = solve(z, observed)
         fs = observed.problem.signals.sample_rate_hz
-        if max(abs(lag.value_s - at) for lag, at in zip(lags, now, strict=True)) * fs < NEAR:
+        if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break
     lags = [combined_lag(prior, data, why or "") for prior, data in zip(known, found, strict=True)]
-    columns = lag_columns(observed.evidence, groups, estimate)
-    about = observed.about(z)
-    return observed, estimate, _with_moves(observed, lags, lag_moves(about.regression, z.used, columns, estimate))
+    columns, about = lag_columns(observed.evidence, groups, estimate), observed.about(z)
+    moves = lag_moves(about.regression, z.used, columns, estimate)
+    return replace(along, observed=observed, estimate=estimate), _told(observed, lags, moves)
 
 
-def _not_looked_at(observed: Observed, replicas: Sequence[Replica]) -> str | None:
+def _not_looked_at(along: Along) -> str | None:
     """Why the lag is not found along the instruments, None where it is."""
-    if any(one.problem.signals.q_ref is None for one in observed.observations):
+    if any(one.problem.signals.q_ref is None for one in along.observed.observations):
         return "the reference is not recorded"
-    if any(one.simulated.motion is None for one in replicas):
+    if any(one.simulated.motion is None for one in along.replicas):
         return "the robot cannot be simulated with the estimate"
     return None
 
 
 def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
-    """What is known of the lags, and what they move in an estimate by least squares, which cannot find them."""
+    """What is known of the lags, and what they move in least squares, which cannot find them."""
     lags = [combined_lag(known, None, "least squares cannot tell it") for known in observed.known_lags]
     columns = lag_columns(observed.evidence, observed.lag_groups, estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
-    return _with_moves(observed, lags, lag_moves(observed.regression, used, columns, estimate))
+    return _told(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 
 
-def _with_moves(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
-    """The lags, named, and what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
+def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
+    """Lags of all groups of long recordings: of the first one's what its beginning tells, of others what is known.
+
+    What a lag moves is that of the beginning.
+    """
+    (first,), found = of_beginning, []
+    for group, known in zip(observed.lag_groups, observed.known_lags, strict=True):
+        lag = first if observed.order[0] in group else combined_lag(known, None, "")
+        moved = first.moved / max(first.sd_s, 1e-12) * lag.sd_s
+        names = tuple(observed.observations[k].problem.signals.recording for k in group)
+        found.append(replace(lag, moved=moved[: len(estimate.names)], recordings=names))
+    return tuple(found)
+
+
+def _told(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
+    """The lags, named, with what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
     found = []
     for lag, group, move in zip(lags, observed.lag_groups, moves.T, strict=True):
-        delays = [observed.observations[k].replay_lag for k in group]
-        replayed, delay = next((one for one in delays if one is not None), None), None
+        replayed = next((x for k in group if (x := observed.observations[k].replay_lag) is not None), None)
+        delay = None
         if replayed is not None and lag.found is not None:
             delay = (replayed.value_s - lag.found[0], lag.reach * lag.found[1])
         names = tuple(observed.observations[k].problem.signals.recording for k in group)
@@ -93,11 +155,6 @@ def _with_moves(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[
     return tuple(found)
 
 
-def counted(estimate: Estimate, found: Intervals, lags: Sequence[Lag]) -> tuple[Intervals, tuple[Lag, ...]]:
-    """Intervals with the deviations of the lags counted; and the lags, what they move in deviations of the intervals before."""
-    moved = [np.asarray(lag.moved) for lag in lags]
-    sigma = np.hypot.reduce([found.sigma, *moved])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = [np.nan_to_num(own / found.sigma, posinf=np.inf) for own in moved]
-    told = tuple(replace(lag, moved=share) for lag, share in zip(lags, shares, strict=True))
-    return intervals_from(estimate, sigma, found.freedom), told
+def counted(estimate: Estimate, found: Intervals, lags: Sequence[Lag]) -> Intervals:
+    """Intervals with the deviations of the lags counted."""
+    return intervals_from(estimate, np.hypot.reduce([found.sigma, *(lag.moved for lag in lags)]), found.freedom)

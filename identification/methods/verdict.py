@@ -13,23 +13,24 @@ from ..estimation import (
     lag_one,
 )
 from ..replica import DirectModelError, PassInstruments, Replica, told, worst
-from ..trust import Evidence, Lag, Part
+from ..trust import Evidence, Lag
 from .assess import Verdict, assess_estimate, intervals_along, sums_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names
 from .iteration import IterationResult
-from .recordings import Observed
-from .timing import counted
+from .timing import Along, Timed, counted
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult, lags: tuple[Lag, ...]) -> Fit:
+def assess_iv(found: Timed, ls: LeastSquares, outcome: IterationResult) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
-    estimate, replicas, passes = outcome.estimate, outcome.final, outcome.passes
-    predicted, (system, Z) = observed.predicted(estimate), observed.along(outcome.z)
-    tests = _tests(system, estimate, observed.regression.tau - predicted, outcome.z.used)
+    observed, estimate = found.whole.observed.about(outcome.z), outcome.estimate
+    replicas, passes, long = outcome.final, outcome.passes, observed.regression.reduced
+    evidence = _evidence_along(replace(found.whole, observed=observed), ls, found.lags)
+    system, _ = observed.along(outcome.z)
+    tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, outcome.z.used)
     direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.evidence]
     final_reason = told([one.simulated.reason for one in replicas], names)
     tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
@@ -37,11 +38,9 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult, la
     first = replicas[observed.order[0]]
     if reason is not None and outcome.returned != len(passes):
         reason += f"; pass {outcome.returned} is returned, which tracks best"
-    within, lags = counted(estimate, intervals_along(observed, outcome.z, estimate), lags)
-    off = ls.full.among(estimate.names) - estimate.beta
     with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(off) / within.half)
-    evidence = InstrumentEvidence(
+        apart = np.nan_to_num(np.abs(ls.full.among(estimate.names) - estimate.beta) / evidence.intervals.half)
+    of_method = InstrumentEvidence(
         start=outcome.start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
         controller="described" if all(one.described for one in replicas) else "surrogate",
@@ -57,34 +56,39 @@ def assess_iv(observed: Observed, ls: LeastSquares, outcome: IterationResult, la
         simulated=first.simulated.motion,
         q=first.simulated.q,
     )
-    verdict = Verdict(status=status, iv=evidence, warnings=_iv_warnings(replicas, tests), replicas=replicas)
-    long = observed.regression.reduced
+    verdict = Verdict(status=status, iv=of_method, warnings=_iv_warnings(replicas, tests), replicas=replicas)
     factors = [(one.factors.system, one.factors.Z) for one in outcome.z.each if one.factors is not None]
-    found = Evidence(
-        parts=tuple(_simulated(part, other) for part, other in zip(observed.evidence, replicas, strict=True)),
-        observed=observed.regression,
-        method="iv",
+    evidence = replace(
+        evidence,
+        Z=None if long else evidence.Z,
         fixed_point=status in ("converged", "not_confirmed"),
-        estimate=estimate,
-        predicted=predicted,
-        used=outcome.z.used,
-        intervals=within,
-        least_squares=ls.full,
-        Z=None if long else Z,
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         factors=tuple(factors) if len(factors) > 1 else (),
         blocks=sums_along(outcome.z, estimate),
+        looked_at=None if found.beginning is None else _evidence_along(found.beginning, ls, found.lags),
+    )
+    return assess_estimate(observed, evidence, ls, evidence.predicted, verdict)
+
+
+def _evidence_along(along: Along, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+    """What an estimate by instruments rests on, in its rows."""
+    observed, z, estimate = along.observed.about(along.z), along.z, along.estimate
+    within = counted(estimate, intervals_along(observed, z, estimate), lags)
+    return Evidence(
+        parts=tuple(along.parts),
+        observed=observed.regression,
+        method="iv",
+        fixed_point=True,
+        estimate=estimate,
+        predicted=observed.predicted(estimate),
+        used=z.used,
+        intervals=within,
+        least_squares=ls.full,
+        Z=observed.along(z)[1],
         lags=lags,
         essential=essential_names(ls.essential, estimate, within),
     )
-    return assess_estimate(observed, found, ls, predicted, verdict)
-
-
-def _simulated(part: Part, simulated: Replica) -> Part:
-    """A recording's part of the evidence with the robot simulated in it."""
-    motion, decimation = simulated.simulated.motion, simulated.simulated.decimation
-    return replace(part, simulated=motion, decimation=decimation, reference=simulated.reference_kind)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything

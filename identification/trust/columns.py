@@ -19,7 +19,7 @@ from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from .evidence import Evidence, Part
 from .lag import simulated_rates
-from .lines import TrustLine, not_made
+from .lines import TrustLine
 
 BEYOND = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
@@ -77,8 +77,7 @@ class Lack:
 def added_columns_test(evidence: Evidence) -> TrustLine:
     """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
-    if evidence.observed.reduced:
-        return not_made(name, "not made: the rows of a long recording are reduced")
+    evidence = evidence.with_rows
     lacks = lacks_of(evidence)
     if not lacks:
         return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")

@@ -52,7 +52,7 @@ class Lag:
         source: what it follows from; `prior`: what is known of it without a fit.
         found: value and deviation by the instruments alone, and the reach; None where they say nothing, `why` not.
         delay_s: time from command to torque and half its interval, where the described controller could be replayed.
-        moved: (b,) by how many half-widths of its interval without it one deviation of the lag moves each parameter.
+        moved: (b,) by how much one deviation of the lag moves each parameter.
         recordings: their names.
     """
 
@@ -93,6 +93,7 @@ class Evidence:
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
         blocks: where rows are reduced, sums over the blocks of time of each recording.
         position_noise: whether noise of the position biases least squares; None of instrumental variables.
+        looked_at: where rows are reduced, the evidence of the beginning of the first recording, which has rows.
         lags: of the torques, those of each group of recordings alike.
         essential: names of the parameters that the recordings determine well.
     """
@@ -112,6 +113,7 @@ class Evidence:
     factors: tuple[tuple[System, Array], ...] = ()
     blocks: tuple[BlockSums, ...] = ()
     position_noise: TrustLine | None = None
+    looked_at: "Evidence | None" = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
 
@@ -119,6 +121,11 @@ class Evidence:
     def problem(self) -> Problem:
         """That of the first recording: robot, model and base parameters are those of all."""
         return self.parts[0].problem
+
+    @property
+    def with_rows(self) -> "Evidence":
+        """The evidence whose rows are held: that of a long recording's beginning."""
+        return self.looked_at or self
 
     @cached_property
     def rows(self) -> "WeightedRows":

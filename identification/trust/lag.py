@@ -135,7 +135,9 @@ def _line(evidence: Evidence, lag: Lag) -> TrustLine:
     figures = (Figure(name="lag", value=late, half_width=half, expected=lag.prior.value_s * fs),)
     level: Level = "ok"
     text = f"torque {abs(late):.2f} ± {half:.2f} samples {'late' if late >= 0 else 'early'}"
-    names, moved = evidence.estimate.names, lag.moved
+    names = evidence.estimate.names
+    rest = np.sqrt(np.maximum(evidence.intervals.sigma**2 - lag.moved**2, 0.0))  # the deviations without it
+    moved = np.divide(lag.moved, rest, out=np.zeros_like(rest), where=rest > 0)
     counts = [i for i, name in enumerate(names) if name in evidence.essential] or range(len(names))
     worst = max(counts, key=lambda i: moved[i])
     cost = f"±{moved[worst]:.2g} half-widths at {names[worst]}"

@@ -188,7 +188,7 @@ def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | 
 
 def prewhitened_test(evidence: Evidence) -> TrustLine:
     """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
-    name = "prewhitened"
+    name, evidence = "prewhitened", evidence.with_rows
     if evidence.Z is None:
         return not_made(name, "not made: there are no instruments")
     estimate = _whitened(evidence)
