@@ -9,6 +9,7 @@ energy, closed forms and an integrator of variable step.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, cast, get_args, get_type_hints
@@ -34,7 +35,9 @@ class Reference:
     ddq: Array
 
 
-def references(plant: Plant, seeds: range, *, duration_s: float, rate_hz: float, highest_hz: float = 1.0) -> Reference:
+def references(
+    plant: Plant, seeds: Iterable[int], *, duration_s: float, rate_hz: float, highest_hz: float = 1.0
+) -> Reference:
     """One reference for each seed: five sines a joint, faded in and out, up to 80 % of the limits of robot.toml."""
     t = np.arange(round(duration_s * rate_hz) + 1)[:, None] / rate_hz
     fade_s = 0.15 * duration_s
