@@ -83,9 +83,7 @@ class SetUp:
             torque = self.body.inverse(path.q[0], path.dq[0], path.ddq[0])
             effort = np.linalg.solve(self.body.R.T, torque.T).T / controller.drive_gain
             controller = replace(controller, saturation=self.saturated * np.abs(effort).max(axis=0))
-        runs = simulate(
-            self.body, controller, path, self.cell, seed=seed, substeps=self.substeps, later=self.later
-        )  # fmt: skip
+        runs = simulate(self.body, controller, path, self.cell, seed=seed, substeps=self.substeps, later=self.later)
         signals = runs.signals(self.robot, 0, self.timing)
         for change in self.changes:
             signals = change(signals)
@@ -146,7 +144,9 @@ def sign(s: SetUp, rng: Rng) -> SetUp:
 
 
 def late(s: SetUp, rng: Rng) -> SetUp:
-    return s.in_cell(lag=rng.integers(2, 11) / 2)
+    """By half samples; a command, or a mean where nothing is stated."""
+    mean = s.timing != "command" and rng.random() < 1 / 2
+    return s.in_cell(lag=rng.integers(2, 11) / 2, recorded="mean" if mean else "command")
 
 
 def mean_for_command(s: SetUp, rng: Rng) -> SetUp:
