@@ -272,7 +272,11 @@ def length(s: SetUp, rng: Rng) -> SetUp:
 
 
 def held(s: SetUp, rng: Rng) -> SetUp:
-    return replace(s, held=int(rng.integers(s.body.n)))
+    """By its loop, or in half the set-ups by a brake, which here is a rotor too heavy to move."""
+    joint, rotor = int(rng.integers(s.body.n)), s.body.rotor.copy()
+    if rng.random() < 1 / 2:
+        rotor[joint, joint] += 1e6
+    return replace(s, held=joint, body=replace(s.body, rotor=rotor))
 
 
 def delayed(s: SetUp, rng: Rng) -> SetUp:
