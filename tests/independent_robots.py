@@ -2,12 +2,13 @@
 
 `plant` reads a robot.toml with tomllib and gives the robot's plant: rigid bodies by spatial vectors at the world's origin
 (Featherstone 2008, chapters 2 and 5), in one pass without a recursion over forces; friction tanh(v/v0); rotors and friction
-of motors through the coupled wrist. States are batches (S, n): one row for each run that is simulated at the same time.
+of motors through the coupled wrist; cogging, a payload, a spring with play between the motor and the load of a lone axis.
+States are batches (S, n): one row for each run that is simulated at the same time.
 """
 
 import tomllib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -117,6 +118,15 @@ def scara(q: Array, dq: Array) -> tuple[Array, Array]:
     return M, np.stack([-across * v2 * (2 * v1 + v2), across * v1**2], axis=-1)
 
 
+def level_axis(mass: float) -> Rigid:
+    """A mass on a level axis: what `Chain` gives of the EMPS, much faster."""
+
+    def rigid(q: Array, dq: Array) -> tuple[Array, Array]:
+        return np.full((len(q), 1, 1), mass), np.zeros_like(q)
+
+    return rigid
+
+
 @dataclass(frozen=True, kw_only=True)
 class Friction:
     """Friction along directions D (c, n), and what no description of the package knows of it.
@@ -148,6 +158,10 @@ class Friction:
             force = force + self.root * np.sqrt(np.abs(x) * self.smooth) * side
         return force @ self.directions + linear
 
+    def times(self, factor: float) -> "Friction":
+        """Coulomb and viscous friction, larger by the factor."""
+        return replace(self, coulomb=factor * self.coulomb, viscous=factor * self.viscous)
+
     def of_load(self, rigid: Array, v: Array) -> Array:
         """Torques (S, n) of friction by load where the links take `rigid` (S, n)."""
         return self.load * np.abs(rigid) * np.tanh(v / self.smooth[: v.shape[1]])
@@ -158,8 +172,29 @@ class Friction:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Coupling:
+    """Between motor and load of a lone axis, which carries `share` of the mass and of the friction: a spring with play.
+
+    stiffness N/m, damping N s/m, play m, all of it between the two sides of contact.
+    """
+
+    share: float
+    stiffness: float
+    damping: float
+    play: float = 0.0
+
+    def force(self, stretch: Array, rate: Array) -> Array:
+        """On the load, where the motor is ahead of it by `stretch` and faster by `rate`; none within the play."""
+        beyond = stretch - np.clip(stretch, -self.play / 2, self.play / 2)
+        return np.where(beyond != 0, self.stiffness * beyond + self.damping * rate, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plant:
-    """M(q) ddq + rigid bias + rotors + friction + offset = tau, and the arm's limits as robot.toml states them."""
+    """M(q) ddq + rigid bias + rotors + friction + offset + cogging = tau, and the arm's limits as robot.toml states them.
+
+    cogging (n,): amplitude of a torque that is periodic in the joint's position, once a `pitch` (n,) in rad or m.
+    """
 
     name: str
     rigid: Rigid
@@ -168,14 +203,19 @@ class Plant:
     offset: Array
     R: Array  # motor speed = R joint speed
     description: dict[str, Any] = field(repr=False)
+    cogging: Array = field(default_factory=lambda: np.zeros(1))
+    pitch: Array = field(default_factory=lambda: np.ones(1))
+    coupling: Coupling | None = None
 
     @property
     def n(self) -> int:
         return len(self.offset)
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """M (S, n, n) with the rotors, and the torques (S, n) of speed, gravity and offset."""
+        """M (S, n, n) with the rotors, and the torques (S, n) of speed, gravity, offset and cogging."""
         M, bias = self.rigid(q, dq)
+        if self.cogging.any():
+            bias = bias + self.cogging * np.sin(2 * np.pi * q / self.pitch)
         return M + self.rotor, bias + self.offset
 
     def inverse(self, q: Array, dq: Array, ddq: Array) -> Array:
@@ -189,7 +229,7 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
     """The plant that robot.toml describes by its `dh`, `motor_matrix` and `[parameters]`.
 
     smooth: v0 of friction in parts of the joint's speed limit. tilt_rad: the base is turned about x, unknown to whoever
-    reads the description. closed_form: take the SCARA's closed form in place of the chain.
+    reads the description. closed_form: take the closed forms of SCARA and EMPS in place of the chain.
     """
     text = tomllib.loads(robot_toml.read_text())
     joints, values = text["joint"], text["parameters"]
@@ -220,9 +260,10 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
         directions = np.vstack([directions, [0, 0, 0, 0, 1, 1]])
         coulomb = np.append(coulomb, values["Fcm6"])
     speed = np.array([j["speed_m_s"] if "speed_m_s" in j else np.deg2rad(j["speed_deg_s"]) for j in joints])
+    closed: dict[str, Rigid] = {"SCARA": scara, "EMPS": level_axis(float(chain.mass[0]))}
     return Plant(
         name=text["name"],
-        rigid=scara if closed_form and text["name"] == "SCARA" and not tilt_rad else chain,
+        rigid=closed.get(text["name"], chain) if closed_form and not tilt_rad else chain,
         rotor=rotor,
         friction=Friction(
             directions=directions, coulomb=coulomb, viscous=viscous, smooth=smooth * np.abs(directions) @ speed
@@ -230,4 +271,28 @@ def plant(robot_toml: Path, *, smooth: float = 0.01, tilt_rad: float = 0.0, clos
         offset=of_joint("Off"),
         R=R,
         description=text,
+    )
+
+
+def with_payload(body: Plant, mass: float, radius: float = 0.0) -> Plant:
+    """The same arm with a point mass at (radius, 0, 0) of its last link's frame; its rigid bodies are a `Chain`."""
+    chain, at = body.rigid, np.array([radius, 0.0, 0.0])
+    assert isinstance(chain, Chain)
+    inertia, moment, masses = chain.inertia.copy(), chain.moment.copy(), chain.mass.copy()
+    inertia[-1] += mass * (at @ at * np.eye(3) - np.outer(at, at))
+    moment[-1] += mass * at
+    masses[-1] += mass
+    return replace(body, rigid=replace(chain, inertia=inertia, moment=moment, mass=masses))
+
+
+def two_mass(body: Plant, *, share: float, free_hz: float, damping: float, play: float = 0.0) -> Plant:
+    """A lone axis with a share of its mass behind a spring: without play, the free axis oscillates at `free_hz`.
+
+    damping: of that oscillation, in parts of the critical one.
+    """
+    mass = body.inertia_and_bias(np.zeros((1, 1)), np.zeros((1, 1)))[0].item()
+    reduced, w = mass * share * (1 - share), 2 * np.pi * free_hz
+    return replace(
+        body,
+        coupling=Coupling(share=share, stiffness=reduced * w**2, damping=2 * damping * reduced * w, play=play),
     )

@@ -1,14 +1,18 @@
 """Recordings of robots whose truth is known, by a simulator that shares no code with the package.
 
 Many runs go side by side, one row of every array each. In each control period the controller sees what the encoder gives
-(noise and counts are fed back), and its command is recorded at its tick and held until the next. Between ticks the plant
+(noise and counts are fed back), and its command is recorded at its tick and held for a period, which may begin later than the
+tick. The encoder is the motor's: a load behind a spring or play goes its own way. Between ticks the plant
 is integrated by Runge-Kutta of order 4 in `substeps` steps; the inertia matrix and the torques of speed and gravity, which
 change far more slowly than friction, are those of the middle of the period. `test_independent_simulator` checks that against
 energy, closed forms and an integrator of variable step.
 """
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, Literal, cast, get_args, get_type_hints
 
 import msgspec
 import numpy as np
@@ -31,7 +35,9 @@ class Reference:
     ddq: Array
 
 
-def references(plant: Plant, seeds: range, *, duration_s: float, rate_hz: float, highest_hz: float = 1.0) -> Reference:
+def references(
+    plant: Plant, seeds: Iterable[int], *, duration_s: float, rate_hz: float, highest_hz: float = 1.0
+) -> Reference:
     """One reference for each seed: five sines a joint, faded in and out, up to 80 % of the limits of robot.toml."""
     t = np.arange(round(duration_s * rate_hz) + 1)[:, None] / rate_hz
     fade_s = 0.15 * duration_s
@@ -120,8 +126,8 @@ def description(robot_toml: Path, controller: Controller | None = None) -> Robot
     if controller is None:
         return robot
     integral = tuple(controller.integral_gain.tolist())
-    told = msgspec.structs.replace(
-        robot.controller,
+    return with_control(
+        robot,
         structure=controller.structure,
         sample_rate_hz=controller.rate_hz,
         position_gain=tuple(controller.position_gain.tolist()),
@@ -129,27 +135,58 @@ def description(robot_toml: Path, controller: Controller | None = None) -> Robot
         integral_gain=integral if any(integral) else None,
         velocity_estimate="two_sample_mean" if controller.two_sample_mean else "backward_difference",
     )
-    return replace(robot, controller=told)
+
+
+def with_control(robot: Robot, **changes: object) -> Robot:
+    """The description with other values in its `[controller]`."""
+    return replace(robot, controller=msgspec.structs.replace(robot.controller, **changes))
+
+
+def without_control_law(robot: Robot) -> Robot:
+    """The description without its control law: of `[controller]` the bandwidth is left."""
+    return replace(robot, controller=type(robot.controller)(bandwidth_hz=robot.controller.bandwidth_hz))
+
+
+def without_settings(robot: Robot) -> Robot:
+    """The description without `[identification]`: the package's rules hold, not what reproduces digits of others."""
+    return replace(robot, identification=type(robot.identification)())
+
+
+def timing_not_stated() -> str | None:
+    """The `effort_timing` of a recording that states none; None while the package has no value for it."""
+    return "unknown" if "unknown" in get_args(get_type_hints(Signals)["effort_timing"]) else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Imperfections:
     """What a real cell adds. Percent are of each joint's rms torque along its reference.
 
-    encoder_noise, encoder_step: white noise and counts of the motor's position over its ratio, rad or m at the joint.
-    torque_noise_percent, coloured_noise_percent: of the recorded torque, white and AR(0.98). disturbance_percent: AR(0.98),
-    of the torque that acts. drift_percent: torque that grows from 0 to this over the run. lag: samples by which the recorded
-    torque is late. gain_factor: the controller's true gains over the described ones.
+    encoder_noise, encoder_step: noise and counts of the motor's position over its ratio, rad or m at the joint.
+    encoder_correlation: of the noise from sample to sample, 0 if white. torque_noise_percent, coloured_noise_percent: of the
+    recorded torque, white and AR(0.98). disturbance_percent: AR(0.98), of the torque that acts. drift_percent: torque that
+    grows from 0 to this over the run. friction_drift: friction grows over the run by this part of itself, about its mean.
+    recorded: the `command` of the tick, or the `mean` of the torque that acts over the period about the tick. lag: samples by
+    which the record of it is late, between two samples on the straight line. actuation_delay_s: a command acts this much
+    after its tick. gain_factor: the controller's true gains over the described ones.
     """
 
     encoder_noise: float = 0.0
     encoder_step: float = 0.0
+    encoder_correlation: float = 0.0
     torque_noise_percent: float = 0.0
     coloured_noise_percent: float = 0.0
     disturbance_percent: float = 0.0
     drift_percent: float = 0.0
-    lag: int = 0
+    friction_drift: float = 0.0
+    recorded: Literal["command", "mean"] = "command"
+    lag: float = 0.0
+    actuation_delay_s: float = 0.0
     gain_factor: float = 1.0
+
+    def lag_s(self, rate_hz: float) -> float:
+        """How late the recorded torque is against the one that acts: a command is written down before it acts, and held."""
+        early_s = 0.5 / rate_hz + self.actuation_delay_s if self.recorded == "command" else 0.0
+        return self.lag / rate_hz - early_s
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -162,19 +199,31 @@ class Runs:
     q_true: Array
     dq_true: Array
     rate_hz: float
+    recorded: Literal["command", "mean"] = "command"
 
-    def signals(self, robot: Robot, run: int) -> Signals:
-        """One run as the package's signals."""
+    def signals(self, robot: Robot, run: int, effort_timing: str | None = None) -> Signals:
+        """One run as the package's signals; `effort_timing` says what the recording is stamped with, by default the truth."""
         q, q_ref, effort = (x[run].copy() for x in (self.q, self.q_ref, self.effort))
         t_s = np.arange(len(q)) / self.rate_hz
         return Signals(
             t_s=t_s, q=q, q_ref=q_ref, effort=effort, sample_rate_hz=self.rate_hz, track=None, robot=robot,
-            recording=f"run {run}", sha256="",
+            recording=f"run {run}", sha256="", effort_timing=cast(Any, effort_timing or self.recorded),
         )  # fmt: skip
 
     def write(self, path: Path, robot: Robot, run: int) -> None:
         """One run as a recording."""
         write_signals(path, self.signals(robot, run), source="independent simulator")
+
+
+def with_lost_rows(signals: Signals, lost: Array) -> Signals:
+    """The recording without the samples that are `lost` (N,) bool, closed up as if there had been none."""
+    q, q_ref, effort = (None if x is None else x[~lost] for x in (signals.q, signals.q_ref, signals.effort))
+    return replace(signals, t_s=signals.t_s[: len(q)], q=q, q_ref=q_ref, effort=effort)
+
+
+def at_rate(signals: Signals, rate_hz: float) -> Signals:
+    """The same samples, said to be of another rate."""
+    return replace(signals, t_s=np.arange(len(signals.q)) / rate_hz, sample_rate_hz=rate_hz)
 
 
 def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float, substeps: int) -> tuple[Array, Array]:
@@ -199,6 +248,39 @@ def step(plant: Plant, q: Array, v: Array, tau: Array, middle_v: Array, h: float
     return q, v
 
 
+def step_two_mass(plant: Plant, state: tuple[Array, ...], tau: Array, h: float, substeps: int) -> tuple[Array, ...]:
+    """(q, v) of the motor's side and (q, v) of the load's (S, 1), a period h later."""
+    link, d = plant.coupling, h / substeps
+    assert link is not None
+    M, bias = plant.inertia_and_bias(state[0], state[1])
+    shares = np.array([[1 - link.share], [link.share]])[:, None]
+    masses = shares * M[0]
+
+    def acceleration(x: Array, v: Array) -> Array:
+        """Of motor and load (2, S, 1)."""
+        force = link.force(x[0] - x[1], v[0] - v[1])
+        return (np.stack([tau - bias - force, force]) - shares * plant.friction(v)) / masses
+
+    x, v = np.stack(state[::2]), np.stack(state[1::2])
+    for _ in range(substeps):
+        a1 = acceleration(x, v)
+        a2 = acceleration(x + 0.5 * d * v, v + 0.5 * d * a1)
+        a3 = acceleration(x + 0.5 * d * v + 0.25 * d**2 * a1, v + 0.5 * d * a2)
+        a4 = acceleration(x + d * v + 0.5 * d**2 * a2, v + d * a3)
+        x = x + d * v + d**2 / 6 * (a1 + a2 + a3)
+        v = v + d / 6 * (a1 + 2 * a2 + 2 * a3 + a4)
+    return x[0], v[0], x[1], v[1]
+
+
+def shifted(x: Array, samples: float) -> Array:
+    """x (S, N, n) that many samples later, on the straight line between two; before its begin it is its first row."""
+    at = np.clip(np.arange(x.shape[1]) - samples, 0, x.shape[1] - 1)
+    before = np.floor(at).astype(int)
+    part = (at - before)[:, None]
+    after = np.minimum(before + 1, x.shape[1] - 1)
+    return np.where(part > 0, (1 - part) * x[:, before] + part * x[:, after], x[:, before])
+
+
 def coloured(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
     """AR(0.98) of deviation 1 along the second axis."""
     white = rng.standard_normal(shape)
@@ -216,10 +298,11 @@ def simulate(
     seed: int = 0,
     substeps: int = 4,
     feedforward: Array | None = None,
+    later: Plant | None = None,
 ) -> Runs:
     """All runs along their references, from rest where the position loop carries the arm's weight.
 
-    `feedforward` (S, N, n) is added to the controller's output, by motor.
+    `feedforward` (S, N, n) is added to the controller's output, by motor. `later` is the plant from the middle of the run on.
     """
     c, T, rng = controller, 1.0 / controller.rate_hz, np.random.default_rng([2, seed])
     S, N, n = reference.q.shape
@@ -248,9 +331,13 @@ def simulate(
     seen, seen_before, seen_earlier, v_before = q @ plant.R.T, q @ plant.R.T, q @ plant.R.T, v
     measured, commanded, q_true, dq_true = np.empty((4, S, N, n))
     count, noise = cell.encoder_step * np.abs(np.diag(plant.R)), cell.encoder_noise * np.abs(np.diag(plant.R))
-    back = np.linalg.inv(plant.R).T
+    rho, error_seen = cell.encoder_correlation, np.random.default_rng([3, seed]).standard_normal((S, n))
+    # In the part of a period that has begun, the command before the newest still acts.
+    periods, begun = divmod(round(cell.actuation_delay_s / T, 9), 1.0)
+    load, back, body = (q, v), np.linalg.inv(plant.R).T, plant
     for k in range(N):
-        seen = q @ plant.R.T + noise * rng.standard_normal((S, n))
+        error_seen = rho * error_seen + np.sqrt(1 - rho**2) * rng.standard_normal((S, n))
+        seen = q @ plant.R.T + noise * error_seen
         if cell.encoder_step:
             seen = np.round(seen / count) * count
         speed = (seen - (seen_earlier if c.two_sample_mean else seen_before)) / (T * (2 if c.two_sample_mean else 1))
@@ -265,11 +352,26 @@ def simulate(
             u = u + feedforward[:, k]
         tau = np.clip(u, -c.saturation, c.saturation) @ to_joints
         measured[:, k], commanded[:, k], q_true[:, k], dq_true[:, k] = seen @ back, tau, q, v
-        middle_v, v_before = 1.5 * v - 0.5 * v_before, v
-        q, v = step(plant, q, v, tau + push[:, k], middle_v, T, substeps)
-    recorded = commanded + level * cell.torque_noise_percent * rng.standard_normal((S, N, n))
+        if later is not None and k == N // 2:
+            body = later
+        if cell.friction_drift:
+            body = replace(body, friction=plant.friction.times(1 + cell.friction_drift * (k / N - 0.5)))
+        acceleration, v_before, newest = (v - v_before) / T, v, k - int(periods)
+        for part, from_tick in ((begun, newest - 1), (1 - begun, newest)):
+            if part:
+                tau, h, steps = commanded[:, max(0, from_tick)] + push[:, k], part * T, math.ceil(part * substeps)
+                if body.coupling is None:
+                    q, v = step(body, q, v, tau, v + 0.5 * h * acceleration, h, steps)
+                else:
+                    q, v, *load = step_two_mass(body, (q, v, *load), tau, h, steps)
+    recorded = commanded
+    if cell.recorded == "mean":  # of a torque that is held: half a period and the delay after the command
+        recorded = shifted(recorded, 0.5 + cell.actuation_delay_s / T)
+    recorded = shifted(recorded, cell.lag)
+    recorded = recorded + level * cell.torque_noise_percent * rng.standard_normal((S, N, n))
     if cell.coloured_noise_percent:
         recorded = recorded + level * cell.coloured_noise_percent * coloured(rng, (S, N, n))
-    if cell.lag:
-        recorded = np.concatenate([np.repeat(recorded[:, :1], cell.lag, axis=1), recorded[:, : -cell.lag]], axis=1)
-    return Runs(q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true, rate_hz=c.rate_hz)
+    return Runs(
+        q=measured, q_ref=reference.q, effort=recorded, q_true=q_true, dq_true=dq_true, rate_hz=c.rate_hz,
+        recorded=cell.recorded,
+    )  # fmt: skip

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
-from independent_robots import Friction, plant
+from independent_robots import Friction, plant, two_mass, with_payload
 from independent_simulator import (
     AR,
     Imperfections,
     Runs,
+    at_rate,
     coloured,
     described_controller,
     description,
@@ -17,6 +18,8 @@ from independent_simulator import (
     references,
     simulate,
     step,
+    step_two_mass,
+    with_lost_rows,
 )
 from scipy.integrate import solve_ivp
 
@@ -43,10 +46,11 @@ def short_run(name: str, cell: Imperfections = NOTHING, duration_s: float = 1.0,
     return simulate(body, controller, references(body, range(2), duration_s=duration_s, rate_hz=1000.0), cell)
 
 
-def test_the_closed_form_of_the_scara_is_that_of_the_chain():
-    q, dq, _ = states(2)
+@pytest.mark.parametrize("name", ["scara", "emps"])
+def test_closed_forms_are_those_of_the_chain(name):
+    q, dq, _ = states(plant(toml(name)).n)
     for found, expected in zip(
-        plant(toml("scara")).rigid(q, dq), plant(toml("scara"), closed_form=False).rigid(q, dq), strict=True
+        plant(toml(name)).rigid(q, dq), plant(toml(name), closed_form=False).rigid(q, dq), strict=True
     ):
         np.testing.assert_allclose(found, expected, atol=1e-13)
 
@@ -110,6 +114,27 @@ def test_steps_with_root_and_load_friction_obey_the_inverse_model():
     np.testing.assert_allclose(tau[moving, 0], expected[moving], atol=1e-3)
 
 
+def integrated(body, runs: Runs, ticks: int, delay_s: float = 0.0) -> np.ndarray:
+    """State (2 n,) of the first run after some ticks by DOP853; a command is held for a period, from its tick and delay on."""
+    n, T, state = body.n, 1e-3, np.concatenate([runs.q_true[0, 0], runs.dq_true[0, 0]])
+
+    def slope(_: float, x: np.ndarray, tau: np.ndarray) -> np.ndarray:
+        q, v = x[None, :n], x[None, n:]
+        M, bias = body.inertia_and_bias(q, v)
+        return np.concatenate([v[0], np.linalg.solve(M[0], (tau - bias - body.friction(v))[0])])
+
+    def advanced(state: np.ndarray, span_s: float, command: int) -> np.ndarray:
+        tau = runs.effort[0, max(0, command)]
+        return solve_ivp(slope, (0, span_s), state, method="DOP853", rtol=1e-8, atol=1e-11, args=(tau,)).y[:, -1]
+
+    whole, begun_s = int(delay_s / T), delay_s % T
+    for k in range(ticks):
+        if begun_s:
+            state = advanced(state, begun_s, k - whole - 1)
+        state = advanced(state, T - begun_s, k - whole)
+    return state
+
+
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6), ("tx40", 1e-5)])
 def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     """The commands of a noisy run, once more through DOP853, friction included."""
@@ -117,19 +142,22 @@ def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     controller = designed_pd(body, 10.0, 1000.0) if name == "tx40" else described_controller(body)
     reference = references(body, range(1), duration_s=0.5, rate_hz=1000.0)
     runs = simulate(body, controller, reference, Imperfections(encoder_noise=1e-5))
-    n, state = body.n, np.concatenate([runs.q_true[0, 0], runs.dq_true[0, 0]])
-
-    def slope(_: float, x: np.ndarray, tau: np.ndarray) -> np.ndarray:
-        q, v = x[None, :n], x[None, n:]
-        M, bias = body.inertia_and_bias(q, v)
-        return np.concatenate([v[0], np.linalg.solve(M[0], (tau - bias - body.friction(v))[0])])
-
-    for k in range(ticks):
-        state = solve_ivp(slope, (0, 1e-3), state, method="DOP853", rtol=1e-8, atol=1e-11, args=(runs.effort[0, k],)).y[
-            :, -1
-        ]
+    state = integrated(body, runs, ticks)
     assert np.abs(runs.q_true[0, ticks] - runs.q_true[0, 0]).max() > 100 * closest
-    np.testing.assert_allclose(runs.q_true[0, ticks], state[:n], atol=closest)
+    np.testing.assert_allclose(runs.q_true[0, ticks], state[: body.n], atol=closest)
+
+
+@pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6)])
+@pytest.mark.parametrize("delay_s", [3e-4, 1e-3, 1.7e-3])
+def test_a_command_acts_after_its_delay(name, closest, delay_s):
+    """Also where a part of a period is left to the command before; taken to act at its tick, it would not give this motion."""
+    body, ticks = plant(toml(name), smooth=0.005), 60
+    reference = references(body, range(1), duration_s=0.5, rate_hz=1000.0)
+    cell = Imperfections(encoder_noise=1e-5, actuation_delay_s=delay_s)
+    runs = simulate(body, described_controller(body), reference, cell)
+    found = runs.q_true[0, ticks]
+    np.testing.assert_allclose(found, integrated(body, runs, ticks, delay_s)[: body.n], atol=closest)
+    assert np.abs(found - integrated(body, runs, ticks)[: body.n]).max() > 5 * closest
 
 
 def test_references_begin_and_end_at_rest_within_the_limits():
@@ -200,6 +228,150 @@ def test_imperfections_are_what_they_are_called():
     np.testing.assert_array_equal(noisy.q, plain.q)
     pushed = short_run("scara", Imperfections(disturbance_percent=5.0))
     assert np.abs(pushed.q - plain.q).max() > 1e-6
+
+
+def test_a_torque_is_recorded_between_its_samples_or_as_a_mean():
+    plain, cell = short_run("scara"), Imperfections(lag=2.25)
+    u = plain.effort
+    np.testing.assert_allclose(short_run("scara", cell).effort[:, 3:], 0.75 * u[:, 1:-2] + 0.25 * u[:, :-3], rtol=1e-12)
+    mean = short_run("scara", Imperfections(recorded="mean"))
+    np.testing.assert_allclose(mean.effort[:, 1:], (u[:, 1:] + u[:, :-1]) / 2, rtol=1e-12)
+    assert mean.signals(description(toml("scara")), 0).effort_timing == "mean"
+
+
+@pytest.mark.parametrize("recorded", ["command", "mean"])
+@pytest.mark.parametrize(("lag", "delay_s"), [(0, 0.0), (2.5, 0.0), (1, 3e-4), (0, 1.7e-3)])
+def test_the_lag_of_a_record_is_that_of_a_torque_of_constant_slope(recorded, lag, delay_s):
+    """Commands of slope one: a record of what acts, at the mean over a period, is the instant less the lag."""
+    cell = Imperfections(recorded=recorded, lag=lag, actuation_delay_s=delay_s)
+    body = plant(toml("scara"))
+    still = references(body, range(1), duration_s=0.5, rate_hz=1000.0)
+    still = replace(still, q=0 * still.q, dq=0 * still.dq, ddq=0 * still.ddq)
+    ramp = np.arange(still.q.shape[1])[None, :, None] * 1e-3 + 0 * still.q
+    idle = replace(described_controller(body), position_gain=np.zeros(2), velocity_gain=np.zeros(2))
+    body = replace(body, friction=replace(body.friction, viscous=1e9 * np.eye(2)), offset=np.zeros(2))
+    body = replace(body, rigid=lambda q, dq: (np.broadcast_to(1e9 * np.eye(2), (1, 2, 2)), 0 * q))
+    idle = replace(idle, position_gain=np.full(2, 1e-12))
+    effort = simulate(body, idle, still, cell, feedforward=ramp).effort[0, 10:, 0]
+    acting = ramp[0, 10:, 0] - 0.5e-3 - delay_s  # its mean over the period about the tick
+    np.testing.assert_allclose(acting - effort, cell.lag_s(1000.0), atol=1e-9)
+
+
+def test_rows_are_lost_and_rates_are_said():
+    signals = short_run("scara").signals(description(toml("scara")), 0)
+    lost = np.arange(len(signals.q)) % 10 == 3
+    short, fast = with_lost_rows(signals, lost), at_rate(signals, 1010.0)
+    np.testing.assert_array_equal(short.effort, np.delete(signals.effort, np.flatnonzero(lost), axis=0))
+    np.testing.assert_allclose(np.diff(short.t_s), 1e-3)
+    np.testing.assert_allclose(np.diff(fast.t_s), 1 / 1010.0)
+    assert fast.q is signals.q
+
+
+def test_coloured_encoder_noise_is_fed_back():
+    cell = Imperfections(encoder_noise=2e-5, encoder_correlation=0.9)
+    runs, duration_s = short_run("emps", cell, duration_s=2.0), 2.0
+    noise = (runs.q - runs.q_true)[..., 0]
+    assert np.std(noise) == pytest.approx(2e-5, rel=0.1)
+    assert np.mean(noise[:, 1:] * noise[:, :-1]) / np.mean(noise**2) == pytest.approx(0.9, abs=0.02)
+    assert np.abs(runs.q_true - short_run("emps", duration_s=duration_s).q_true).max() > 1e-5
+
+
+def test_friction_drifts_about_its_mean():
+    friction = plant(toml("emps")).friction
+    v = np.array([[0.3]])
+    assert friction.times(1.2)(v) == pytest.approx(1.2 * friction(v))
+    plain, drifting = short_run("emps"), short_run("emps", Imperfections(friction_drift=0.4))
+    more = (drifting.effort - plain.effort)[..., 0] * np.sign(plain.dq_true[..., 0])
+    moving = np.abs(plain.dq_true[..., 0]) > 0.05
+    assert more[:, :400][moving[:, :400]].mean() < -1.0
+    assert more[:, 600:][moving[:, 600:]].mean() > 1.0
+
+
+def without_friction(body):
+    n = body.n
+    friction = replace(body.friction, coulomb=0 * body.friction.coulomb, viscous=np.zeros((n, n)))
+    return replace(body, friction=friction, offset=np.zeros(n))
+
+
+def test_cogging_has_a_potential():
+    """A free axis that goes over its teeth: kinetic energy and the integral of A sin(2 pi q / p) are kept."""
+    A, p = 30.0, 0.01
+    body = replace(without_friction(plant(toml("emps"))), cogging=np.array([A]), pitch=np.array([p]))
+    np.testing.assert_allclose(body.inertia_and_bias(np.array([[p / 4]]), np.zeros((1, 1)))[1], A, rtol=1e-12)
+    q, v, kinetic, energy = np.zeros((1, 1)), np.full((1, 1), 0.1), [], []
+    for _ in range(4000):
+        kinetic.append(0.5 * 95.1089 * v.item() ** 2)
+        energy.append(kinetic[-1] + A * p / (2 * np.pi) * (1 - np.cos(2 * np.pi * q.item() / p)))
+        q, v = step(body, q, v, 0 * v, v, 1e-4, 1)
+    assert q.item() > 3 * p
+    assert np.ptp(kinetic) > 0.05
+    assert np.ptp(energy) < 1e-3 * np.ptp(kinetic)
+
+
+def test_a_payload_is_a_point_mass():
+    """The inertia matrix grows by m JᵀJ, J that of the point; gravity by m g at it. From the middle of a run on it is there."""
+    before = plant(toml("tx40"))
+    after, at, q = with_payload(before, 2.0, 0.1), np.array([0.1, 0.0, 0.0]), states(6)[0]
+
+    def point(q: np.ndarray) -> np.ndarray:
+        _, origin, rotation = before.rigid._frames(q)
+        return origin[:, -1] + rotation[:, -1] @ at
+
+    J = np.stack([(point(q + e) - point(q - e)) / 2e-6 for e in 1e-6 * np.eye(6)], axis=-1)
+    (M, bias), (M_after, bias_after) = (body.inertia_and_bias(q, 0 * q) for body in (before, after))
+    np.testing.assert_allclose(M_after - M, 2.0 * J.swapaxes(1, 2) @ J, atol=1e-8)
+    np.testing.assert_allclose(bias_after - bias, 2.0 * 9.81 * J[:, 2], atol=1e-7)
+    axis = plant(toml("emps"), closed_form=False)
+    reference = references(axis, range(1), duration_s=1.0, rate_hz=1000.0)
+    heavier = with_payload(axis, 30.0)
+    changed, plain, heavy = (
+        simulate(body, described_controller(axis), reference, NOTHING, later=later).q_true
+        for body, later in ((axis, heavier), (axis, None), (heavier, None))
+    )
+    np.testing.assert_array_equal(changed[:, :501], plain[:, :501])
+    assert np.abs(changed - plain)[:, 600:].max() > 1e-6
+    np.testing.assert_allclose(changed[:, -100:], heavy[:, -100:], atol=1e-6)
+
+
+def coupled_motion(body, state: tuple, force: float, ticks: int) -> np.ndarray:
+    """States (ticks, 4) of a lone axis with a coupling: motor's and load's position and speed, every 0.1 ms."""
+    found, state = [], tuple(np.full((1, 1), x) for x in state)
+    for _ in range(ticks):
+        found.append([x.item() for x in state])
+        state = step_two_mass(body, state, np.full((1, 1), force), 1e-4, 1)
+    return np.array(found)
+
+
+def test_two_masses_oscillate_at_their_frequency():
+    """Let go when stretched: the stretch is a cosine of the free frequency, and the centre of mass stays."""
+    body = two_mass(without_friction(plant(toml("emps"))), share=0.3, free_hz=12.0, damping=0.0)
+    x = coupled_motion(body, (0.0, 0.0, 1e-3, 0.0), 0.0, 5000)
+    t = 1e-4 * np.arange(5000)
+    np.testing.assert_allclose(x[:, 2] - x[:, 0], 1e-3 * np.cos(2 * np.pi * 12.0 * t), atol=1e-8)
+    np.testing.assert_allclose(0.7 * x[:, 0] + 0.3 * x[:, 2], 0.3e-3, atol=1e-12)
+
+
+def test_play_transmits_nothing_inside():
+    """The motor alone goes through half the play under its own mass; then the momentum of both is that of the force."""
+    body = two_mass(without_friction(plant(toml("emps"))), share=0.4, free_hz=100.0, damping=0.3, play=4e-4)
+    x, t = coupled_motion(body, (0.0, 0.0, 0.0, 0.0), 50.0, 2000), 1e-4 * np.arange(2000)
+    a, inside = 50.0 / (0.6 * 95.1089), x[:, 0] < 2e-4
+    np.testing.assert_allclose(x[inside, 0], 0.5 * a * t[inside] ** 2, atol=1e-12)
+    assert (x[inside, 2:] == 0).all()
+    assert inside.sum() == pytest.approx(np.sqrt(2 * 2e-4 / a) / 1e-4, abs=1)
+    np.testing.assert_allclose(95.1089 * (0.6 * x[:, 1] + 0.4 * x[:, 3]), 50.0 * t, rtol=1e-9, atol=1e-9)
+    assert x[-1, 2] > 0.1 * x[-1, 0]
+
+
+def test_a_stiff_coupling_is_none():
+    """The axis in its loop: with a load that follows at once, motion and commands are those of one mass, friction included."""
+    body = plant(toml("emps"))
+    axis, loop = references(body, range(1), duration_s=0.4, rate_hz=1000.0), described_controller(body)
+    stiff = two_mass(body, share=0.3, free_hz=300.0, damping=0.5)
+    soft = two_mass(body, share=0.3, free_hz=8.0, damping=0.05)
+    one, two, other = (simulate(x, loop, axis, NOTHING, substeps=8).q for x in (body, stiff, soft))
+    np.testing.assert_allclose(two, one, atol=3e-5)
+    assert np.abs(other - one).max() > 1e-4
 
 
 def test_coloured_noise_has_deviation_one_and_the_correlation_it_is_named_by():

@@ -1,0 +1,339 @@
+"""The 29 kinds of fault of the hunt: what of a sound cell, recording or description is wrong, and which test should say so.
+
+A set-up is a robot in its cell, how it is recorded, and the description that a fit is given. A kind changes a sound one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import msgspec
+import numpy as np
+from conftest import REPLAY
+from independent_robots import Plant, plant, two_mass, with_payload
+from independent_simulator import (
+    Controller,
+    Imperfections,
+    at_rate,
+    described_controller,
+    description,
+    references,
+    simulate,
+    timing_not_stated,
+    with_control,
+    with_lost_rows,
+    without_control_law,
+    without_settings,
+)
+
+from acquisition.robot import Robot
+from identification.data import Signals
+
+Array = np.ndarray
+Rng = np.random.Generator
+UNIT = {"emps": 1e-6, "scara": 1e-5}  # a small noise of the position, m or rad
+SMOOTH = 0.005  # v0 of friction in parts of the speed limit
+
+
+@dataclass(frozen=True, kw_only=True)
+class SetUp:
+    """What is simulated, and what the fit is told: `robot`, and `timing` as the recording's `effort_timing`.
+
+    later: the plant from the middle on. held: a joint whose reference does not move. saturated: share of the peak effort at
+    which the drives saturate, None if they do not. changes: made of the recording, one after the other.
+    """
+
+    name: str
+    body: Plant
+    controller: Controller
+    cell: Imperfections
+    robot: Robot
+    timing: str | None
+    later: Plant | None = None
+    held: int | None = None
+    saturated: float | None = None
+    duration_s: float = 10.0
+    highest_hz: float = 1.0
+    substeps: int = 4
+    changes: tuple[Callable[[Signals], Signals], ...] = ()
+
+    def changed(self, change: Callable[[Signals], Signals]) -> "SetUp":
+        """With one more change of the recording."""
+        return replace(self, changes=(*self.changes, change))
+
+    def in_cell(self, **changes: object) -> "SetUp":
+        """With other imperfections."""
+        return replace(self, cell=replace(self.cell, **changes))
+
+    def with_friction(self, **changes: float) -> "SetUp":
+        """With another friction than is described."""
+        return replace(self, body=replace(self.body, friction=replace(self.body.friction, **changes)))
+
+    def recording(self, seed: int) -> Signals:
+        """Simulated, recorded, and changed."""
+        rate_hz = self.controller.rate_hz
+        path = references(
+            self.body, range(seed, seed + 1), duration_s=self.duration_s, rate_hz=rate_hz, highest_hz=self.highest_hz
+        )
+        if self.held is not None:
+            moves = np.arange(self.body.n) != self.held
+            start = np.where(moves, 0.0, path.q[:, :1])
+            path = replace(path, q=path.q * moves + start, dq=path.dq * moves, ddq=path.ddq * moves)
+        controller = self.controller
+        if self.saturated is not None:
+            torque = self.body.inverse(path.q[0], path.dq[0], path.ddq[0])
+            effort = np.linalg.solve(self.body.R.T, torque.T).T / controller.drive_gain
+            controller = replace(controller, saturation=self.saturated * np.abs(effort).max(axis=0))
+        runs = simulate(self.body, controller, path, self.cell, seed=seed, substeps=self.substeps, later=self.later)
+        signals = runs.signals(self.robot, 0, self.timing)
+        for change in self.changes:
+            signals = change(signals)
+        return signals
+
+
+def sound(name: str, rng: Rng) -> SetUp:
+    """A clean cell: small noise of the position, one or two percent of noise of the torque, a third of it coloured.
+
+    Half the recordings do not state what instants their efforts belong to.
+    """
+    toml = REPLAY / name / "robot.toml"
+    body = plant(toml, smooth=SMOOTH)
+    noise = "coloured_noise_percent" if rng.random() < 1 / 3 else "torque_noise_percent"
+    return SetUp(
+        name=name,
+        body=body,
+        controller=described_controller(body),
+        cell=Imperfections(encoder_noise=UNIT[name] * rng.uniform(0.5, 3.0), **{noise: rng.uniform(1.0, 2.0)}),
+        robot=without_settings(description(toml)),
+        timing=timing_not_stated() if rng.random() < 1 / 2 else "command",
+    )
+
+
+def off(rng: Rng, low: float, high: float) -> float:
+    """A factor that is off one by so many percent, upwards or downwards."""
+    return float(1 + rng.choice([-1, 1]) * rng.uniform(low, high) / 100)
+
+
+def of_a_joint(s: SetUp, rng: Rng, factor: float) -> Array:
+    """Factors (n,): that one for one joint, one for the others."""
+    return np.where(np.arange(s.body.n) == rng.integers(s.body.n), factor, 1.0)
+
+
+def times_effort(factor: Array) -> Callable[[Signals], Signals]:
+    return lambda signals: replace(signals, effort=factor * signals.effort)
+
+
+def gain_of_record(s: SetUp, rng: Rng) -> SetUp:
+    return s.changed(times_effort(of_a_joint(s, rng, off(rng, 5, 50))))
+
+
+def drive_gain(s: SetUp, rng: Rng) -> SetUp:
+    """Described wrong: the record is right in the drive's own unit."""
+    factor = of_a_joint(s, rng, off(rng, 5, 50))
+    gains = s.robot.gain * factor
+    units = [m.drive_gain_unit or "N m/V" for m in s.robot.motors]
+    motors = tuple(
+        msgspec.structs.replace(motor, effort_unit=None, drive_gain=float(gain), drive_gain_unit=unit)
+        for motor, gain, unit in zip(s.robot.motors, gains, units, strict=True)
+    )
+    return replace(s, robot=replace(s.robot, motors=motors)).changed(times_effort(factor))
+
+
+def sign(s: SetUp, rng: Rng) -> SetUp:
+    factor = of_a_joint(s, rng, -1.0) if rng.random() < 1 / 2 else -np.ones(s.body.n)
+    return s.changed(times_effort(factor))
+
+
+def late(s: SetUp, rng: Rng) -> SetUp:
+    """By half samples; a command, or a mean where nothing is stated."""
+    mean = s.timing != "command" and rng.random() < 1 / 2
+    return s.in_cell(lag=rng.integers(2, 11) / 2, recorded="mean" if mean else "command")
+
+
+def mean_for_command(s: SetUp, rng: Rng) -> SetUp:
+    return replace(s.in_cell(recorded="mean"), timing="command")
+
+
+def ratio(s: SetUp, rng: Rng) -> SetUp:
+    """Positions, reference and efforts were turned into those of joints by the wrong ratio."""
+    factor = of_a_joint(s, rng, off(rng, 2, 30))
+    R = s.robot.R * factor[:, None]
+    motors = tuple(msgspec.structs.replace(m, ratio=float(R[j, j])) for j, m in enumerate(s.robot.motors))
+
+    def change(signals: Signals) -> Signals:
+        q_ref = signals.q_ref / factor
+        return replace(signals, q=signals.q / factor, q_ref=q_ref, effort=signals.effort * factor)
+
+    return replace(s, robot=replace(s.robot, R=R, motors=motors)).changed(change)
+
+
+def saturated(s: SetUp, rng: Rng) -> SetUp:
+    return replace(s, saturated=rng.uniform(0.5, 0.9))
+
+
+def asymmetric(s: SetUp, rng: Rng) -> SetUp:
+    return s.with_friction(asymmetry=rng.uniform(0.2, 0.5))
+
+
+def stribeck(s: SetUp, rng: Rng) -> SetUp:
+    return s.with_friction(stribeck=0.5)
+
+
+def cogging(s: SetUp, rng: Rng) -> SetUp:
+    """10 to 50 % of the Coulomb friction; pitches of 2 to 10 mm, or 12 to 36 a turn."""
+    pitch = rng.uniform(2e-3, 1e-2) if s.name == "emps" else 2 * np.pi / rng.integers(12, 37)
+    amplitude = rng.uniform(0.1, 0.5) * s.body.friction.coulomb
+    return replace(s, body=replace(s.body, cogging=amplitude, pitch=np.full(s.body.n, pitch)))
+
+
+def friction_drifts(s: SetUp, rng: Rng) -> SetUp:
+    return s.in_cell(friction_drift=rng.choice([-1, 1]) * rng.uniform(0.2, 0.4))
+
+
+def rate(s: SetUp, rng: Rng) -> SetUp:
+    return s.changed(lambda signals: at_rate(signals, signals.sample_rate_hz * off(rng, 1, 1)))
+
+
+def controller_gains(s: SetUp, rng: Rng) -> SetUp:
+    """Described wrong, one kind of gain or both, by at least a quarter."""
+    factor = rng.uniform(1.25, 2.0) ** rng.choice([-1, 1])
+    names = (("position_gain",), ("velocity_gain",), ("position_gain", "velocity_gain"))[rng.integers(3)]
+    changes = {name: tuple(factor * x for x in getattr(s.robot.controller, name)) for name in names}
+    return replace(s, robot=with_control(s.robot, **changes))
+
+
+def undescribed_integral(s: SetUp, rng: Rng) -> SetUp:
+    cascade = s.controller.structure == "cascade_p_p"
+    integral = rng.uniform(5.0, 20.0) * np.ones(s.body.n) if cascade else rng.uniform(2, 5) * s.controller.position_gain
+    structure = "cascade_p_pi" if cascade else "pid"
+    return replace(s, controller=replace(s.controller, structure=structure, integral_gain=integral))
+
+
+def lost_rows(s: SetUp, rng: Rng) -> SetUp:
+    part = rng.uniform(0.002, 0.02)
+    return s.changed(lambda signals: with_lost_rows(signals, rng.random(len(signals.q)) < part))
+
+
+def twelve_bits(s: SetUp, rng: Rng) -> SetUp:
+    low, high = s.robot.joints[0].si("position")
+    return s.in_cell(encoder_noise=0.0, encoder_step=(high - low) / 4096)
+
+
+def slow(s: SetUp, rng: Rng) -> SetUp:
+    return replace(s, highest_hz=rng.uniform(0.12, 0.25))
+
+
+def short(s: SetUp, rng: Rng) -> SetUp:
+    return replace(s, duration_s=2.0)
+
+
+def payload_midway(s: SetUp, rng: Rng) -> SetUp:
+    """The axis carries more; or the forearm carries at half its length what adds to its inertia."""
+    part, body = rng.uniform(0.1, 0.4), plant(REPLAY / s.name / "robot.toml", smooth=SMOOTH, closed_form=False)
+    if s.name == "emps":
+        return replace(s, later=with_payload(body, part * s.robot.parameters["M1"]))
+    return replace(s, later=with_payload(body, part * s.robot.parameters["ZZ2"] / 0.25**2, 0.25))
+
+
+def no_reference(s: SetUp, rng: Rng) -> SetUp:
+    return s.changed(lambda signals: replace(signals, q_ref=None))
+
+
+def no_controller(s: SetUp, rng: Rng) -> SetUp:
+    return replace(s, robot=without_control_law(s.robot))
+
+
+def late_without_reference(s: SetUp, rng: Rng) -> SetUp:
+    return no_reference(late(s, rng), rng)
+
+
+def late_without_controller(s: SetUp, rng: Rng) -> SetUp:
+    return no_controller(late(s, rng), rng)
+
+
+def resonance(s: SetUp, rng: Rng) -> SetUp:
+    share, damping = rng.uniform(0.1, 0.5), rng.uniform(0.02, 0.1)
+    return replace(s, body=two_mass(s.body, share=share, free_hz=rng.uniform(8.0, 25.0), damping=damping))
+
+
+def backlash(s: SetUp, rng: Rng) -> SetUp:
+    body = two_mass(s.body, share=rng.uniform(0.1, 0.5), free_hz=100.0, damping=0.3, play=rng.uniform(1e-4, 5e-4))
+    return replace(s, body=body, substeps=8)
+
+
+def tilt(s: SetUp, rng: Rng) -> SetUp:
+    toml = REPLAY / s.name / "robot.toml"
+    return replace(s, body=plant(toml, smooth=SMOOTH, tilt_rad=np.deg2rad(rng.uniform(1, 5))))
+
+
+def length(s: SetUp, rng: Rng) -> SetUp:
+    *others, last = s.robot.joints
+    dh = msgspec.structs.replace(last.dh, d_m=last.dh.d_m * off(rng, 1, 6))
+    return replace(s, robot=replace(s.robot, joints=(*others, msgspec.structs.replace(last, dh=dh))))
+
+
+def held(s: SetUp, rng: Rng) -> SetUp:
+    """By its loop, or in half the set-ups by a brake, which here is a rotor too heavy to move."""
+    joint, rotor = int(rng.integers(s.body.n)), s.body.rotor.copy()
+    if rng.random() < 1 / 2:
+        rotor[joint, joint] += 1e6
+    return replace(s, held=joint, body=replace(s.body, rotor=rotor))
+
+
+def delayed(s: SetUp, rng: Rng) -> SetUp:
+    return s.in_cell(actuation_delay_s=rng.uniform(1.0, 3.0) / s.controller.rate_hz)
+
+
+def nothing(s: SetUp, rng: Rng) -> SetUp:
+    return s
+
+
+BOTH = ("emps", "scara")
+CORRECTED = "corrected"  # in a line of any level: the fault was found, and cured
+LATE = (("lag", ""), ("lag", CORRECTED))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """A fault. named: of the tests that may say so, name and a part of the text, "" for any; empty where none can.
+
+    unseen: robots on which no test can see it, as nothing recorded contradicts what was described.
+    """
+
+    change: Callable[[SetUp, Rng], SetUp]
+    named: tuple[tuple[str, str], ...] = ()
+    robots: tuple[str, ...] = BOTH
+    unseen: tuple[str, ...] = field(default=())
+
+
+CLEAN = Kind(change=nothing)
+KINDS = {
+    "gain of the record ±5-50 %": Kind(change=gain_of_record, named=(("replay", ""),)),
+    "described drive gain ±5-50 %": Kind(change=drive_gain, named=(("added columns", "gain"),), unseen=("emps",)),
+    "sign": Kind(change=sign, named=(("physical", "sign"), ("replay", "sign"))),
+    "torque 1-5 samples late": Kind(change=late, named=LATE),
+    "mean said to be held": Kind(change=mean_for_command, named=LATE),
+    "described ratio ±2-30 %": Kind(change=ratio, unseen=BOTH),
+    "saturated at 50-90 %": Kind(change=saturated, named=(("replay", ""), ("", "saturat"))),
+    "asymmetric friction 20-50 %": Kind(change=asymmetric, named=(("added columns", "asymmetric"),)),
+    "Stribeck 50 %": Kind(change=stribeck, named=(("added columns", "Stribeck"),)),
+    "cogging": Kind(change=cogging),
+    "friction drifts 20-40 %": Kind(change=friction_drifts, named=(("halves", ""), ("added columns", "drift"))),
+    "rate 1 %": Kind(change=rate, named=(("replay", ""),), unseen=BOTH),
+    "controller gains × 0.5-2": Kind(change=controller_gains, named=(("replay", ""),)),
+    "PI said to be P": Kind(change=undescribed_integral, named=(("replay", ""),)),
+    "0.2-2 % of rows lost": Kind(change=lost_rows, unseen=BOTH),
+    "12 bit over the range": Kind(change=twelve_bits),
+    "slow motion": Kind(change=slow),
+    "2 s": Kind(change=short),
+    "payload midway 10-40 %": Kind(change=payload_midway, named=(("halves", ""),)),
+    "no reference": Kind(change=no_reference),
+    "no controller": Kind(change=no_controller),
+    "late, no reference": Kind(change=late_without_reference, named=LATE),
+    "late, no controller": Kind(change=late_without_controller, named=LATE),
+    "resonance 8-25 Hz": Kind(change=resonance, robots=("emps",)),
+    "backlash 0.1-0.5 mm": Kind(change=backlash, robots=("emps",)),
+    "tilt 1-5°": Kind(change=tilt, named=(("added columns", "tilt"),), robots=("scara",)),
+    "DH length 1-6 %": Kind(change=length, robots=("scara",), unseen=("scara",)),
+    "one joint held": Kind(change=held, robots=("scara",)),
+    "delay 1-3 ticks behind the command": Kind(change=delayed, named=LATE),
+}
