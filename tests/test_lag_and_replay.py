@@ -9,18 +9,20 @@ import pytest
 from conftest import REPLAY, robot_named
 from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, references, simulate
+from looked_at import looked_at
 
+from identification.data import Recordings
 from identification.data.signals import Signals, load_signals
 from identification.estimation.diagnostics import autoregression, whitened
 from identification.estimation.system import System
 from identification.methods.fit import Fit
-from identification.methods.idim import identify_ls, validate
-from identification.model.inverse import InverseModel
+from identification.methods.idim import identify, identify_ls
+from identification.methods.recordings import observe_all
 from identification.regression.motion import sampled_at
 from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides, torque_lag_s
+from identification.regression.settings import Overrides, known_lag
 from identification.simulation.control_law import recorded_loop
-from identification.study.synthetic import truth
+from identification.trust.lag import lag_test
 from identification.trust.lines import TrustLine
 from identification.trust.replay import replay
 
@@ -36,8 +38,11 @@ def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0,
 
 
 @cache
-def fitted(signals: Signals, *, trust: bool = True, torque_lag_s: float | str | None = None) -> Fit:
-    return identify_ls(signals, Overrides(torque_lag_s=torque_lag_s), trust=trust)
+def fitted(signals: Signals, *, method: str | None = None, torque_lag_s: float | str | None = None) -> Fit:
+    return identify(signals, Overrides(torque_lag_s=torque_lag_s), method=method)
+
+
+NO_LAW = dict.fromkeys(("structure", "sample_rate_hz", "position_gain", "velocity_gain", "velocity_estimate"))
 
 
 def line(fit: Fit, test: str) -> TrustLine:
@@ -52,101 +57,135 @@ def with_controller(signals: Signals, **keys: object) -> Signals:
 # Lag
 
 
+def known(signals: Signals, option: float | str | None = None) -> tuple[float, float, str]:
+    found = known_lag(signals, Overrides(torque_lag_s=option))
+    return found.value_s, found.sd_s, found.source
+
+
 @pytest.mark.parametrize("lag", [0, 1, 3])
 @pytest.mark.parametrize("name", ["emps", "scara"])
-def test_a_lag_is_found_about_half_a_period_early(name, lag):
-    found = line(fitted(recorded(name, lag=lag)), "lag")
-    assert found.level == ("caution" if lag else "ok")
-    for figure in found.figures:
-        assert figure.expected == -0.5
-        assert figure.value - figure.expected == pytest.approx(lag, abs=0.15)
-        assert figure.half_width < 0.25
+def test_the_lag_is_found_corrected_and_counted(name, lag):
+    signals = recorded(name, lag=lag)
+    fit, stated = fitted(signals), fitted(signals, torque_lag_s=1e-3 * (lag - 0.5))
+    (found,) = fit.lags
+    assert found.found is not None
+    assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=0.12)
+    assert abs(1e3 * found.value_s - (lag - 0.5)) < 1.5 * 1e3 * found.half_width_s
+    assert fit.settings.torque_lag_s == found.value_s
+    assert (np.abs(fit.beta - stated.beta) < fit.intervals.half).all()
+    wider = np.sqrt(stated.intervals.sigma**2 + found.moved**2)
+    np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.1)
+    told = line(fit, "lag")
+    assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
+    assert "corrected, counted in the intervals" in told.text
 
 
-def test_the_worst_joint_is_named():
+def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("scara")
-    late = np.array(signals.effort)
-    late[2:, 1] = late[:-2, 1]
-    found = line(fitted(replace(signals, effort=late)), "lag")
-    assert found.level == "caution"
-    assert found.text.startswith("joint elbow: torque 1.")
-    assert found.value == pytest.approx(1.5, abs=0.15)
-    assert found.figures[0].value == pytest.approx(-0.5, abs=0.2)
+    fits = [fitted(signals, method="wls", torque_lag_s=lag_s) for lag_s in (-1e-4, 1e-4)]
+    lag = fitted(signals, method="wls").lags[0]
+    np.testing.assert_allclose(lag.moved / lag.sd_s, np.abs(fits[1].beta - fits[0].beta) / 2e-4, rtol=0.02, atol=1e-3)
 
 
 @pytest.mark.parametrize("lag", [0, 1])
 def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
-    found = line(fitted(recorded("emps", lag=lag, noise=2e-5)), "lag")
-    assert found.value == pytest.approx(lag - 0.5, abs=2.5 * found.figures[0].half_width)
-    assert found.figures[0].half_width < 0.8
-    assert found.level in (("ok", "cannot tell") if not lag else ("caution", "cannot tell"))
+    (found,) = fitted(recorded("emps", lag=lag, noise=2e-5)).lags
+    assert 1e3 * found.value_s == pytest.approx(lag - 0.5, abs=1.25e3 * found.half_width_s)
+    assert 1e3 * found.half_width_s < 0.8
 
 
 def test_friction_that_the_model_lacks_does_not_pass_for_a_lag():
-    assert line(fitted(recorded("emps", stribeck=0.5)), "lag").level != "caution"
+    (found,) = fitted(recorded("emps", stribeck=0.5)).lags
+    assert 1e3 * found.value_s == pytest.approx(-0.5, abs=1.5e3 * found.half_width_s)
 
 
-def test_the_mean_over_the_period_is_expected_at_zero():
+def test_data_that_contradict_what_is_known_count_alone():
+    """A torque two samples late that is said to be a mean, without a controller to replay."""
+    signals = replace(recorded("scara", lag=2), effort_timing="mean")
+    bare = with_controller(signals, **NO_LAW, bandwidth_hz=signals.robot.bandwidth_hz)
+    fit = fitted(bare)
+    (found,) = fit.lags
+    assert found.source == "data"
+    assert 1e3 * found.value_s == pytest.approx(1.5, abs=0.2)
+    assert "too far off to count" in line(fit, "lag").text
+
+
+def test_data_beside_a_lag_that_is_stated():
+    late = recorded("emps", lag=3)
+    fit = fitted(late, torque_lag_s=0.0025)
+    assert (line(fit, "lag").level, fit.settings.torque_lag_s) == ("ok", 0.0025)
+    assert "lag" in [one.what for one in fit.trust.assumed]
+    wrong = line(fitted(late, torque_lag_s=0.0), "lag")
+    assert wrong.level == "caution"
+    assert "the data say 0.002" in wrong.text
+
+
+def test_without_a_reference_the_lag_is_not_found_but_counted():
+    bare = replace(recorded("scara"), q_ref=None)
+    fit = identify(bare, Overrides())
+    (found,) = fit.lags
+    assert (fit.method, found.found, found.value_s, found.sd_s) == ("wls", None, 0.0, 0.002)
+    told = line(fit, "lag")
+    assert told.text.startswith("not known, 0 ± 2 ms: ±")
+    assert "counted in the intervals" in told.text
+    exact = fitted(bare, method="wls", torque_lag_s=0.0)
+    np.testing.assert_allclose(
+        fit.intervals.half, fit.intervals.reach * np.hypot(exact.intervals.sigma, found.moved), rtol=1e-9
+    )
+    assert identify(bare, Overrides(), method="iv").lags[0].found is None
+
+
+def test_the_delay_behind_the_command_and_a_torque_before_it():
     signals = recorded("scara")
-    mean = np.array(signals.effort)
-    mean[1:] = 0.5 * (mean[1:] + mean[:-1])
-    found = line(fitted(replace(signals, effort=mean, effort_timing="mean")), "lag")
-    assert found.level == "ok"
-    assert [figure.expected for figure in found.figures] == [0.0, 0.0]
-    timings = [load_signals(REPLAY / name / "session.mcap").effort_timing for name in ("scara", "tx40")]
-    assert timings == ["drive", "drive"]
-    found = line(fitted(load_signals(REPLAY / "scara" / "session.mcap")), "replay")
-    assert (found.level, found.caps) == ("not made", True)
+    assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
+    _, evidence = looked_at("iv", signals)
+    (lag,) = evidence.lags
+    late, early = (replace(evidence, lags=(replace(lag, delay_s=(by, 1e-4)),)) for by in (2e-3, -2e-3))
+    assert lag_test(late).level == "ok"
+    assert "2.00 ± 0.10 samples after the command" in lag_test(late).text
+    assert lag_test(early).level == "caution"
 
 
-def test_a_known_lag_is_corrected_and_the_test_counts_from_it():
-    late, right = recorded("emps", lag=3), recorded("emps")
-    fit = fitted(late, torque_lag_s=0.003)
-    assert fit.settings.torque_lag_s == 0.003
-    np.testing.assert_allclose(fit.beta, fitted(right).beta, rtol=0.01)
-    assert np.abs(fitted(late).beta / fitted(right).beta - 1).max() > 0.03
-    found = line(fitted(late, torque_lag_s=0.0025), "lag")
-    assert found.figures[0].expected == pytest.approx(2.5)
-    assert found.level == "ok"
-    stated = msgspec.structs.replace(late.robot.identification, torque_lag_s=0.003)
-    by_description = identify_ls(replace(late, robot=replace(late.robot, identification=stated)), Overrides())
-    np.testing.assert_array_equal(by_description.beta, fit.beta)
-    errors = [validate(late, Overrides(torque_lag_s=s), lambda base: fit.beta)[1][-1] for s in (0.003, 0.0)]
-    assert errors[0].relative_error_percent < 0.8 * errors[1].relative_error_percent
+def test_recordings_alike_have_one_lag_and_others_their_own():
+    first, second = recorded("scara"), recorded("scara", lag=2)
+    both = Recordings(sources=(replace(first, recording="A"), replace(second, recording="B", sha256="b")))
+    (one,) = identify(both, Overrides()).lags
+    assert one.recordings == ("A", "B")
+    other = replace(second, recording="B", sha256="b", effort_timing="command")
+    two = identify(Recordings(sources=(replace(first, recording="A"), other)), Overrides()).lags
+    found = {lag.recordings: 1e3 * lag.value_s for lag in two}
+    assert found[("A",)] == pytest.approx(-0.5, abs=0.2)
+    assert found[("B",)] == pytest.approx(1.5, abs=0.3)
 
 
 @pytest.mark.parametrize(
-    ("timing", "rate_hz", "stated", "option", "corrected", "expected"),
+    ("timing", "rate_hz", "stated", "option", "expected"),
     [
-        ("command", 1000.0, None, None, -0.5e-3, -0.5e-3),
-        ("command", 500.0, None, None, -1e-3, -1e-3),
-        ("mean", 1000.0, None, None, 0.0, 0.0),
-        ("drive", 1000.0, None, None, 0.0, 0.0),
-        ("measured", 1000.0, None, None, 0.0, 0.0),
-        ("command", None, None, None, 0.0, 0.0),
-        ("command", 1000.0, "none", None, 0.0, -0.5e-3),
-        ("command", 1000.0, 2e-3, None, 2e-3, 2e-3),
-        ("command", 1000.0, 2e-3, "none", 0.0, -0.5e-3),
-        ("command", 1000.0, "none", 0.0, 0.0, 0.0),
+        ("command", 1000.0, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
+        ("command", 500.0, None, None, (-1e-3, 0.5e-3, "effort_timing command")),
+        ("command", None, None, None, (-0.5e-3, 0.25e-3, "effort_timing command")),
+        ("mean", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing mean")),
+        ("measured", 1000.0, None, None, (0.0, 0.25e-3, "effort_timing measured")),
+        ("unknown", 1000.0, None, None, (0.0, 2e-3, "nothing")),
+        ("command", 1000.0, "none", None, (0.0, 0.0, "torque_lag_s")),
+        ("command", 1000.0, 2e-3, None, (2e-3, 0.0, "torque_lag_s")),
+        ("command", 1000.0, 2e-3, "none", (0.0, 0.0, "torque_lag_s")),
+        ("unknown", 1000.0, "none", 1e-3, (1e-3, 0.0, "torque_lag_s")),
     ],
 )
-def test_which_lag_is_corrected_and_which_is_expected(timing, rate_hz, stated, option, corrected, expected):
+def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
     signals = with_controller(replace(recorded("scara"), effort_timing=timing), sample_rate_hz=rate_hz)
     own = msgspec.structs.replace(signals.robot.identification, torque_lag_s=stated)
-    signals = replace(signals, robot=replace(signals.robot, identification=own))
-    assert torque_lag_s(signals, Overrides(torque_lag_s=option)) == (corrected, expected)
+    assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
 
 
-def test_a_held_command_is_shifted_by_half_its_period():
-    """As recorded, half a period early, the parameters are further off than noise takes them."""
-    signals = recorded("scara")
-    true = truth(InverseModel(signals.robot), fitted(signals, trust=False).base)
-    error = {
-        lag: np.linalg.norm(fitted(signals, trust=False, torque_lag_s=lag).beta - true)
-        for lag in (None, "none", -0.5e-3)
-    }
-    assert error[None] == error[-0.5e-3]
-    assert error[None] < 0.5 * error["none"]
+def test_a_replay_tells_the_lag_of_a_command():
+    signals = recorded("emps", lag=3, noise=2e-5)
+    (group,) = observe_all(signals, Overrides(), lambda text: None).known_lags
+    assert 1e3 * group.value_s == pytest.approx(2.5, abs=0.1)
+    assert group.sd_s == pytest.approx(0.5e-3, rel=0.1)
+    stamped = observe_all(replace(signals, effort_timing="command"), Overrides(), lambda text: None).known_lags[0]
+    assert 1 / stamped.sd_s**2 == pytest.approx(1 / group.sd_s**2 + 1 / 0.25e-3**2)
 
 
 def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
@@ -159,17 +198,6 @@ def test_the_shift_is_that_of_a_sine_and_ends_are_cut():
         settings = make_problem(signals, Overrides(torque_lag_s=lag_s, span="all")).settings
         assert (settings.start >= 900) == (lag_s < 0)
         assert (settings.stop <= N - 900) == (lag_s > 0)
-
-
-def test_without_instruments_the_line_says_how_to_make_it():
-    found = line(fitted(recorded("scara"), trust=False), "lag")
-    assert (found.level, found.caps) == ("not made", False)
-    assert "--trust" in found.text
-    bare = replace(recorded("scara"), q_ref=None)
-    found = line(identify_ls(bare, Overrides(), trust=True), "lag")
-    assert (found.level, found.caps) == ("not made", True)
-    assert "no reference" in found.text
-    np.testing.assert_array_equal(fitted(recorded("scara")).beta, fitted(recorded("scara"), trust=False).beta)
 
 
 def test_an_autoregression_is_found_and_taken_out():
@@ -189,7 +217,7 @@ def test_an_autoregression_is_found_and_taken_out():
 
 
 def replayed(signals: Signals) -> TrustLine:
-    return line(fitted(signals, trust=False), "replay")
+    return line(fitted(signals, method="wls"), "replay")
 
 
 @pytest.mark.parametrize("name", ["emps", "scara"])
@@ -247,11 +275,9 @@ def test_a_replay_tells_a_lag_of_noisy_commands(lag):
     assert corrected.lag[0] == pytest.approx(found.lag[0], abs=0.02), "of the effort as it was recorded"
 
 
-def test_a_replay_that_cannot_be_made_caps_the_verdict():
+def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
     signals = recorded("scara")
-    bare = with_controller(
-        signals, structure=None, sample_rate_hz=None, position_gain=None, velocity_gain=None, velocity_estimate=None
-    )
+    bare = with_controller(signals, **NO_LAW)
     part = with_controller(signals, velocity_gain=None)
     torque = with_controller(signals, structure="computed_torque")
     for one, why in (
@@ -260,22 +286,21 @@ def test_a_replay_that_cannot_be_made_caps_the_verdict():
         (part, "not all of one"),
         (torque, "own model"),
     ):
-        fit = identify_ls(one, Overrides())
-        found = line(fit, "replay")
-        assert (found.level, found.caps) == ("not made", True)
+        found = line(identify_ls(one, Overrides()), "replay")
+        assert found.level == "not made"
         assert why in found.text
-        assert fit.trust.verdict != "trust"
+    fit = identify(bare, Overrides())
+    assert fit.trust.verdict == "trust"
+    assert ("control law", "describes no control law") in [(x.what, x.why[12:]) for x in fit.trust.assumed]
 
 
 def test_the_real_emps(emps):
-    """Controller confirmed. Away from reversals the volts are 0.8 ms early; half a period, 0.5 ms, is that of a held command.
-
-    Rows beside reversals, where friction rises smoothly in place of a step, would add 0.3 ms (-0.50 with them); rows above 20,
-    30 % of the peak speed agree on -0.80.
-    """
-    fit = identify_ls(load_signals(emps), Overrides(), trust=True)
+    """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
+    fit = identify(load_signals(emps), Overrides())
     found = line(fit, "replay")
     assert found.level == "ok"
     assert found.value == pytest.approx(1.0, abs=1e-3)
-    lag = line(fit, "lag")
-    assert lag.value == pytest.approx(-0.8, abs=0.1)
+    (lag,) = fit.lags
+    assert 1e3 * lag.value_s == pytest.approx(-0.77, abs=0.08)
+    assert lag.delay_s is not None
+    assert 1e3 * lag.delay_s[0] == pytest.approx(0.27, abs=0.08)

@@ -1,0 +1,26 @@
+"""A fit together with the evidence that its tests looked at."""
+
+import pytest
+
+import identification.methods.assess as assess
+import identification.regression.system as regression_system
+from identification.data import Signals
+from identification.methods import Fit, identify
+from identification.regression import Overrides
+from identification.trust import Evidence
+
+
+def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides) -> tuple[Fit, Evidence]:
+    """`long`: as of a recording whose rows are not held, in short blocks."""
+    seen: list[Evidence] = []
+    with pytest.MonkeyPatch.context() as patch:
+        made = assess.trust_in
+        patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or made(evidence))
+        if long:
+            model = len(signals.robot.joints) * identify(signals, Overrides(**overrides), method="wls").base.b
+            rows = len(seen[-1].observed.tau)
+            patch.setattr(regression_system, "_NUMBERS_IN_MEMORY", (rows - 1) * model)
+            patch.setattr("identification.methods.recordings.SPAN_NUMBERS", (rows - 2) * model)
+            patch.setattr("identification.regression.problem._SERIES_BLOCK", 60_000)
+        fit = identify(signals, Overrides(**overrides), method=method)
+    return fit, seen[-1]
