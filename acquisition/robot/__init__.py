@@ -1,6 +1,6 @@
 """The robot's description: joints, motors, limits, the bus and its drives, resolved."""
 
-from .bus import BusFile, DriveFile, parse_homed
+from .bus import BusFile, DriveFile, demand_ripple_warnings, parse_homed
 from .description import DH, Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
@@ -31,6 +31,7 @@ __all__ = [
     "check_carriers",
     "check_recorded_positions",
     "check_recorded_velocities",
+    "demand_ripple_warnings",
     "effort_limits",
     "extra_columns",
     "load_robot",

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.robot import demand_ripple_warnings
+
 from ..arrays import Array
 from ..data import Signals
 from ..estimation import (
@@ -175,7 +177,7 @@ def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, use
 def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]:
     """Those of the settings and of the recordings, which several recordings may share, and those of the method."""
     problems = [observed.observations[k].problem for k in observed.order]
-    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals)] for p in problems]
+    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals), *of_method)
     named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
@@ -185,6 +187,12 @@ def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]
 def recording_warnings(signals: Signals) -> tuple[str, ...]:
     """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
     return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
+
+
+def ripple_warnings(signals: Signals) -> tuple[str, ...]:
+    """Where torque demands of drives are sampled at one phase of their control: that error is no lag, and stays in inertias."""
+    bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
+    return demand_ripple_warnings(bus, bandwidth_hz) if signals.effort_timing == "drive" else ()
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:
