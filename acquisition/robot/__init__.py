@@ -6,12 +6,13 @@ from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_lo
 from .extra_objects import ExtraColumn, extra_columns
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
 from .resolving import resolve
-from .robot import Robot, load_robot, robot_from_files
+from .robot import SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml
 
 __all__ = [
     "DH",
     "LARGEST_LOAD",
+    "SIMULATED_CONTROLLER",
     "Bus",
     "BusFile",
     "Capsule",
