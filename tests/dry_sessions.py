@@ -18,8 +18,9 @@ from acquisition.session.task import Outcome, Stop, Task
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
-from acquisition.simulated.mechanism import Mechanism, rated_motor_effort, typical_loops
-from acquisition.simulated.plants import Plant
+from acquisition.simulated.loops import cascaded_loops
+from acquisition.simulated.mechanism import Mechanism, rated_motor_effort
+from acquisition.simulated.plants import Plant, typical_inertia
 from acquisition.transport.frame import Frame
 
 
@@ -94,8 +95,8 @@ def dry_session(
     robot = robot or robot_of(bus_text(2))
     bus = bus or bus_of(robot)
     log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
-    rated = rated_motor_effort(bus)
-    mechanism = None if plant is None else Mechanism(plant=plant, loops=typical_loops(robot, rated))
+    loops = cascaded_loops(robot, typical_inertia(robot, rated_motor_effort(bus)))
+    mechanism = None if plant is None else Mechanism(plant=plant, loops=loops)
     run = dry_run(SimulatedDrives(robot, drives or bus, mechanism, faults), tap=log.tap)
     outcome, raised = None, None
     announced: list[Outcome] = []

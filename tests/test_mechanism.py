@@ -32,6 +32,8 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     outcome, _ = record(robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), Operator())
     assert (outcome.reason, outcome.all_disabled) == ("finished", True)
     recording = read_recording(tmp_path / "a.mcap")
+    # Its copy of the description states the law of the simulated drives; theirs is the described one where there is one.
+    assert recording.robot.controller.structure == ("pid" if name == "tx40" else "pd_velocity_feedforward")
     assert not [e.text for e in recording.events if e.kind == "warning"]
     samples = recording.samples
     stamps = {e.text: e.stamp_ns for e in recording.events}

@@ -12,7 +12,8 @@ from acquisition.master.stopping import leave_operational, not_disabled, safe_st
 from acquisition.protocol.states import Command, Mode, State
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import DryRun, dry_run
-from acquisition.simulated.mechanism import Mechanism, typical_loops
+from acquisition.simulated.loops import cascaded_loops
+from acquisition.simulated.mechanism import Mechanism
 from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
@@ -43,7 +44,7 @@ def moving(
     """Two enabled drives, and what is sent to them from here on."""
     robot = robot_of(bus_text(2))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
-    mechanism = Mechanism(plant=Coasting(after), loops=typical_loops(robot, np.full(2, 0.42)))
+    mechanism = Mechanism(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
     run = dry_run(
         SimulatedDrives(robot, bus, mechanism, supervised=False),
         tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),

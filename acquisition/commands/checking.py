@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import AcquisitionError
 from ..master import Master, Wire, homed, joint_positions, other_master, position_words, second_stop, supervision_of
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
-from ..robot import LARGEST_LOAD, Bus, Drive, Robot
+from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
 from ..transport import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 
@@ -45,6 +45,8 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     try:
         sock = socket_of(handle)
         findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file), ok=True)]
+        ripple = demand_ripple_warnings(bus.file, robot.controller.bandwidth_hz)
+        findings += [Finding(subject="effort", found=text, ok=True) for text in ripple]
         if sock is not None:
             granted = queue_bytes(sock)
             findings.append(

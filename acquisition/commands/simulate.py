@@ -24,18 +24,12 @@ def run(options: argparse.Namespace) -> None:
     """Simulate the drives until the duration is over, or until a signal."""
     import time
 
+    import numpy as np
+
     from ..recording import read_recording
     from ..robot import load_robot, resolve
     from ..session import Stop, stop_on_signals
-    from ..simulated import (
-        Mechanism,
-        SimulatedDrives,
-        TablePlant,
-        mechanism_of,
-        rated_motor_effort,
-        serve,
-        typical_loops,
-    )
+    from ..simulated import Mechanism, SimulatedDrives, TablePlant, cascaded_loops, mechanism_of, serve
 
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
@@ -46,7 +40,7 @@ def run(options: argparse.Namespace) -> None:
         if recording.samples is None:
             raise AcquisitionError("holds no joint samples", place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
-        mechanism = Mechanism(plant=plant, loops=typical_loops(robot, rated_motor_effort(bus)))
+        mechanism = Mechanism(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # which have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
     text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"

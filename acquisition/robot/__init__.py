@@ -1,17 +1,18 @@
 """The robot's description: joints, motors, limits, the bus and its drives, resolved."""
 
-from .bus import BusFile, DriveFile, EffortTiming, parse_homed
+from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
 from .description import DH, Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
 from .resolving import resolve
-from .robot import Robot, load_robot, robot_from_files
+from .robot import SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml
 
 __all__ = [
     "DH",
     "LARGEST_LOAD",
+    "SIMULATED_CONTROLLER",
     "Bus",
     "BusFile",
     "Capsule",
@@ -32,6 +33,7 @@ __all__ = [
     "check_carriers",
     "check_recorded_positions",
     "check_recorded_velocities",
+    "demand_ripple_warnings",
     "effort_limits",
     "extra_columns",
     "load_robot",

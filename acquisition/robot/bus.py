@@ -22,6 +22,9 @@ Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Z
 
 EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instants recorded efforts belong to
 
+MAX_DEMAND_RIPPLE = 0.002  # of the inertia
+TORQUE_DEMAND = 0x6074
+AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -88,6 +91,11 @@ class DriveFile(TomlTable, frozen=True):
     rpdo: tuple[PdoFile, ...] = ()
     extra: tuple[ObjectName | ExtraFile, ...] = ()
 
+    @property
+    def reports_demand(self) -> bool:
+        """Whether its effort is a torque demand, 6074h of any axis: the value of one control step."""
+        return (parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND) % AXIS == 0
+
 
 class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives.
@@ -119,6 +127,27 @@ class BusFile(TomlTable, frozen=True):
     enable_motion_deg: Positive = 1.0
     enable_motion_m: Positive = 0.005
     effort_timing: EffortTiming = "unknown"
+
+
+def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
+    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w the position loop's bandwidth.
+
+    A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration, and
+    its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
+    """
+    return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
+
+
+def demand_ripple_warnings(bus: BusFile | None, bandwidth_hz: float | None) -> tuple[str, ...]:
+    """A warning where that may be large and the effort of a drive is a torque demand."""
+    if bus is None or bandwidth_hz is None or not any(drive.reports_demand for drive in bus.drive):
+        return ()
+    ripple = demand_ripple(bandwidth_hz, bus.sync_period_s)
+    text = (
+        f"effort (6074) is sampled at one phase of the SYNC period: up to {100 * ripple:.1f} % of the inertia, (w T)²/3, if "
+        "drives interpolate by lines: shorten sync_period_s, or record an averaged object"
+    )
+    return (text,) if ripple > MAX_DEMAND_RIPPLE else ()
 
 
 def parse_object(name: str) -> tuple[int, int]:

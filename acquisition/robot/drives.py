@@ -21,7 +21,7 @@ from ..protocol import (
     PositionCodec,
     bus_load,
 )
-from .bus import BusFile, DriveFile
+from .bus import AXIS, BusFile, DriveFile
 from .extra_objects import ExtraObject
 from .robot import Robot
 
@@ -205,7 +205,7 @@ def axis_of(drive: Drive) -> int:
     Raises `AcquisitionError` where they are not of one axis.
     """
     axis = drive.control.index - CONTROLWORD
-    if axis % 0x800 or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
+    if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
         raise AcquisitionError(
             f"control {drive.control} and status {drive.status}",
             place=f"node {drive.node}",

@@ -17,6 +17,7 @@ from .bus import BusFile, dictionary_label
 from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile, check_description
 from .toml import parse_toml
 
+SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, in place of [controller]
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 
 
@@ -180,7 +181,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     Parameters
     ----------
     files : content by name: `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and
-        `dictionary:<name>`.
+        `dictionary:<name>`; of a dry run `simulated_controller.toml`.
     place : the name of the description in errors.
 
     Raises
@@ -191,6 +192,8 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     if "robot.toml" not in files:
         raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")
     f = _parse(files["robot.toml"], place)
+    if (law := files.get(SIMULATED_CONTROLLER)) is not None:
+        f = msgspec.structs.replace(f, controller=parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}"))
     check_description(f, place)
     n = len(f.joint)
     urdf = None
@@ -204,7 +207,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     else:
         R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     arrays = (R, np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float))
-    names = ["robot.toml", "robot.urdf"]
+    names = ["robot.toml", "robot.urdf", SIMULATED_CONTROLLER]
     names += [name for name in files if name.startswith(_MESH)]
     if f.bus is not None:
         names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]

@@ -12,7 +12,7 @@ from ..errors import AcquisitionError
 from ..master import Confirm, Master, confirm_positions, second_stop
 from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role, Status
 from ..robot import Bus, Robot, refuse_load, resolve
-from ..simulated import SimulatedDrives, dry_run, mechanism_of
+from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
 from ..transport import SHARED, Link, open_link
 from .scheduling import refuse_jitter, steady
@@ -124,7 +124,8 @@ def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operato
 def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[Link, InlineLog]]:
     """Link to simulated drives in simulated time, and the log of its frames."""
     mechanism = mechanism_of(robot, bus)
-    log = InlineLog(Recorder(out, robot, source="dry run on simulated drives", place=place))
+    described = describe_loops(robot, mechanism.loops)
+    log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
     with closing(log), closing(dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)) as run:
         if mechanism.warning is not None:
             log.event(run.link.now_ns(), "warning", f"dry run: {mechanism.warning}")

@@ -2,8 +2,8 @@
 
 from .drives import SimulatedDrives
 from .lock_step import DryRun, dry_run, serve
-from .loops import SUBSTEPS, LoopGains
-from .mechanism import Mechanism, mechanism_of, rated_motor_effort, typical_loops
+from .loops import SUBSTEPS, LoopGains, cascaded_loops, describe_loops
+from .mechanism import Mechanism, mechanism_of
 from .plants import TablePlant, middle_of_range
 
 __all__ = [
@@ -13,10 +13,10 @@ __all__ = [
     "Mechanism",
     "SimulatedDrives",
     "TablePlant",
+    "cascaded_loops",
+    "describe_loops",
     "dry_run",
     "mechanism_of",
     "middle_of_range",
-    "rated_motor_effort",
     "serve",
-    "typical_loops",
 ]

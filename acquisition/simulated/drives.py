@@ -23,7 +23,7 @@ from ..protocol import (
 )
 from ..robot import Bus, Robot
 from .faults import FaultKind, SimulatedFault
-from .loops import SUBSTEPS, LoopMemory
+from .loops import SUBSTEPS, LoopMemory, cubic
 from .mechanism import Mechanism, mechanism_of
 from .node import Sent, simulated_node
 from .supervision import Supervision, leave_unsupervised
@@ -75,20 +75,20 @@ class SimulatedDrives:
             sign=np.array([c.sign for c in codecs]),
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
-        self._quick_stop = np.array([joint.si("acceleration") or 10.0 for joint in robot.joints])
-        self._effort_steps = np.array([drive.effort.scale for drive in bus.drives])
+        self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
+        self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._answered = [0] * robot.n
         self._silent: set[int] = set()
         self._late: list[tuple[int, int, bytes]] = []  # frames sent later: time, identifier, data
         self._next_heartbeat = [0] * robot.n
-        q, _ = self.plant.state()
+        rest = np.zeros(robot.n)
         self._memory = LoopMemory(
-            target=q,
-            before=q,
-            slope=np.zeros(robot.n),
-            integral=np.zeros(robot.n),
-            actual=np.zeros(robot.n),
-            demand=np.zeros(robot.n),
+            target=rest,
+            travel=rest,
+            speed=rest,
+            integral=rest,
+            actual=rest,
+            reported=rest,
             held=np.ones(robot.n, np.bool_),
         )
 
@@ -207,78 +207,75 @@ class SimulatedDrives:
         return [] if i in self._silent else before + frames
 
     def _move(self) -> None:
-        """Step control loops and plant by one period."""
-        memory, loops, dt = self._memory, self._loops, self._period_s / SUBSTEPS
+        """Step control loops and plant by one period.
+
+        A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other effort
+        is the mean of the torque since the SYNC before: it is half a period late.
+        """
+        memory, loops, T = self._memory, self._loops, self._period_s
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
         stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
         if self.plant.prescribed_effort() is not None:  # the control loops have no effect
-            self.plant.step(memory.actual, ~enabled | stopping, self._period_s)
+            self.plant.step(memory.actual, ~enabled | stopping, T)
             return
-        q, _ = self.plant.state()
-        # Quick stop: the speed of the target falls at the joint's acceleration limit.
-        slower = np.sign(memory.slope) * np.maximum(np.abs(memory.slope) - self._quick_stop * self._period_s, 0.0)
-        target = np.where(stopping, memory.target + slower * self._period_s, self._targets(q, enabled & ~stopping))
+        position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
-        memory.before = np.where(memory.held, q, memory.target)
-        memory.target = target
-        memory.held = ~enabled
-        demand = np.zeros(len(q))
-        slope = np.where(memory.held, 0.0, (target - memory.before) / self._period_s)
+        start, before = np.where(memory.held, position, memory.target), np.where(memory.held, 0.0, memory.travel)
+        # Quick stop: the speed of the target falls at the acceleration limit.
+        slower = np.sign(before) * np.maximum(np.abs(before) - self._quick_stop * T**2, 0.0)
+        target = np.where(stopping, start + slower, self._targets(position, enabled & ~stopping))
+        travel = np.where(enabled, target - start, 0.0)
+        first, last = travel, travel
+        if loops.smooth:  # the speed at a target, of the parabola through it and the two before it
+            first, last = memory.speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
+        decay, total = np.exp(-T / SUBSTEPS / loops.current_s), np.zeros(len(start))
         for k in range(SUBSTEPS):
-            q, dq = self.plant.state()
-            share = (k + 1) / SUBSTEPS
-            reference = memory.before + (target - memory.before) * share
-            # The speed fed forward is interpolated between periods: a step at each SYNC would be a ripple of the effort.
-            speed = memory.slope + (slope - memory.slope) * share
-            error = loops.feedforward * speed + loops.position * (reference - self._quantised(q)) - dq
-            memory.integral = np.where(enabled, memory.integral + loops.integral * error * dt, 0.0)
-            demand = np.where(enabled, loops.velocity * (error + memory.integral), 0.0)
-            demand = self._quantised_effort(demand)
-            memory.actual = memory.actual + (demand - memory.actual) * (1 - np.exp(-dt / loops.current_s))
-            self.plant.step(memory.actual, ~enabled | stuck, dt)
-        memory.demand, memory.slope = demand, slope
+            position, dq = self._measured()
+            way, speed = cubic((k + 1) / SUBSTEPS, travel, first, last)
+            error, ahead = start + way - position, loops.feedforward * speed / T
+            x = loops.position_share * error - (1 - loops.feedforward) * dq
+            memory.integral = np.where(enabled, memory.integral + x * T / SUBSTEPS, 0.0)
+            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * memory.integral
+            demand = np.where(enabled, demand, 0.0)
+            memory.actual = demand + (memory.actual - demand) * decay
+            self.plant.step(self._robot.joint_effort(memory.actual[None])[0], ~enabled | stuck, T / SUBSTEPS)
+            total = total + memory.actual
+        memory.reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
+        memory.target, memory.travel, memory.speed, memory.held = target, travel, last, ~enabled
         for i, node in enumerate(self.nodes):
             stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
-            if stopping[i] and slope[i] == 0.0 and not stays:
+            if stopping[i] and travel[i] == 0.0 and not stays:
                 node.state = State.SWITCH_ON_DISABLED
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node
         return any(f.kind == "stuck" and f.node == node and self._answered[i] >= f.sync for f in self._faults)
 
-    def _targets(self, q: Array, enabled: NDArray[np.bool_]) -> Array:
-        """Joint targets (n,) from 607Ah; the present position where a drive is not enabled or not in that mode."""
-        motor = self._robot.motor_position(q[None])[0]
+    def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
+        """Targets (n,) of the motors from 607Ah; the present position where a drive is not enabled or not in that mode."""
+        target = position.copy()
         for i, node in enumerate(self.nodes):
             in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
             if enabled[i] and in_csp:
                 raw = node.values[node.drive.target.index, node.drive.target.sub]
-                motor[i] = node.drive.position_codec.si(np.array(raw))
-        target: Array = self._robot.joint_position(motor[None])[0]
+                target[i] = node.drive.position_codec.si(np.array(raw))
         return target
 
-    def _quantised(self, q: Array) -> Array:
-        """Joint positions (n,) as the encoders measure them."""
-        measured: Array = self._robot.joint_position(self._positions.si(self._counts(q))[None])[0]
-        return measured
+    def _measured(self) -> tuple[Array, Array]:
+        """Positions as the encoders measure them, and speeds, (n,) of the motors."""
+        q, dq = self.plant.state()
+        return self._positions.si(self._counts(q)), self._robot.motor_velocity(dq)
 
     def _counts(self, q: Array) -> NDArray[np.int64]:
         return self._positions.raw(self._robot.motor_position(q[None])[0])
 
-    def _quantised_effort(self, effort: Array) -> Array:
-        """Joint efforts (n,) at the resolution of the drives' effort objects."""
-        steps = self._robot.motor_effort(effort[None])[0] / self._effort_steps
-        quantised: Array = self._robot.joint_effort((np.rint(steps) * self._effort_steps)[None])[0]
-        return quantised
-
     def _sample(self) -> None:
         """Write position, effort and speed into the object dictionaries."""
         q, dq = self.plant.state()
-        counts = self._counts(q)
-        speed = self._robot.R @ dq
-        prescribed = self.plant.prescribed_effort()
-        motor = self._robot.motor_effort((self._memory.demand if prescribed is None else prescribed)[None])[0]
+        counts, speed, motor = self._counts(q), self._robot.motor_velocity(dq), self._memory.reported
+        if (prescribed := self.plant.prescribed_effort()) is not None:
+            motor = self._robot.motor_effort(prescribed[None])[0]
         for i, node in enumerate(self.nodes):
             drive = node.drive
             node.values[drive.position.index, drive.position.sub] = int(counts[i])

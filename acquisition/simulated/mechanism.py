@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Bus, Robot
-from .loops import LoopGains
+from .loops import LoopGains, cascaded_loops
 from .plants import Plant, typical_inertia, typical_plant
 
 GROUP = "robot_idim.plants"
@@ -59,18 +59,10 @@ def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
 def _stand_in(robot: Robot, bus: Bus, why: str) -> Mechanism:
     rated = rated_motor_effort(bus)
     warning = f"a stand-in of independent joints with a gravity-like load moves, not the described robot: {why}"
-    return Mechanism(plant=typical_plant(robot, rated), loops=typical_loops(robot, rated), warning=warning)
+    loops = cascaded_loops(robot, typical_inertia(robot, rated))
+    return Mechanism(plant=typical_plant(robot, rated), loops=loops, warning=warning)
 
 
 def rated_motor_effort(bus: Bus) -> Array:
     """Rated efforts (n,) of the motors, in the recorded units: 1000 raw units of each drive's effort object."""
     return np.array([1000.0 * abs(drive.effort.scale) for drive in bus.drives])
-
-
-def typical_loops(robot: Robot, rated: Array) -> LoopGains:
-    """Cascaded gains for `typical_plant`: position loop at the stated bandwidth, velocity loop four times as fast.
-
-    `rated`: efforts (n,) of the motors, as of `rated_motor_effort`.
-    """
-    w = 2 * np.pi * robot.bandwidth_hz * np.ones(robot.n)
-    return LoopGains(position=w, velocity=4 * w * typical_inertia(robot, rated), integral=w)

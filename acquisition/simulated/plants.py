@@ -52,12 +52,14 @@ class JointwisePlant:
         return None
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
-        """Semi-implicit Euler; Coulomb friction stops a joint, but does not reverse its motion."""
-        load = self._load * np.where(self._slides, 1.0, np.cos(self._q))
-        free = self._dq + duration_s / self._inertia * (effort - load - self._viscous * self._dq)
+        """Load at the middle of the step; Coulomb friction stops a joint, but does not reverse its motion."""
+        speed = np.where(held, 0.0, self._dq)
+        middle = self._q + 0.5 * duration_s * speed
+        load = self._load * np.where(self._slides, 1.0, np.cos(middle))
+        free = speed + duration_s / self._inertia * (effort - load - self._viscous * speed)
         rubbed = duration_s / self._inertia * self._coulomb
         self._dq = np.where(held, 0.0, np.sign(free) * np.maximum(np.abs(free) - rubbed, 0.0))
-        self._q = self._q + duration_s * self._dq
+        self._q = middle + 0.5 * duration_s * self._dq
 
 
 def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from acquisition.robot import demand_ripple_warnings
+
 from ..arrays import Array
 from ..data import Signals
 from ..estimation import (
@@ -95,21 +97,25 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
     trust, held_out = trust_in(evidence), held_out_recordings(evidence)
-    # The error of the model, whatever noise of the position a fit without the rule's filter lets through.
-    of_model = predicted
-    if (behind := observed.behind_rule()) is not None:
-        estimate = solved.estimate
-        of_model = behind.at(estimate.among(observed.regression.system.names)).predicted(estimate)
+    judged, of_model = observed, predicted
+    if (
+        behind := observed.behind_rule()
+    ) is not None:  # errors of the model, without the noise that the fit lets through
+        judged = behind.at(solved.estimate.among(rows.system.names))
+        of_model = judged.predicted(solved.estimate)
+    seen = judged.regression
     fitted = [
         FittedRecording(
             problem=one.problem,
             parameters=observed.parameters.of[k],
             rows=part,
-            errors=torque_errors(rows.tau[part], of_model[part], rows.speed[part], names),
+            errors=torque_errors(seen.tau[own], of_model[own], seen.speed[own], names),
             held_out=held,
             replica=verdict.replicas[k] if verdict.replicas else None,
         )
-        for k, (one, part, held) in enumerate(zip(observed.observations, observed.parts, held_out, strict=True))
+        for k, (one, part, own, held) in enumerate(
+            zip(observed.observations, observed.parts, judged.parts, held_out, strict=True)
+        )
     ]
     return Fit(
         recordings=tuple(fitted[k] for k in observed.order),
@@ -125,7 +131,7 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
             tau_predicted=predicted,
             speed=rows.speed,
         ),
-        errors=torque_errors(rows.tau, of_model, rows.speed, names),
+        errors=torque_errors(seen.tau, of_model, seen.speed, names),
         lags=evidence.lags,
         warnings=_warnings(observed, verdict.warnings),
         trust=trust,
@@ -195,7 +201,7 @@ def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, use
 def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]:
     """Those of the settings and of the recordings, which several recordings may share, and those of the method."""
     problems = [observed.observations[k].problem for k in observed.order]
-    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals)] for p in problems]
+    of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
         return (*of_settings[0], *recording_warnings(problems[0].signals), *of_method)
     named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
@@ -205,6 +211,12 @@ def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]
 def recording_warnings(signals: Signals) -> tuple[str, ...]:
     """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
     return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
+
+
+def ripple_warnings(signals: Signals) -> tuple[str, ...]:
+    """Where torque demands of drives are sampled at one phase of their control: that error is no lag, and stays in inertias."""
+    bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
+    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
 
 
 def gain_warnings(signals: Signals) -> tuple[str, ...]:

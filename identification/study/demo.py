@@ -14,14 +14,13 @@ from acquisition.master import Master
 from acquisition.recorder import InlineLog, Recorder
 from acquisition.robot import Robot, resolve
 from acquisition.session import Stop, Task, run_active
-from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, dry_run
+from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, describe_loops, dry_run
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import InverseModel, base_parameters, direct_model
-from ..simulation import has_controller
 from ..trust import inertias
-from .plant import RigidBodyPlant, drive_loops, has_cascades
+from .plant import RigidBodyPlant, drive_loops
 from .synthetic import periodic_reference, truth
 
 
@@ -51,13 +50,6 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     """
     if robot.bus is None:
         raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")
-    if has_controller(robot.controller) and not has_cascades(robot):
-        raise IdentificationError(
-            place=f"robot {robot.name}",
-            key="controller.structure",
-            value=robot.controller.structure,
-            expected="cascaded loops, each on a joint of its own, which simulated drives have",
-        )
     idm = InverseModel(robot)
     base = base_parameters(idm)
     model = direct_model(idm, base.standard_parameters(truth(idm, base)))
@@ -75,7 +67,8 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     )
     mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
-    log = InlineLog(Recorder(out, robot, source="simulated drives before the rigid robot of [parameters]", place=place))
+    source = "simulated drives before the rigid robot of [parameters]"
+    log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))
     simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
         say(f"simulated drives: {rehearsal.duration_s:g} s on the bus")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import Robot
-from acquisition.simulated import SUBSTEPS, LoopGains, middle_of_range
+from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -53,10 +53,12 @@ class RigidBodyPlant:
         noise = self._disturbance * self._rng.standard_normal(len(effort))
         steps = max(1, round(duration_s / self._step_s))
         for _ in range(steps):
-            after = self._friction.step(self._q, self._dq, effort + noise, held=held)
+            # The torque of the links is that of the middle position: at the start's it would be half a step late.
+            middle = self._q + 0.5 * self._step_s * self._dq
+            after = self._friction.step(middle, self._dq, effort + noise, held=held)
             if after is None:
                 raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
-            self._q, self._dq = self._q + 0.5 * self._step_s * (self._dq + after), after
+            self._q, self._dq = middle + 0.5 * self._step_s * after, after
 
 
 def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
@@ -94,22 +96,17 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
 
 
 def drive_loops(robot: Robot, J: Array) -> LoopGains:
-    """Loop gains of simulated drives: those of the description, or of its bandwidth for the inertias J (n,) at the joints.
+    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for inertias J (n,) at the joints.
 
-    Simulated drives have cascaded loops, each on a joint of its own: a description with others is given the second.
+    Computed torque needs a model that drives do not have: a description with it is given the second.
     """
-    if not has_controller(robot.controller) or not has_cascades(robot):
-        w = 2 * np.pi * robot.bandwidth_hz * np.ones(robot.n)
-        return LoopGains(position=w, velocity=4 * w * J, integral=w)
-    loop, reduction = recorded_loop(robot), np.diag(robot.R)
+    if not has_controller(robot.controller) or robot.controller.structure == "computed_torque":
+        return cascaded_loops(robot, J)
+    law = recorded_loop(robot)
     return LoopGains(
-        position=loop.Kp / loop.Kd,
-        velocity=reduction**2 * loop.G * loop.Kd,
-        integral=loop.Ki / loop.Kd,
-        feedforward=loop.feedforward,
+        position=law.Kp,
+        velocity=law.Kd,
+        integral=law.Ki,
+        position_share=law.position_share,
+        feedforward=law.feedforward,
     )
-
-
-def has_cascades(robot: Robot) -> bool:
-    """Whether the described control law is one that simulated drives have."""
-    return np.count_nonzero(robot.R) == robot.n and robot.controller.structure != "computed_torque"

@@ -112,7 +112,7 @@ def _rank(lack: Lack) -> tuple[float, float]:
     of gravity follows the position, as springs do.
     """
     ahead = ALIKE_PERCENT if lack.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if lack.kind in (SPRING, DRIFT) else 1.0
+    behind = 0.5 if lack.kind == SPRING else 1.0
     return behind * lack.together_percent + ahead, lack.taken_percent
 
 
