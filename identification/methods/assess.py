@@ -89,6 +89,7 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
             errors=torque_errors(rows.tau[part], predicted[part], rows.speed[part], names),
             held_out=held,
             replica=verdict.replicas[k] if verdict.replicas else None,
+            states=one.states,
         )
         for k, (one, part, held) in enumerate(zip(observed.observations, observed.parts, held_out, strict=True))
     ]
