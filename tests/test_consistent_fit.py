@@ -281,7 +281,7 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     content = json.loads(out.read_text())
     names = InverseModel(robot_named("scara")).names
     assert [p["name"] for p in content["standard_parameters"]] == list(names)
-    assert set(content["standard_parameters"][0]) == {"name", "value", "unit", "from_prior"}
+    assert set(content["standard_parameters"][0]) == {"name", "value", "unit", "from_prior", "half_width"}
     c = content["consistent"]
     assert {"prior", "prior_weight", "chi2", "largest_move", "certificate"} <= set(c)
     assert c["prior_weight"] == 2.0

@@ -143,7 +143,7 @@ def certainty(
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
 ) -> tuple[Certainty, Certainty]:
-    """How well the standard parameters (p,) are known, and the base parameters (b,); arguments as `consistent_parameters`."""
+    """How well the standard parameters (p,) and the base parameters (b,) are known."""
     objective = _Objective(found.beta, _inverse_root(found.beta, covariance), K, physical, gamma, gamma * gamma_x)
     _, J = objective.derivatives(found.chi)
     of_prior, both = J[len(K) :], np.concatenate([np.eye(K.shape[1]), K])
@@ -171,11 +171,11 @@ class _Objective:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
         self.root, self._target, self._A = root, root @ beta, root @ K
         self._x, self._gamma_x = physical.combinations, gamma_x
-        # Matrices that are linear in some columns of chi: these, the matrix of each, and the weight of log det.
-        self._cones = [(columns, BASIS, gamma) for columns in physical.links]
+        # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s, s), weight of log det.
+        self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
-            self._cones.append((columns, np.moveaxis(matrix[..., columns], -1, 0), gamma_x))
+            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), gamma_x))
         self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
         self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
 
@@ -185,7 +185,8 @@ class _Objective:
         if roots is None or not (x > 0).all():
             return np.inf
         rho = self._A @ chi - self._target
-        log_det = sum(2 * w * np.log(np.diag(L)).sum() for (_, _, w), L in zip(self._cones, roots, strict=True))
+        sizes = [np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for L in roots]
+        log_det = sum(2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True))
         return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
@@ -195,12 +196,14 @@ class _Objective:
         assert roots is not None
         parts = [self._A]
         for (columns, basis, weight), L in zip(self._cones, roots, strict=True):
-            back = np.linalg.inv(L)
-            E = back @ basis @ back.T  # (c, s, s): L⁻¹ E_i L⁻ᵀ
-            g[columns] -= weight * np.trace(E, axis1=1, axis2=2)
-            J = np.zeros((L.size, len(chi)))
-            J[:, columns] = np.sqrt(weight) * E.reshape(len(columns), -1).T
-            parts.append(J)
+            back = np.linalg.inv(L)[:, None]
+            E = back @ basis @ back.transpose(0, 1, 3, 2)  # (L, c, s, s): L⁻¹ E_i L⁻ᵀ
+            J = np.zeros((len(columns), L[0].size, len(chi)))
+            traces, flat = np.trace(E, axis1=2, axis2=3), E.reshape(*columns.shape, -1)
+            for at, own, trace, entries in zip(columns, J, traces, flat, strict=True):
+                g[at] -= weight * trace
+                own[:, at] = np.sqrt(weight) * entries.T
+            parts.append(J.reshape(-1, len(chi)))
         inverse = self._x / (self._x @ chi)[:, None]
         g -= self._gamma_x * inverse.sum(axis=0)
         at = np.flatnonzero(self._x.any(axis=0))
@@ -215,13 +218,15 @@ class _Objective:
         lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
         for (columns, basis, _), L in zip(self._cones, roots, strict=True):
             back = np.linalg.inv(L)
-            lowest = min(lowest, np.linalg.eigvalsh(back @ np.tensordot(step[columns], basis, axes=1) @ back.T)[0])
+            change = back @ np.tensordot(step[columns], basis, axes=1) @ back.transpose(0, 2, 1)
+            lowest = min(lowest, float(np.linalg.eigvalsh(change).min()))
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
     def _roots(self, chi: Array) -> list[Array] | None:
-        """Cholesky factors of the P_j and X_k, None where one is not positive definite."""
+        """Cholesky factors (L, s, s) of the P_j and X_k, None where one is not positive definite."""
         try:
-            return [np.linalg.cholesky(np.tensordot(chi[at], basis, axes=1)) for at, basis, _ in self._cones]
+            matrices = (np.tensordot(chi[columns], basis, axes=1) for columns, basis, _ in self._cones)
+            return [np.asarray(np.linalg.cholesky(P)) for P in matrices]
         except np.linalg.LinAlgError:
             return None
 

@@ -104,7 +104,7 @@ def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> t
     values = np.array([[*m.damping, *(c.damping for c in kept)], [*m.frictionloss, *(c.frictionloss for c in kept)]])
     u = states.dq @ rows.T
     torques = np.stack([u, np.sign(u)])[..., None] * rows
-    below = (values < 0).any(axis=0)
+    below = np.asarray((values < 0).any(axis=0))
     missing = friction - np.einsum("xk,xNkn->Nn", values, torques)
     off = (_rms(missing) > NEGLIGIBLE * _rms(states.tau).max()) | rows[below].any(axis=0)
     off |= rows[rows[:, off].any(axis=1)].any(axis=0)  # joints that share a motor are refitted with it
@@ -117,7 +117,7 @@ def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> t
     names = [m.model.names[c] for c in m.others]
     names += [f"{c.name}, which turns with several joints" for c in m.couplings if not kept]
     parts = [*(joint.name for joint in m.model.robot.joints), *(c.name for c in kept)]
-    names += [f"below zero of {name} alone" for name, of in zip(parts, below, strict=True) if of and kept]
+    names += [f"below zero of {name} alone" for name, of in zip(parts, below.tolist(), strict=True) if of and kept]
     lose(f"friction ({', '.join(names)}), the nearest damping and friction in its place", missing)
     damping, frictionloss = values
     return replace(

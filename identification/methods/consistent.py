@@ -111,6 +111,7 @@ def consistent_set(
         base_from_prior=of_beta.share > FROM_PRIOR,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
         prior_weight=prior.weight,
+        prior_is_usual=prior.robot is None and prior.weight == 1.0,
         chi_squared=found.chi_squared,
         deviations=found.deviations,
         reach=known.reach,

@@ -174,7 +174,6 @@ def physical_parameters(
             ZZ = start[links[int(term.rows[-1]), LINK.index("ZZ")]]
             first[i] = ROTOR_SHARE * ZZ if term.kind == "rotor" else FRICTION
     start[rows] = np.linalg.solve(A[:, rows], first) if len(rows) else first
-    start[[c for c in range(idm.p) if getattr(idm.sources[c], "kind", "") in ("root", "stribeck", "load")]] = FRICTION
     matrices = [asked.matrix for asked in requirements(idm, shaped=power is None)]
     single = np.array([M[0, 0] for M in matrices if len(M) == 1]).reshape(-1, idm.p)
     if power is not None:
