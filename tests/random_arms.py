@@ -6,7 +6,7 @@ from acquisition.robot import Robot, robot_from_files
 from identification.estimation.consistency import PhysicalParameters
 from identification.model.base import base_parameters
 from identification.model.inverse import LINK, InverseModel
-from identification.model.physical import physical_parameters
+from identification.model.physical import own_shares, physical_parameters
 
 ROWS = 150  # states of the made up experiment
 NOISE = 0.02  # of a joint's torque, rms
@@ -54,12 +54,12 @@ def random_estimate(
     """
     rng = np.random.default_rng([seed, 1])
     idm = InverseModel(random_arm(seed))
-    base, physical = base_parameters(idm), physical_parameters(idm, strict=True)
+    base, physical = base_parameters(idm), physical_parameters(idm)
     chi = np.zeros(idm.p)
     for columns in physical.links:
         chi[columns] = random_body(rng)
-    rows = np.flatnonzero(np.abs(physical.combinations).sum(axis=0))
-    chi[rows] = np.linalg.solve(physical.combinations[:, rows], rng.lognormal(-1.0, 1.0, len(rows)))
+    rows, shares = own_shares(idm)
+    chi[rows] = np.linalg.solve(shares[:, rows], rng.lognormal(-1.0, 1.0, len(rows)))
     q, dq, ddq = (rng.uniform(-s, s, (ROWS, idm.robot.n)) for s in (2.0, 1.5, 4.0))
     W = idm.regressor(q, dq, ddq)
     tau = W @ chi

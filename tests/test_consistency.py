@@ -15,12 +15,14 @@ from identification.estimation.consistency import (
     PhysicalParameters,
     _inverse_root,
     _Objective,
+    certainty,
     consistent_parameters,
-    pseudo_inertia,
 )
+from identification.estimation.link_inertias import pseudo_inertia
 from identification.model.base import base_parameters
 from identification.model.inverse import FROM_PINOCCHIO, InverseModel
-from identification.model.physical import physical_parameters
+from identification.model.joint_terms import corner_speeds
+from identification.model.physical import physical_parameters, requirements
 from identification.study.synthetic import known_parameters
 
 rng = np.random.default_rng(8)
@@ -36,14 +38,19 @@ def body(seed: int) -> np.ndarray:
 
 
 def one_link() -> tuple[np.ndarray, PhysicalParameters]:
-    """K (7, 12) and what is asked of a link with a rotor inertia of which a share is another's, and friction."""
-    start = np.concatenate([body(1), [0.5, 0.2]])
-    combinations = np.zeros((2, 12))
+    """K (7, 14) and what is asked of a link with a rotor inertia of which a share is another's, and viscous friction."""
+    start = np.concatenate([body(1), [0.5, 0.2, 0.4, 0.3]])
+    combinations, matrix = np.zeros((2, 14)), np.zeros((2, 2, 14))
     combinations[0, 10], combinations[0, 11], combinations[1, 11] = 1.0, -0.3, 1.0
+    matrix[0, 0, 12] = matrix[1, 1, 13] = matrix[0, 1, 11] = matrix[1, 0, 11] = 1.0
     physical = PhysicalParameters(
-        links=np.arange(10)[None], prior=pseudo_inertia(body(2))[None], combinations=combinations, start=start
+        links=np.arange(10)[None],
+        prior=pseudo_inertia(body(2))[None],
+        combinations=combinations,
+        matrices=(matrix,),
+        start=start,
     )
-    return np.random.default_rng(3).normal(size=(7, 12)), physical
+    return np.random.default_rng(3).normal(size=(7, 14)), physical
 
 
 def covariance(b: int, scale: float) -> np.ndarray:
@@ -60,8 +67,6 @@ def covariance_with(covariance: np.ndarray, sigma: np.ndarray) -> np.ndarray:
 def tx40(*, described: bool = True) -> tuple[InverseModel, np.ndarray, np.ndarray, PhysicalParameters]:
     """Model, K, base parameters of a physical arm, and what is asked of it; its description says its values, or nothing."""
     robot = robot_named("tx40")
-    values = {**robot.parameters, "Fv6": 1.2}  # the table's own viscous friction of joint 6 is below zero
-    robot = dataclasses.replace(robot, parameters=values)
     chi = known_parameters(InverseModel(robot))
     idm = InverseModel(robot if described else dataclasses.replace(robot, parameters={}))
     return idm, base_parameters(idm).K, chi, physical_parameters(idm)
@@ -69,8 +74,8 @@ def tx40(*, described: bool = True) -> tuple[InverseModel, np.ndarray, np.ndarra
 
 def lowest(physical: PhysicalParameters, chi: np.ndarray) -> float:
     """The smallest of what must be positive."""
-    P = pseudo_inertia(chi[physical.links])
-    return min(np.linalg.eigvalsh(P).min(), (physical.combinations @ chi).min())
+    P = [*pseudo_inertia(chi[physical.links]), *(matrix @ chi for matrix in physical.matrices)]
+    return min(*(np.linalg.eigvalsh(one).min() for one in P), (physical.combinations @ chi).min())
 
 
 def test_a_pseudo_inertia_is_that_of_its_points():
@@ -91,7 +96,7 @@ def test_gradient_and_hessian_are_those_of_differences():
     chi, h = physical.start, 1e-6
     g, J = objective.derivatives(chi)
     H = J.T @ J
-    steps = h * np.eye(12)
+    steps = h * np.eye(14)
     by_values = [(objective.value(chi + d) - objective.value(chi - d)) / (2 * h) for d in steps]
     by_gradients = [(objective.derivatives(chi + d)[0] - objective.derivatives(chi - d)[0]) / (2 * h) for d in steps]
     np.testing.assert_allclose(g, by_values, rtol=1e-6, atol=1e-6 * np.abs(g).max())
@@ -101,24 +106,26 @@ def test_gradient_and_hessian_are_those_of_differences():
 def test_the_optimum_is_that_of_another_optimiser():
     """An estimate without a positive rotor inertia, and weights that let the barrier be seen."""
     K, physical = one_link()
-    C, wrong = covariance(7, 0.05), np.concatenate([body(5), [-0.4, 0.1]])
+    C, wrong = covariance(7, 0.05), np.concatenate([body(5), [-0.4, 0.1, 0.3, -0.2]])
     found = consistent_parameters(K @ wrong, C, K, physical, gamma=0.5, gamma_x=0.1)
 
     def cost(z: np.ndarray) -> float:  # written a second time: P = L L', x = exp(z), and no constraint is left
         L = np.zeros((4, 4))
         L[np.tril_indices(4)] = z[:10]
-        P, (own, x) = L @ L.T, np.exp(z[10:])
+        P, (own, x, a, b) = L @ L.T, np.exp(z[10:])
         tensor = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
-        rho = K @ (np.concatenate([tensor[np.triu_indices(3)], P[:3, 3], P[3:, 3], [own + 0.3 * x, x]]) - wrong)
+        last = [own + 0.3 * x, x, a, b + x**2 / a]  # [[a, x], [x, b + x²/a]] has the determinant a b
+        rho = K @ (np.concatenate([tensor[np.triu_indices(3)], P[:3, 3], P[3:, 3], last]) - wrong)
         divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.log(np.linalg.det(P))
-        return float(0.5 * rho @ np.linalg.solve(C, rho) + 0.5 * divergence - 0.05 * (z[10] + z[11]))
+        return float(0.5 * rho @ np.linalg.solve(C, rho) + 0.5 * divergence - 0.05 * z[10:].sum())
 
     root = np.linalg.cholesky(pseudo_inertia(physical.start[:10]))
     best = minimize(
-        cost, np.concatenate([root[np.tril_indices(4)], [-1.0, -1.0]]), options={"gtol": 1e-7, "maxiter": 5000}
+        cost, np.concatenate([root[np.tril_indices(4)], -np.ones(4)]), options={"gtol": 1e-7, "maxiter": 5000}
     )
     mine = np.linalg.cholesky(pseudo_inertia(found.chi[:10]))
-    at = np.concatenate([mine[np.tril_indices(4)], np.log(physical.combinations @ found.chi)])
+    x, a, b = found.chi[11:]
+    at = np.concatenate([mine[np.tril_indices(4)], np.log([*physical.combinations @ found.chi, a, b - x**2 / a])])
     assert cost(at) == pytest.approx(best.fun, abs=1e-6)
     np.testing.assert_allclose(np.abs(at), np.abs(best.x), rtol=1e-3, atol=1e-3)
     assert found.decrement <= CERTIFIED
@@ -157,27 +164,35 @@ def test_a_possible_arm_stays_where_it_is():
 
 
 def test_what_is_asked_of_a_coupled_wrist():
-    """Ia5 - Ia6, Fv5 - Fvm6 and Fv6 - Fvm6; where the description denies the last, Fv6 alone."""
-    idm, _, _, physical = tx40()
+    """Ia5 - Ia6, a positive viscous matrix, Coulomb power at the three corners: the published values have all of it.
+
+    Though Fv6 = 0.689 is below Fvm6 = 0.8: motor 6 alone does not feed joint 6 what joint 5 does not take.
+    """
+    robot = robot_named("tx40")
+    idm = InverseModel(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in idm.names])
+    asked = {one.text: one for one in requirements(idm, shaped=False)}
+    viscous, corners = "viscous friction of joint_5 and joint_6", ("Fc5 + Fcm6", "Fc6 + Fcm6", "Fc5 + Fc6")
+    assert set(asked) == {f"{x}{j}" for x in ("Fv", "Fc", "Ia") for j in range(1, 5)} | {
+        "Ia5 - Ia6",
+        "Ia6",
+        viscous,
+        *corners,
+    }
+    least = {text: np.linalg.eigvalsh(one.matrix @ chi)[0] for text, one in asked.items()}
+    assert least[viscous] == pytest.approx(0.2242, abs=1e-4)
+    assert [least[text] for text in corners] == pytest.approx([5.0092, 3.4313, 5.2405])
+    physical = physical_parameters(idm)
+    assert lowest(physical, chi) > 0
+    assert lowest(physical, physical.start) > 0
     names = list(idm.names)
-
-    def told(physical: PhysicalParameters) -> set[str]:
-        return {" ".join(f"{row[c]:+g} {names[c]}" for c in np.flatnonzero(row)) for row in physical.combinations}
-
-    plain = {f"+1 {x}{j}" for x in ("Ia", "Fv", "Fc") for j in range(1, 7)} | {"+1 Fvm6", "+1 Fcm6"}
-    coupled = {"+1 Ia5 -1 Ia6", "+1 Fv5 -1 Fvm6", "+1 Fv6 -1 Fvm6"}
-    assert told(physical) == plain - {"+1 Ia5", "+1 Fv5", "+1 Fv6"} | coupled
-    denied = physical_parameters(InverseModel(robot_named("tx40")))
-    assert told(denied) == plain - {"+1 Ia5", "+1 Fv5"} | coupled - {"+1 Fv6 -1 Fvm6"}
     # Rotors of the motors' own inertias 1 to 6, motor 6 turning with joints 5 and 6.
     own, R = np.arange(1.0, 7.0), np.eye(6)
     R[5, 4] = 1.0
     rotor = np.zeros((6, 6))
-    rows = [
-        i for i, row in enumerate(physical.combinations) if any(names[c].startswith("Ia") for c in np.flatnonzero(row))
-    ]
     columns = [names.index(f"Ia{j}") for j in range(1, 7)]
-    for c, value in zip(columns, np.linalg.solve(physical.combinations[np.ix_(rows, columns)], own), strict=True):
+    shares = np.array([one.matrix[0, 0, columns] for one in asked.values() if one.kind == "rotor"])
+    for c, value in zip(columns, np.linalg.solve(shares, own), strict=True):
         rotor += value * idm.sources[c].matrix
     np.testing.assert_allclose(rotor, R.T @ np.diag(own) @ R)
 
@@ -233,3 +248,35 @@ def test_a_recording_of_few_rows_gives_values_that_can_be_simulated():
     found = consistent_parameters(beta, C, K, physical)
     assert lowest(physical, found.chi) > 0
     assert found.decrement <= CERTIFIED
+
+
+@pytest.mark.parametrize("rows", [[[1, 1]], [[1, 1], [1, -1]], [[1, 1, 1]], [[1, 0.5, 0], [0, 1, 1]]])
+def test_coulomb_friction_takes_power_at_all_speeds_where_it_does_at_the_corners(rows):
+    """Joints of their own and motors that turn with several, values of either sign: the corners say what random speeds say."""
+    directions = np.concatenate([np.eye(len(rows[0])), rows])
+    rng = np.random.default_rng(2)
+    drawn, v = rng.normal(0.5, 1.0, (200, len(directions))), rng.normal(size=(20_000, len(rows[0])))
+    v = np.concatenate([v, 0.02 * v[:5000] + rng.choice([-1.0, 0.0, 1.0], (5000, len(rows[0])))])
+    found = (drawn @ corner_speeds(directions).T).min(axis=1)
+    expected = (drawn @ np.abs(directions @ v.T)).min(axis=1)
+    clear = np.abs(found) > 0.1  # random speeds come near a corner, not onto it
+    assert 5 < (found[clear] > 0).sum() < clear.sum() - 5
+    np.testing.assert_array_equal(found[clear] > 0, expected[clear] > 0)
+
+
+def test_a_direction_without_friction_of_its_own_has_no_corner():
+    """One motor over two joints that have no friction else: only its own speed counts."""
+    np.testing.assert_allclose(corner_speeds(np.array([[1.0, 1.0]])), [[1.0]])
+    np.testing.assert_allclose(corner_speeds(np.array([[0.0, 2.0, 0.0]])), [[1.0]])
+
+
+def test_intervals_are_those_of_the_inverse_hessian():
+    K, physical = one_link()
+    C = covariance(7, 0.05)
+    found = consistent_parameters(K @ physical.start, C, K, physical)
+    of_chi, of_beta = certainty(found, C, K, physical)
+    _, J = _Objective(found.beta, _inverse_root(found.beta, C), K, physical, 1.0, 1e-6).derivatives(found.chi)
+    H = np.linalg.inv(J.T @ J)
+    np.testing.assert_allclose(of_chi.sigma, np.sqrt(np.diag(H)), rtol=1e-5)
+    np.testing.assert_allclose(of_beta.sigma, np.sqrt(np.diag(K @ H @ K.T)), rtol=1e-5)
+    assert (of_beta.sigma <= np.sqrt(np.diag(C)) * (1 + 1e-9)).all()

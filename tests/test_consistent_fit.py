@@ -16,7 +16,7 @@ from test_consistency import tx40 as described_tx40
 from acquisition.robot import robot_from_files
 from identification.commands.program import main
 from identification.errors import IdentificationError
-from identification.estimation import intervals, link_parameters, prior_shares, pseudo_inertia, weighted_least_squares
+from identification.estimation import certainty, intervals, link_parameters, pseudo_inertia, weighted_least_squares
 from identification.estimation.consistency import (
     CERTIFIED,
     consistent_parameters,
@@ -37,11 +37,12 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     """Every pseudo-inertia and every own rotor inertia and friction positive; the torque error hardly larger."""
     c, problem = consistent.consistent, consistent.problem
     assert c.names == problem.model.names
-    physical = physical_parameters(problem.model, strict=True)
+    physical = physical_parameters(problem.model)
     assert lowest(physical, c.chi) > 0
     value = dict(zip(c.names, c.chi, strict=True))
-    for more, less in (("Ia5", "Ia6"), ("Fv5", "Fvm6"), ("Fv6", "Fvm6")):
-        assert value[more] > value[less] > 0
+    assert value["Ia5"] > value["Ia6"] > 0
+    assert value["Fv5"] * value["Fv6"] > value["Fvm6"] ** 2
+    assert min(value["Fc5"] + value["Fc6"], value["Fc5"] + value["Fcm6"], value["Fc6"] + value["Fcm6"]) > 0
     free, held = (errors[-1].relative_error_percent for errors in (consistent.errors, consistent.consistent_errors))
     assert free < held < free + 0.1
     np.testing.assert_allclose(c.beta, problem.base.K @ c.chi, rtol=1e-12)
@@ -86,7 +87,7 @@ def test_held_out_torque_is_predicted_no_worse(consistent, observed, expected):
     model = consistent.problem.model
     if expected == "plausible":
         model = InverseModel(dataclasses.replace(model.robot, parameters={}))
-    physical = physical_parameters(model, strict=True)
+    physical = physical_parameters(model)
     rows, n = consistent.rows.tau.shape
     at = np.tile(np.arange(rows) / rows, n)
     parts = [(0.0, 0.5), (0.5, 1.0), *((k / 5, (k + 1) / 5) for k in range(5))]
@@ -111,18 +112,23 @@ def sdp(beta, covariance, K, physical, gamma, near):
     A, t, p = root @ K, root @ (beta - K @ near), K.shape[1]
     d = np.linalg.norm(A, axis=0)
     d = 1 / np.where(d > 0, d, 1.0)  # variables of norm one
-    rows, columns = np.triu_indices(4)
-    order = np.lexsort((rows, columns))
-    rows, columns = rows[order], columns[order]
-    scale = np.where(rows == columns, 1.0, np.sqrt(2))
     cones, G, q = [], [], -A.T @ t
+
+    def add(matrices: np.ndarray) -> None:  # (s, s, p)
+        rows, columns = np.triu_indices(len(matrices))
+        order = np.lexsort((rows, columns))
+        rows, columns = rows[order], columns[order]
+        G.append(-np.where(rows == columns, 1.0, np.sqrt(2))[:, None] * matrices[rows, columns])
+        cones.append(clarabel.PSDTriangleConeT(len(matrices)))
+
     for link, prior in zip(physical.links, physical.prior, strict=True):
-        block = np.zeros((10, p))
+        matrices = np.zeros((4, 4, p))
         for c, basis in zip(link, pseudo_inertia(np.eye(10)), strict=True):
-            block[:, c] = -scale * basis[rows, columns]
+            matrices[..., c] = basis
             q[c] += gamma * np.trace(np.linalg.solve(prior, basis))
-        G.append(block)
-        cones.append(clarabel.PSDTriangleConeT(4))
+        add(matrices)
+    for matrices in physical.matrices:
+        add(matrices)
     G.append(-physical.combinations)
     cones.append(clarabel.NonnegativeConeT(len(physical.combinations)))
     settings = clarabel.DefaultSettings()
@@ -143,7 +149,7 @@ def sdp(beta, covariance, K, physical, gamma, near):
 def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     """With gamma 1e-8 within gamma (4 n + number of x_i), of an arm whose own parameters no robot has."""
     idm, K, chi, _ = described_tx40()
-    physical = physical_parameters(idm, strict=True)
+    physical = physical_parameters(idm)
     wrong = chi.copy()
     wrong[[idm.names.index(name) for name in ("ZZ6", "YY6", "Ia6", "Fc5")]] *= -1.0
     beta = K @ wrong
@@ -153,7 +159,7 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     best, bound = sdp(beta, C, K, physical, gamma, found.chi)
     pull = np.trace(np.linalg.solve(physical.prior, pseudo_inertia(found.chi[physical.links])), axis1=1, axis2=2).sum()
     mine = 0.5 * found.chi_squared + gamma * pull
-    gap = gamma * (4 * len(physical.links) + len(physical.combinations))
+    gap = gamma * (4 * len(physical.links) + len(physical.combinations) + sum(map(len, physical.matrices)))
     assert lowest(physical, found.chi) > 0
     assert best > 1.0
     assert bound - 1e-6 < mine < best + gap + 1e-6
@@ -173,17 +179,18 @@ def test_random_arms_at_ten_times_the_noise():
 def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
     """Variances by a Hessian of differences; a parameter that is measured alone, and one that is not measured at all."""
     _, physical = one_link()
-    K = np.eye(12)[[0, 9, 10, 11]]
-    C = np.diag([1e-6, 100.0, 0.01, 0.01]) ** 2
+    K = np.eye(14)[[0, 9, 10, 11, 12, 13]]
+    C = np.diag([1e-6, 100.0, 0.01, 0.01, 0.01, 0.01]) ** 2
     found = consistent_parameters(K @ physical.start, C, K, physical, gamma=0.5, gamma_x=0.1)
-    shares = prior_shares(found, C, K, physical, gamma=0.5, gamma_x=0.1)
+    shares = certainty(found, C, K, physical, gamma=0.5, gamma_x=0.1)[0].share
 
     def prior_cost(chi):
         P = pseudo_inertia(chi[:10])
         divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.linalg.slogdet(P)[1]
-        return 0.5 * divergence - 0.05 * np.log(physical.combinations @ chi).sum()
+        logs = np.log(physical.combinations @ chi).sum() + np.linalg.slogdet(physical.matrices[0] @ chi)[1]
+        return 0.5 * divergence - 0.05 * logs
 
-    h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(12)
+    h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(14)
     H = np.array(
         [
             [
@@ -274,7 +281,7 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     content = json.loads(out.read_text())
     names = InverseModel(robot_named("scara")).names
     assert [p["name"] for p in content["standard_parameters"]] == list(names)
-    assert set(content["standard_parameters"][0]) == {"name", "value", "unit", "from_prior"}
+    assert set(content["standard_parameters"][0]) == {"name", "value", "unit", "from_prior", "half_width"}
     c = content["consistent"]
     assert {"prior", "prior_weight", "chi2", "largest_move", "certificate"} <= set(c)
     assert c["prior_weight"] == 2.0

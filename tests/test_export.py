@@ -22,6 +22,7 @@ from identification.export import Outputs, StoredModel, export_model, mechanism_
 from identification.export.robot_toml import with_parameters
 from identification.methods import Prior, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
+from identification.model.physical import own_shares
 from identification.report import fit_document, fit_file, read_fit, write_json
 from identification.report.stored_fit import Covariance, LeftOut
 from identification.study import study_truth
@@ -36,11 +37,11 @@ def states(n, speed=2.0, acceleration=5.0, count=40):
 
 def values_of(model, seed=1):
     """Standard parameters of a physical robot: its expected links, changed; random friction and rotors, offsets."""
-    physical, rng = physical_parameters(model, strict=True), np.random.default_rng(seed)
+    physical, rng = physical_parameters(model), np.random.default_rng(seed)
     chi = physical.start.copy()
     chi[physical.links] *= rng.uniform(0.5, 2.0, (len(physical.links), 1))
-    rows = np.flatnonzero(np.abs(physical.combinations).sum(axis=0))
-    chi[rows] = np.linalg.solve(physical.combinations[:, rows], rng.uniform(0.1, 2.0, len(rows)))
+    rows, shares = own_shares(model)
+    chi[rows] = np.linalg.solve(shares[:, rows], rng.uniform(0.1, 2.0, len(rows)))
     for c, source in enumerate(model.sources):
         if isinstance(source, JointTerm) and c not in rows:
             chi[c] = rng.uniform(0.1, 1.0)
@@ -444,7 +445,7 @@ def test_parameters_left_out_are_zero_with_their_own_deviation(fits, tmp_path):
     C = matrix.copy()
     C[out], C[:, out], C[out, out] = 0.0, 0.0, sigma**2
     model = InverseModel(stored.robot("fit.json"))
-    expected = consistent_parameters(beta, C, base_parameters(model).K, physical_parameters(model, strict=True)).chi
+    expected = consistent_parameters(beta, C, base_parameters(model).K, physical_parameters(model)).chi
     np.testing.assert_allclose(model_of_fit(few, "fit.json").mechanism.chi, expected, rtol=1e-6, atol=1e-9)
 
 
@@ -474,8 +475,8 @@ def unknown_gain(content):
 
 
 REFUSED = {
-    "friction": (negative("Fv1"), "joint shoulder: damping = -0.1"),
-    "dry friction": (negative("Fc2"), "joint elbow: frictionloss = -0.1"),
+    "friction": (negative("Fv1"), "Fv1 = -0.1"),
+    "dry friction": (negative("Fc2"), "Fc2 = -0.1"),
     "link": (negative("M2"), "link 2, of joint elbow"),
     "verdict": (lambda c: c.update(verdict="do not use"), "--allow-untrusted"),
     "amperes": (unknown_gain, "motor[0].drive_gain is missing"),

@@ -34,7 +34,7 @@ def recorded(name: str, lag: int = 0, noise: float = 0.0, stribeck: float = 0.0,
     body = replace(body, friction=replace(body.friction, stribeck=stribeck))
     cell = Imperfections(lag=lag, encoder_noise=noise, torque_noise_percent=1.0, gain_factor=gain_factor)
     path = references(body, range(1), duration_s=10.0, rate_hz=1000.0)
-    return simulate(body, described_controller(body), path, cell).signals(robot_named(name), 0)
+    return simulate(body, described_controller(body), path, cell).signals(robot_named(name), 0, effort_timing="unknown")
 
 
 @cache
@@ -74,7 +74,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     assert fit.settings.torque_lag_s == found.value_s
     assert (np.abs(fit.beta - stated.beta) < fit.intervals.half).all()
     wider = np.sqrt(stated.intervals.sigma**2 + found.moved**2)
-    np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.1)
+    np.testing.assert_allclose(fit.intervals.sigma, wider, rtol=0.15)
     told = line(fit, "lag")
     assert (told.level, told.value) == ("ok", pytest.approx(1e3 * found.value_s))
     assert "corrected, counted in the intervals" in told.text
@@ -84,7 +84,9 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("scara")
     fits = [fitted(signals, method="wls", torque_lag_s=lag_s) for lag_s in (-1e-4, 1e-4)]
     lag = fitted(signals, method="wls").lags[0]
-    np.testing.assert_allclose(lag.moved / lag.sd_s, np.abs(fits[1].beta - fits[0].beta) / 2e-4, rtol=0.02, atol=1e-3)
+    moves, half = np.abs(fits[1].beta - fits[0].beta) / 2e-4, fits[0].intervals.half
+    # Of a millisecond; the fits differ in the weights of their joints too.
+    np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))
 
 
 @pytest.mark.parametrize("lag", [0, 1])
@@ -148,11 +150,12 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
 
 def test_recordings_alike_have_one_lag_and_others_their_own():
     first, second = recorded("scara"), recorded("scara", lag=2)
-    both = Recordings(sources=(replace(first, recording="A"), replace(second, recording="B", sha256="b")))
+    first = replace(first, recording="A", sha256="a")
+    both = Recordings(sources=(first, replace(second, recording="B", sha256="b")))
     (one,) = identify(both, Overrides()).lags
     assert one.recordings == ("A", "B")
     other = replace(second, recording="B", sha256="b", effort_timing="command")
-    two = identify(Recordings(sources=(replace(first, recording="A"), other)), Overrides()).lags
+    two = identify(Recordings(sources=(first, other)), Overrides()).lags
     found = {lag.recordings: 1e3 * lag.value_s for lag in two}
     assert found[("A",)] == pytest.approx(-0.5, abs=0.2)
     assert found[("B",)] == pytest.approx(1.5, abs=0.3)
@@ -291,7 +294,8 @@ def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
         assert why in found.text
     fit = identify(bare, Overrides())
     assert fit.trust.verdict == "trust"
-    assert ("control law", "describes no control law") in [(x.what, x.why[12:]) for x in fit.trust.assumed]
+    (law,) = (x for x in fit.trust.assumed if x.what == "control law")
+    assert "describes no control law" in law.why
 
 
 def test_the_real_emps(emps):

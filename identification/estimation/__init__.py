@@ -15,8 +15,8 @@ from .consistency import (
     GAMMA,
     Consistent,
     PhysicalParameters,
+    certainty,
     consistent_parameters,
-    prior_shares,
 )
 from .diagnostics import (
     MOVING,
@@ -63,6 +63,7 @@ __all__ = [
     "TorqueError",
     "are_moving",
     "autocorrelation",
+    "certainty",
     "combined",
     "condensed",
     "consistent_parameters",
@@ -82,7 +83,6 @@ __all__ = [
     "link_parameters",
     "one_thread",
     "ordinary_least_squares",
-    "prior_shares",
     "pseudo_inertia",
     "r_factor",
     "relative_error_percent",

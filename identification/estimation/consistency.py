@@ -1,11 +1,13 @@
 """The physically consistent parameters nearest to an estimate: one smooth convex problem, without the recording.
 
-    min over chi:  1/2 (K chi - beta)' C⁻¹ (K chi - beta) + gamma sum_j [tr(P0_j⁻¹ P_j) - log det P_j] - gamma_x sum_i log x_i
+    min over chi:  1/2 (K chi - beta)' C⁻¹ (K chi - beta) + gamma sum_j [tr(P0_j⁻¹ P_j) - log det P_j]
+                   - gamma_x (sum_i log x_i + sum_k log det X_k)
 
 P_j(chi) is the 4 × 4 pseudo-inertia of link j, positive definite for every body of positive density (Wensing, Kim, Slotine,
 Linear matrix inequalities for physically consistent inertial parameter identification, IEEE RA-L 3 (2018)); x_i are
-combinations of the other parameters that must be positive. Beta, its covariance C and the regrouping matrix K say all that
-the rows say. Solved by damped Newton steps; every gamma is a problem of its own, and the Newton decrement certifies it.
+combinations of the other parameters that must be positive, X_k matrices of them, such as viscous friction of joints that
+share motors. Beta, its covariance C and the regrouping matrix K say all that the rows say. Solved by damped Newton steps;
+every gamma is a problem of its own, and the Newton decrement certifies it.
 """
 
 from collections.abc import Callable
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .link_inertias import BASIS, pseudo_inertia
+from .link_inertias import BASIS
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
@@ -24,6 +26,7 @@ CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to t
 STEPS = 40  # at most; some twenty are usual
 SOFTEST, FACTOR, LEAST_FACTOR = 1e8, 100.0, 1.02  # covariances times the first lead to what cannot be reached at once
 TO_THE_EDGE = 0.95  # of the way to the boundary that a step may go
+ROUNDING = 1e-14  # of the largest singular value
 LEAST_DEVIATION = 1e-5  # of a parameter's value: with less the barrier is lost in rounding
 
 
@@ -35,6 +38,7 @@ class PhysicalParameters:
         links: (L, 10) columns of XX XY XZ YY YZ ZZ MX MY MZ M of each link.
         prior: (L, 4, 4) pseudo-inertias expected of the links, positive definite.
         combinations: (m, p) whose products with chi must be positive.
+        matrices: (s, s, p) each, whose products with chi must be positive definite.
         start: (p,) parameters that meet all of this.
     """
 
@@ -42,6 +46,7 @@ class PhysicalParameters:
     prior: Array
     combinations: Array
     start: Array
+    matrices: tuple[Array, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,7 +120,21 @@ def consistent_parameters(
     )
 
 
-def prior_shares(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Certainty:
+    """How well values are known, by Laplace: the inverse Hessian at the optimum is taken for their covariance.
+
+    Attributes:
+        sigma: deviations.
+        share: variance in parts of the one that the prior alone would leave, from 0 to 1: above a half a value comes from the
+            prior rather than from the recording. Offsets, of which nothing is expected, have 0.
+    """
+
+    sigma: Array
+    share: Array
+
+
+def certainty(
     found: Consistent,
     covariance: Array,
     K: Array,
@@ -123,84 +142,91 @@ def prior_shares(
     *,
     gamma: float = GAMMA,
     gamma_x: float = GAMMA_X,
-) -> Array:
-    """Variance of each standard parameter (p,) in parts of the one that the prior alone would leave it, from 0 to 1.
-
-    Both are the inverses of Hessians at the optimum: of the whole function, and of it without the estimate (Laplace). A value
-    above a half comes from the prior rather than from the recording; offsets, of which nothing is expected, have 0.
-    The parameters are those of `consistent_parameters`.
-    """
+) -> tuple[Certainty, Certainty]:
+    """How well the standard parameters (p,) and the base parameters (b,) are known."""
     objective = _Objective(found.beta, _inverse_root(found.beta, covariance), K, physical, gamma, gamma * gamma_x)
     _, J = objective.derivatives(found.chi)
-    of_prior = J[len(K) :]
+    of_prior, both = J[len(K) :], np.concatenate([np.eye(K.shape[1]), K])
     expected = of_prior.any(axis=0)
-    shares = np.zeros(len(found.chi))
-    shares[expected] = (_variances(J)[expected] / _variances(of_prior[:, expected])).clip(0.0, 1.0)
-    return shares
+    variance, alone = _variances(J, both), _variances(of_prior[:, expected], both[:, expected])
+    free = both[:, ~expected].any(axis=1)
+    share = np.where(free, 0.0, np.minimum(variance / np.where(free, 1.0, alone), 1.0))
+    sigma, p = np.sqrt(variance), K.shape[1]
+    return Certainty(sigma=sigma[:p], share=share[:p]), Certainty(sigma=sigma[p:], share=share[p:])
 
 
-def _variances(J: Array) -> Array:
-    """Diagonal (p,) of (J'J)⁻¹, through the triangular factor of J with columns scaled to one."""
+def _variances(J: Array, rows: Array) -> Array:
+    """Diagonal (k,) of rows (J'J)⁻¹ rows', with columns of J scaled to one; what J does not tell has a vast one."""
     d = np.linalg.norm(J, axis=0)
-    d = np.where(d > 0, d, 1.0)
-    back = np.linalg.inv(np.linalg.qr(J / d, mode="r"))
-    return np.asarray((back**2).sum(axis=1) / d**2)
+    values, V = np.linalg.svd(J / d, full_matrices=False)[1:]
+    return np.asarray(((rows / d @ V.T / np.maximum(values, ROUNDING * values[0])) ** 2).sum(axis=1))
 
 
 class _Objective:
-    """The function to minimise: finite where every P_j is positive definite and every x_i positive."""
+    """The function to minimise: finite where every P_j and X_k is positive definite and every x_i positive."""
 
     def __init__(
         self, beta: Array, root: Array, K: Array, physical: PhysicalParameters, gamma: float, gamma_x: float
     ) -> None:
         """`root` (b, b) is a root of the inverse covariance, |root r|² = r' C⁻¹ r."""
         self.root, self._target, self._A = root, root @ beta, root @ K
-        self._physical, self._gamma, self._gamma_x = physical, gamma, gamma_x
-        self._pull = np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)  # of tr(P0⁻¹ P) by the parameters
+        self._x, self._gamma_x = physical.combinations, gamma_x
+        # Matrices that are linear in some columns (L, c) of chi: these, what each multiplies (c, s, s), weight of log det.
+        self._cones = [(physical.links, BASIS, gamma)]
+        for matrix in physical.matrices:
+            columns = np.flatnonzero(matrix.any(axis=(0, 1)))
+            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), gamma_x))
+        self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
+        self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
 
     def value(self, chi: Array) -> float:
         """Infinite outside."""
-        x = self._physical.combinations @ chi
-        roots = self._roots(chi)
+        x, roots = self._x @ chi, self._roots(chi)
         if roots is None or not (x > 0).all():
             return np.inf
         rho = self._A @ chi - self._target
-        log_det = 2 * np.log(np.diagonal(roots, axis1=1, axis2=2)).sum()
-        pull = (self._pull * chi[self._physical.links]).sum()
-        return float(0.5 * rho @ rho + self._gamma * (pull - log_det) - self._gamma_x * np.log(x).sum())
+        sizes = [np.log(np.diagonal(L, axis1=1, axis2=2)).sum() for L in roots]
+        log_det = sum(2 * weight * size for (_, _, weight), size in zip(self._cones, sizes, strict=True))
+        return float(0.5 * rho @ rho + self._pull @ chi - log_det - self._gamma_x * np.log(x).sum())
 
     def derivatives(self, chi: Array) -> tuple[Array, Array]:
         """Gradient (p,), and J (r, p) of the Hessian J'J, whose own condition is that of J squared."""
-        g = self._A.T @ (self._A @ chi - self._target)
-        links = np.zeros((len(self._physical.links), 16, len(chi)))
+        g = self._A.T @ (self._A @ chi - self._target) + self._pull
         roots = self._roots(chi)
         assert roots is not None
-        back = np.linalg.inv(roots)[:, None]  # (L, 1, 4, 4)
-        E = back @ BASIS @ back.transpose(0, 1, 3, 2)  # (L, 10, 4, 4): L⁻¹ E_i L⁻ᵀ
-        flat = E.reshape(len(E), 10, 16)
-        traces = np.trace(E, axis1=2, axis2=3)
-        for J, columns, pull, trace, entries in zip(links, self._physical.links, self._pull, traces, flat, strict=True):
-            g[columns] += self._gamma * (pull - trace)
-            J[:, columns] = np.sqrt(self._gamma) * entries.T
-        inverse = self._physical.combinations / (self._physical.combinations @ chi)[:, None]
+        parts = [self._A]
+        for (columns, basis, weight), L in zip(self._cones, roots, strict=True):
+            back = np.linalg.inv(L)[:, None]
+            E = back @ basis @ back.transpose(0, 1, 3, 2)  # (L, c, s, s): L⁻¹ E_i L⁻ᵀ
+            J = np.zeros((len(columns), L[0].size, len(chi)))
+            traces, flat = np.trace(E, axis1=2, axis2=3), E.reshape(*columns.shape, -1)
+            for at, own, trace, entries in zip(columns, J, traces, flat, strict=True):
+                g[at] -= weight * trace
+                own[:, at] = np.sqrt(weight) * entries.T
+            parts.append(J.reshape(-1, len(chi)))
+        inverse = self._x / (self._x @ chi)[:, None]
         g -= self._gamma_x * inverse.sum(axis=0)
-        return g, np.concatenate([self._A, links.reshape(-1, len(chi)), np.sqrt(self._gamma_x) * inverse])
+        at = np.flatnonzero(self._x.any(axis=0))
+        if len(inverse) > len(at):  # power at hundreds of speeds: as many rows as columns say the same
+            inverse = np.linalg.qr(inverse[:, at], mode="r") @ np.eye(len(chi))[at]
+        return g, np.concatenate([*parts, np.sqrt(self._gamma_x) * inverse])
 
     def reach(self, chi: Array, step: Array) -> float:
-        """How many times a step may be taken until a P_j or an x_i reaches zero."""
-        combinations, links = self._physical.combinations, self._physical.links
+        """How many times a step may be taken until a P_j, an X_k or an x_i reaches zero."""
         roots = self._roots(chi)
         assert roots is not None
-        back = np.linalg.inv(roots)
-        change = back @ pseudo_inertia(step[links]) @ back.transpose(0, 2, 1)
-        ratios = (combinations @ step) / (combinations @ chi)
-        lowest = min(np.linalg.eigvalsh(change).min(initial=0.0), ratios.min(initial=0.0))
+        lowest = float(((self._x @ step) / (self._x @ chi)).min(initial=0.0))
+        for (columns, basis, _), L in zip(self._cones, roots, strict=True):
+            back = np.linalg.inv(L)
+            change = back @ np.tensordot(step[columns], basis, axes=1) @ back.transpose(0, 2, 1)
+            lowest = min(lowest, float(np.linalg.eigvalsh(change).min()))
         return float(-1.0 / lowest) if lowest < 0 else np.inf
 
-    def _roots(self, chi: Array) -> Array | None:
-        """Cholesky factors (L, 4, 4) of the pseudo-inertias, None where one is not positive definite."""
+    def _roots(self, chi: Array) -> list[Array] | None:
+        """Cholesky factors (L, s, s) of the P_j and X_k, None where one is not positive definite."""
         try:
-            return np.asarray(np.linalg.cholesky(pseudo_inertia(chi[self._physical.links])))
+            matrices = (np.tensordot(chi[columns], basis, axes=1) for columns, basis, _ in self._cones)
+            return [np.asarray(np.linalg.cholesky(P)) for P in matrices]
         except np.linalg.LinAlgError:
             return None
 

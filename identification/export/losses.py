@@ -1,6 +1,7 @@
 """What a format cannot say of a robot, and what that costs: the torque that is missing at random states within its limits.
 
-Friction that a format cannot say is replaced by the nearest that it can: Fv dq + Fc sign(dq) of each joint, neither negative.
+Friction that a format cannot say is replaced by the nearest that it can: Fv u + Fc sign(u) of each joint, and of each motor
+that turns with several joints where the format has such, none negative.
 """
 
 from dataclasses import dataclass, replace
@@ -76,6 +77,8 @@ def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> t
     Damping and friction loss are refitted at joints where some friction has no place; armatures and couplings are left out
     where the format has none; offsets always.
     """
+    from scipy.optimize import nnls
+
     losses: list[Loss] = []
     W = _regressor(m, states.q, states.dq, states.ddq)
     terms = {c: source for c, source in enumerate(m.model.sources) if isinstance(source, JointTerm)}
@@ -95,36 +98,38 @@ def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> t
         lose("rotor inertia", torque_of(of_rotors))
     lose("constant offset", torque_of([c for c, source in terms.items() if source.kind == "offset"]))
     friction = torque_of([c for c, s in terms.items() if s.kind not in ("rotor", "offset")])
-    kept = m.couplings if couplings else ()
-    coupled = sum(
-        (c.damping * u + c.frictionloss * np.sign(u)) * c.row for c in kept for u in [states.dq @ c.row[:, None]]
-    )
-    alone = friction - coupled
-    damping, frictionloss = m.damping.copy(), m.frictionloss.copy()
-    said = damping * states.dq + frictionloss * np.sign(states.dq)
-    off = _rms(alone - said) > NEGLIGIBLE * _rms(states.tau).max()
-    for j in np.flatnonzero(off):
-        damping[j], frictionloss[j] = _nearest_friction(states.dq[:, j], alone[:, j])
-    said = damping * states.dq + frictionloss * np.sign(states.dq)
-    names = _unsaid_friction(m, couplings=couplings)
-    lose(f"friction ({names}), the nearest damping and friction in its place", alone - said)
-    armature = m.armature if rotors else np.zeros_like(m.armature)
-    return replace(m, damping=damping, frictionloss=frictionloss, armature=armature, couplings=kept), tuple(losses)
-
-
-def _unsaid_friction(m: Mechanism, *, couplings: bool) -> str:
+    kept, n = m.couplings if couplings else (), m.model.robot.n
+    # Joints, then motors that turn with several: damping and friction loss (2, k), the torque of each (2, N, k, n).
+    rows = np.array([*np.eye(n), *(c.row for c in kept)])
+    values = np.array([[*m.damping, *(c.damping for c in kept)], [*m.frictionloss, *(c.frictionloss for c in kept)]])
+    u = states.dq @ rows.T
+    torques = np.stack([u, np.sign(u)])[..., None] * rows
+    below = np.asarray((values < 0).any(axis=0))
+    missing = friction - np.einsum("xk,xNkn->Nn", values, torques)
+    off = (_rms(missing) > NEGLIGIBLE * _rms(states.tau).max()) | rows[below].any(axis=0)
+    off |= rows[rows[:, off].any(axis=1)].any(axis=0)  # joints that share a motor are refitted with it
+    again = rows[:, off].any(axis=1)
+    if again.any():
+        missing += np.einsum("xk,xNkn->Nn", values[:, again], torques[:, :, again])
+        A = torques[:, :, again].transpose(1, 3, 0, 2).reshape(missing.size, -1)
+        values[:, again] = nnls(A, missing.ravel())[0].reshape(2, -1)
+        missing -= np.einsum("xk,xNkn->Nn", values[:, again], torques[:, :, again])
     names = [m.model.names[c] for c in m.others]
-    if not couplings:
-        names += [f"{c.name}, which turns with several joints" for c in m.couplings]
-    return ", ".join(names)
-
-
-def _nearest_friction(dq: Array, torque: Array) -> tuple[float, float]:
-    """Damping and friction loss, neither negative, whose torque is the nearest."""
-    from scipy.optimize import nnls
-
-    (damping, frictionloss), _ = nnls(np.stack([dq, np.sign(dq)], axis=1), torque)
-    return float(damping), float(frictionloss)
+    names += [f"{c.name}, which turns with several joints" for c in m.couplings if not kept]
+    parts = [*(joint.name for joint in m.model.robot.joints), *(c.name for c in kept)]
+    names += [f"below zero of {name} alone" for name, of in zip(parts, below.tolist(), strict=True) if of and kept]
+    lose(f"friction ({', '.join(names)}), the nearest damping and friction in its place", missing)
+    damping, frictionloss = values
+    return replace(
+        m,
+        armature=m.armature if rotors else np.zeros_like(m.armature),
+        damping=damping[:n],
+        frictionloss=frictionloss[:n],
+        couplings=tuple(
+            replace(c, damping=d, frictionloss=f)
+            for c, d, f in zip(kept, damping[n:].tolist(), frictionloss[n:].tolist(), strict=True)
+        ),
+    ), tuple(losses)
 
 
 def _range(joint: Joint, quantity: str, default: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """Standard parameters as simulators take them: bodies, armatures, damping, dry friction, motors that turn several joints.
 
-A joint's own Ia, Fv count the share of a motor that turns with it (Ia5 of the TX40 counts Ia6): it is taken off here.
+A joint's own Ia, Fv count the share of a motor that turns with it (Ia5 of the TX40 counts Ia6): it is taken off here. What is
+left of friction may be below zero where the joints that share motors feed no energy together.
 """
 
 from dataclasses import dataclass
@@ -9,7 +10,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import RESISTING, InverseModel, JointTerm, is_a_body, link_columns
+from ..model import RESISTING, InverseModel, JointTerm, is_a_body, link_columns, requirements
 
 LEAST = 1e-12  # eigenvalue of a scaled pseudo-inertia: below it a link is no body
 
@@ -54,8 +55,8 @@ def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
 
     Raises
     ------
-    IdentificationError : where a link is no body, or a joint's or motor's own inertia or friction is negative: simulators take
-        that without a word. `place` names the parameters' file.
+    IdentificationError : where a link is no body, a rotor inertia is negative, or friction feeds energy: simulators take that
+        without a word. `place` names the parameters' file.
     """
     n = model.robot.n
     own = {kind: np.zeros(n) for kind in RESISTING}
@@ -109,17 +110,14 @@ def _refuse_impossible(m: Mechanism, place: str) -> None:
                 key=f"link {j + 1}, of joint {joints[j]}",
                 expected="the fit again with --consistent",
             )
-    quantities = (("armature", "kg m²"), ("damping", "N m s/rad"), ("frictionloss", "N m"))
-    for name, unit in quantities:
-        values = {f"joint {joint}": value for joint, value in zip(joints, getattr(m, name), strict=True)}
-        values |= {f"motor {coupling.name}": getattr(coupling, name) for coupling in m.couplings}
-        for where, value in values.items():
-            if value < 0:
-                raise IdentificationError(
-                    "a simulator would take it without a word, and gain energy",
-                    place=place,
-                    key=f"{where}: {name}",
-                    value=float(value),
-                    shown=f"{value:.4g} {unit}",
-                    expected="0 or more: the fit again with --consistent",
-                )
+    for asked in requirements(m.model, shaped=False):
+        lowest = float(np.linalg.eigvalsh(asked.matrix @ m.chi)[0])
+        if lowest < -LEAST:
+            raise IdentificationError(
+                "a simulator would take it without a word, and gain energy",
+                place=place,
+                key=asked.text,
+                value=lowest,
+                shown=f"{lowest:.4g} {asked.unit}",
+                expected="0 or more: the fit again with --consistent",
+            )

@@ -9,7 +9,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Prior, consistent_set, refuse_unknown_gain
+from ..methods import Known, Prior, consistent_set, refuse_unknown_gain
 from ..model import InverseModel, base_parameters
 from ..report import StoredFit, doubts
 from .mechanism import Mechanism, mechanism_of
@@ -115,7 +115,7 @@ def _made_consistent(stored: StoredFit, model: InverseModel, place: str) -> tupl
     covariance[np.ix_(at, at)] = values
     sigma = dict(zip(names, np.sqrt(np.diag(values)), strict=True))
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
-    c = consistent_set(model, base, beta, covariance, prior=Prior(), reach=reach)
+    c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach), prior=Prior())
     line = (
         f"{place} is not consistent: the nearest consistent parameters are taken; prior {c.prior}, weight {c.prior_weight:g}; "
         f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "

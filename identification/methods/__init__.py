@@ -1,6 +1,6 @@
 """The method on one screen, the simulated replica of the experiment, and what a fit is worth."""
 
-from .consistent import Prior, consistent_set, refuse_unknown_gain, urdf_prior, with_consistent
+from .consistent import Known, Prior, consistent_set, refuse_unknown_gain, urdf_prior, with_consistent
 from .fit import (
     NO_FIXED_POINT,
     ConsistentSet,
@@ -25,6 +25,7 @@ __all__ = [
     "FittedRecording",
     "InstrumentEvidence",
     "Iteration",
+    "Known",
     "LeastSquares",
     "Method",
     "OwnTest",

@@ -112,6 +112,7 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
             errors=torque_errors(seen.tau[own], of_model[own], seen.speed[own], names),
             held_out=held,
             replica=verdict.replicas[k] if verdict.replicas else None,
+            states=one.states,
         )
         for k, (one, part, own, held) in enumerate(
             zip(observed.observations, observed.parts, judged.parts, held_out, strict=True)

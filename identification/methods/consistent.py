@@ -9,10 +9,10 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import GAMMA, consistent_parameters, one_thread, prior_shares, torque_errors
+from ..estimation import GAMMA, certainty, consistent_parameters, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import torque_of_recording
-from ..trust import covariance_of_all
+from ..trust import covariance_of_all, recorded_power
 from .fit import ConsistentSet, Fit
 
 FROM_PRIOR = 0.5  # of the variance that the prior alone gives: above, the recording says less of a value than the prior
@@ -31,6 +31,15 @@ class Prior:
     robot: Robot | None = None
     name: str = "the description"
     weight: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Known:
+    """An estimate beta (b,), its covariance C = D R D (b, b), and `reach`, deviations in half a 95 % interval."""
+
+    beta: Array
+    covariance: Array
+    reach: float
 
 
 def urdf_prior(robot: Robot, urdf: str, name: str) -> Robot:
@@ -53,7 +62,10 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
         [full.names.index(name) for name in fit.recordings[0].parameters]
     )  # of own parameters one recording's
     covariance = covariance[np.ix_(first, first)]
-    found = consistent_set(problem.model, fit.base, fit.beta, covariance, prior=prior, reach=fit.intervals.reach)
+    known = Known(beta=fit.beta, covariance=covariance, reach=fit.intervals.reach)
+    alike = [one for one in fit.recordings if one.parameters == fit.recordings[0].parameters]
+    power = recorded_power([(one.problem, one.states) for one in alike], fit.beta)
+    found = consistent_set(problem.model, fit.base, known, prior=prior, power=power)
     if any(not len(one.problem.signals.q) for one in fit.recordings):  # several, too long to be held
         text = "the recordings are too long together for the errors of a consistent set"
         raise IdentificationError(
@@ -67,16 +79,16 @@ def with_consistent(fit: Fit, prior: Prior) -> Fit:
 
 @one_thread
 def consistent_set(
-    model: InverseModel, base: BaseParameters, beta: Array, covariance: Array, *, prior: Prior, reach: float
+    model: InverseModel, base: BaseParameters, known: Known, *, prior: Prior, power: Array | None = None
 ) -> ConsistentSet:
     """The physically consistent parameters nearest to base parameters.
 
     Parameters
     ----------
     model, base : of the robot.
-    beta, covariance : (b,), (b, b) the estimate and C = D R D.
+    known : the estimate.
     prior : what is expected of the links.
-    reach : deviations in half a 95 % interval of the estimate.
+    power : what friction with further terms takes at recorded speeds; None where there is none, or no speed is known.
 
     Raises
     ------
@@ -84,21 +96,25 @@ def consistent_set(
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior.robot is None else InverseModel(prior.robot)
-    physical, gamma = physical_parameters(model, expected, strict=True), GAMMA * prior.weight
-    found = consistent_parameters(beta, covariance, base.K, physical, gamma=gamma)
-    shares = prior_shares(found, covariance, base.K, physical, gamma=gamma)
+    physical, gamma = physical_parameters(model, expected, power), GAMMA * prior.weight
+    found = consistent_parameters(known.beta, known.covariance, base.K, physical, gamma=gamma)
+    of_chi, of_beta = certainty(found, known.covariance, base.K, physical, gamma=gamma)
     return ConsistentSet(
         names=model.names,
         units=model.units,
         chi=found.chi,
-        from_prior=shares > FROM_PRIOR,
+        half=known.reach * of_chi.sigma,
+        from_prior=of_chi.share > FROM_PRIOR,
         base_names=base.names,
         beta=found.beta,
+        base_half=known.reach * of_beta.sigma,
+        base_from_prior=of_beta.share > FROM_PRIOR,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
         prior_weight=prior.weight,
+        prior_is_usual=prior.robot is None and prior.weight == 1.0,
         chi_squared=found.chi_squared,
         deviations=found.deviations,
-        reach=reach,
+        reach=known.reach,
         certificate=found.decrement,
     )
 

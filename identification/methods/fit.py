@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
+from ..passes import RowStates
 from ..regression import Motion, Problem, Settings
 from ..replica import DirectModelError, InstrumentKind, Replica
 from ..trust import HeldOut, Lag, Trust
@@ -139,28 +140,39 @@ class ConsistentSet:
 
     Attributes:
         names, units: (p,) of the standard parameters, as the model has them.
-        chi: (p,) values: every link's pseudo-inertia, every own rotor inertia and friction is positive.
+        chi: (p,) values: every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy.
+        half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
-        base_names, beta: (b,) the base parameters K chi.
-        prior, prior_weight: what was expected of the links, in words, and the weight of it.
+        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
+        prior, prior_weight: what was expected of the links, in words, and the weight of it; `prior_is_usual` where it is
+            that of the description, of weight 1, by which the verdict goes.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.
-        reach: deviations in half a 95 % interval.
+        reach: deviations in half a 95 % interval of the estimate.
         certificate: Newton decrement at the optimum.
     """
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     chi: Array
+    half: Array
     from_prior: NDArray[np.bool_]
     base_names: tuple[str, ...]
     beta: Array
+    base_half: Array
+    base_from_prior: NDArray[np.bool_]
     prior: str
     prior_weight: float
+    prior_is_usual: bool
     chi_squared: float
     deviations: Array
     reach: float
     certificate: float
+
+    @property
+    def moves(self) -> Array:
+        """(b,) by how many half-widths of the estimate's 95 % intervals the base parameters moved: beyond 1 they left these."""
+        return self.deviations / self.reach
 
     @property
     def moved_most(self) -> str:
@@ -169,8 +181,8 @@ class ConsistentSet:
 
     @property
     def largest_move(self) -> float:
-        """By how many half-widths of its 95 % interval that parameter moved: beyond 1 it left the interval."""
-        return float(np.abs(self.deviations).max()) / self.reach
+        """By how many half-widths of its 95 % interval that parameter moved."""
+        return float(np.abs(self.moves).max())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -184,6 +196,7 @@ class FittedRecording:
         errors: that the fit leaves on it, one entry per joint and, last, all joints together.
         held_out: its torque predicted by the fit of the other recordings; None where there are none.
         replica: the robot simulated in it with the estimate; None after least squares.
+        states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
     """
 
     problem: Problem
@@ -192,6 +205,7 @@ class FittedRecording:
     errors: tuple[TorqueError, ...]
     held_out: HeldOut | None
     replica: Replica | None
+    states: RowStates | None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -92,6 +92,7 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
     poses, (replay, replay_lag) = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
     shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
+    shaped |= any(joint.one_sided for joint in signals.robot.joints)
     states = row_states(problem) if shaped else None
     if share > 1 and regression.reduced:
         problem = problem.without_samples()

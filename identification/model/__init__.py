@@ -7,18 +7,19 @@ from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
 from .physical import (
-    DISSIPATING,
     RESISTING,
     ExpectedLinks,
     expected_links,
     friction_alone,
+    friction_power,
     is_a_body,
     link_columns,
     physical_parameters,
+    requirements,
+    shaped_states,
 )
 
 __all__ = [
-    "DISSIPATING",
     "LINK",
     "RESISTING",
     "SHAPES",
@@ -34,12 +35,15 @@ __all__ = [
     "direct_model",
     "expected_links",
     "friction_alone",
+    "friction_power",
     "is_a_body",
     "link_columns",
     "load_parameters",
     "obstacles_of",
     "physical_parameters",
     "regressor_gradient",
+    "requirements",
+    "shaped_states",
     "sliding_apart",
     "torque_of_links",
 ]

@@ -22,6 +22,7 @@ the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) +
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -187,6 +188,27 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
     motor: tuple[tuple[str, Kind], ...] = (("Fcm", "coulomb"), ("Frm", "root"), ("Fsm", "stribeck"))
     terms += [along(name, kind, r) for name, kind in motor if coupled and kind in joint.terms]
     return terms
+
+
+def corner_speeds(directions: Array) -> Array:
+    """Sizes (m, k) of the speeds along k directions (k, n) at the corners, where planes across the directions meet.
+
+    Coulomb friction takes the power sum_k Fc_k |d_k dq|, linear between these planes: not below zero anywhere where it is not
+    so at the corners.
+    """
+    across, found = spanning(directions), dict[tuple[float, ...], None]()
+    for standing in combinations(directions @ across.T, len(across) - 1):
+        planes = np.array(standing).reshape(-1, len(across))
+        if np.linalg.matrix_rank(planes) == len(planes):
+            speeds = np.abs(directions @ (np.linalg.svd(planes)[2][-1] @ across))
+            found[tuple((speeds / speeds.max()).round(9))] = None
+    return np.array(list(found))
+
+
+def spanning(rows: Array) -> Array:
+    """Unit vectors (r, n) that span rows (k, n): those of the joints where they do."""
+    moving, rank = np.flatnonzero(rows.any(axis=0)), int(np.linalg.matrix_rank(rows))
+    return np.asarray(np.eye(rows.shape[1])[moving] if rank == len(moving) else np.linalg.svd(rows)[2][:rank])
 
 
 def inertia_unit(robot: Robot, j: int) -> str:

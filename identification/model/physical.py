@@ -1,4 +1,11 @@
-"""What a physical robot asks of its standard parameters: which are a link's, which combinations must be positive."""
+"""What a physical robot asks of its standard parameters: links that are bodies, rotors and friction that feed no energy.
+
+Rotor inertias: that of each motor and that of each joint alone, Ia5 - Ia6 where motor 6 turns joint 5 too. Viscous friction:
+its matrix is positive over the joints that share motors. Coulomb friction: its power sum_k Fc_k |d_k dq| is linear between the
+planes d_k dq = 0, so it is positive at all speeds where it is at the corners, in which these planes meet: Fc5 + Fcm6,
+Fc6 + Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 turns joint 5 too, and Fc of a joint of its own. Both are exact. Friction that
+has further terms is asked for its power at recorded speeds instead.
+"""
 
 from dataclasses import dataclass
 
@@ -10,7 +17,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import PhysicalParameters, link_parameters, pseudo_inertia
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import SHAPES, JointTerm
+from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 
 DENSITY = 1000.0  # kg/m³ of a plausible link, motor and hollows included
 SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius: a share of its length, within these
@@ -19,7 +26,26 @@ ROTOR_SHARE, FRICTION = 0.1, 0.01  # to start from: of the link's ZZ, and N m or
 SAME_FRAMES = 1e-6  # m and parts of a rotation: two descriptions of one robot give their lengths to fewer digits
 POSES, SEED = 4, 11  # at which the frames of two descriptions are compared
 DISSIPATING = ("viscous", "coulomb", *SHAPES)  # what takes energy; constant offsets do not
-RESISTING = ("rotor", "viscous", "coulomb")  # kinds of terms that no robot has below zero
+RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators know
+MIN_SPEED = 0.04  # of a joint's peak speed: at slower states the power of its friction is not looked at
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Requirement:
+    """A matrix of rotor inertias or of friction that no robot has below zero, linear in the standard parameters chi.
+
+    Attributes:
+        text: the parameters of a single entry, such as `Fc5 + Fcm6`; else `viscous friction of joint_5 and joint_6`.
+        kind, unit: of the parameters.
+        joint: the first one's number, from 0.
+        matrix: (s, s, p) symmetric, its product with chi must be positive definite; mostly a single entry.
+    """
+
+    text: str
+    kind: str
+    unit: str
+    joint: int
+    matrix: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,58 +87,159 @@ def link_columns(idm: InverseModel) -> NDArray[np.intp]:
     return np.array([[place[j, i] for i in range(len(LINK))] for j in range(idm.robot.n)])
 
 
+def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load: Array) -> Array:
+    """Power (k, b) that friction takes per unit of the parameters `columns` (b,), over the sum of the speeds' sizes.
+
+    `dq` (k, n) are the speeds, none of them all zero, `load` (k, n) the sizes of the links' torques. Constant offsets are none.
+    """
+    still, G = np.zeros_like(dq), np.zeros((len(dq), len(columns)))
+    for i, column in enumerate(columns):
+        term = idm.sources[column]
+        if isinstance(term, JointTerm) and term.kind in DISSIPATING:
+            for j in term.rows:
+                torque = np.sign(dq[:, j]) * load[:, j] if term.kind == "load" else term.entry(j, dq, still)
+                G[:, i] += dq[:, j] * torque
+    return np.asarray(G / np.abs(dq).sum(axis=1)[:, None])
+
+
 def friction_alone(idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array) -> Array:
     """Friction (k, b) of joint j per unit of the parameters `columns` (b,), offsets apart, where it moves alone.
 
-    `v` (k,) are its speeds, `load` (k,) the sizes of the links' torque at it.
+    `v` (k,) are its speeds, not zero, `load` (k,) the sizes of the links' torque at it.
     """
-    alone, still = np.zeros((len(v), idm.robot.n)), np.zeros((len(v), idm.robot.n))
-    alone[:, j] = v
-    G = np.zeros((len(v), len(columns)))
-    for i, column in enumerate(columns):
-        term = idm.sources[column]
-        if isinstance(term, JointTerm) and term.kind in DISSIPATING and j in term.rows:
-            G[:, i] = np.sign(v) * load if term.kind == "load" else term.entry(j, alone, still)
-    return G
+    alone = np.eye(idm.robot.n)[j]
+    return np.asarray(np.sign(v)[:, None] * friction_power(idm, columns, np.outer(v, alone), np.outer(load, alone)))
+
+
+def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
+    """Speeds and loads (m, n) at which friction of further terms is asked for its power, from those of some rows (k, n).
+
+    Joints that share motors move together as recorded, and each joint alone.
+    """
+    fast, found = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0), [(dq[:0], load[:0])]
+    for joints in _groups(idm, shaped=True):
+        for moving in dict.fromkeys([joints, *((j,) for j in joints)]):
+            at, these = fast[:, moving].any(axis=1), np.isin(np.arange(idm.robot.n), moving)
+            found.append((dq[at] * these, load[at]))
+    speeds, loads = (np.concatenate(x) for x in zip(*found, strict=True))
+    return speeds, loads
+
+
+def requirements(idm: InverseModel, *, shaped: bool) -> tuple[Requirement, ...]:
+    """What a physical robot asks of rotor inertias, viscous and Coulomb friction.
+
+    Of joints whose friction has further terms: with `shaped`, friction that is positive without those, a joint's or motor's
+    own share of it too; else nothing, and their power is looked at.
+    """
+    found, (columns, A) = list[Requirement](), own_shares(idm)
+    alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
+    alone |= {j for joints in _groups(idm, shaped=True) if shaped for j in joints}
+    for c, row in zip(columns, A, strict=True):
+        if _term(idm, c).kind == "rotor" or alone.issuperset(_term(idm, c).rows.tolist()):
+            found.append(_single(idm, row))
+    for joints in _groups(idm, shaped=False):
+        if len(joints) > 1:
+            viscous, coulomb = (_columns(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
+            if viscous:
+                across = spanning(np.array([_term(idm, c).row for c in viscous]))
+                matrix = np.zeros((len(across), len(across), idm.p))
+                for c in viscous:
+                    matrix[..., c] = across @ _term(idm, c).matrix @ across.T
+                text = f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
+                unit = _term(idm, viscous[0]).unit
+                found.append(Requirement(text=text, kind="viscous", unit=unit, joint=joints[0], matrix=matrix))
+            for speeds in corner_speeds(np.array([_term(idm, c).direction for c in coulomb])) if coulomb else ():
+                found.append(_single(idm, np.asarray(np.bincount(coulomb, speeds, minlength=idm.p), dtype=float)))
+    return tuple(found)
 
 
 def physical_parameters(
-    idm: InverseModel, prior: InverseModel | None = None, *, strict: bool = False
+    idm: InverseModel, prior: InverseModel | None = None, power: Array | None = None
 ) -> PhysicalParameters:
     """What a physical robot asks of the standard parameters of a model.
 
-    Links are expected as `expected_links` has them. The own rotor inertia, viscous and Coulomb friction of each motor and each
-    joint must be positive. With a coupled wrist a joint's parameter counts a motor's share: Ia5 - Ia6, Fv5 - Fvm6, Fv6 - Fvm6.
-    Where the description's own values deny such a difference (as Fv6 = 0.69, Fvm6 = 0.8 of the TX40 do), the joint's parameter
-    alone must be positive; not if `strict`.
+    Links are expected as `expected_links` has them. Rotors and friction are asked for what `requirements` has; friction with
+    further terms for its `power` (m, p) per unit of each parameter at `shaped_states`, or, where no speeds are known, for
+    viscous and Coulomb friction that are positive without the further terms.
     """
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
     links, start = link_columns(idm), np.zeros(idm.p)
     start[links] = expected_links(idm, prior).links
-    rows, combinations = _combinations(idm, np.zeros(idm.p) if strict else values)
-    first = combinations @ values
+    rows, A = own_shares(idm)
+    first = A @ values
     for i, c in enumerate(rows):
-        term = idm.sources[c]
-        if first[i] <= 0 and isinstance(term, JointTerm):
+        if first[i] <= 0:
+            term = _term(idm, c)
             ZZ = start[links[int(term.rows[-1]), LINK.index("ZZ")]]
             first[i] = ROTOR_SHARE * ZZ if term.kind == "rotor" else FRICTION
-    start[rows] = np.linalg.solve(combinations[:, rows], first) if len(rows) else first
-    return PhysicalParameters(links=links, prior=pseudo_inertia(start[links]), combinations=combinations, start=start)
+    start[rows] = np.linalg.solve(A[:, rows], first) if len(rows) else first
+    matrices = [asked.matrix for asked in requirements(idm, shaped=power is None)]
+    single = np.array([M[0, 0] for M in matrices if len(M) == 1]).reshape(-1, idm.p)
+    if power is not None:
+        single = np.concatenate([single, power[power @ start > 0]])
+    return PhysicalParameters(
+        links=links,
+        prior=pseudo_inertia(start[links]),
+        combinations=single,
+        matrices=tuple(M for M in matrices if len(M) > 1),
+        start=start,
+    )
 
 
-def _combinations(idm: InverseModel, values: Array) -> tuple[list[int], Array]:
-    """Columns (m,) of rotors and friction, and the combinations (m, p), one for each of them."""
-    terms = {c: s for c, s in enumerate(idm.sources) if isinstance(s, JointTerm) and s.kind in RESISTING}
+def _term(idm: InverseModel, c: int) -> JointTerm:
+    term = idm.sources[c]
+    assert isinstance(term, JointTerm)
+    return term
+
+
+def _columns(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...]) -> list[int]:
+    """Columns of the terms of these kinds that act on one of the joints."""
+    return [
+        c
+        for c, source in enumerate(idm.sources)
+        if isinstance(source, JointTerm) and source.kind in kinds and not set(source.rows).isdisjoint(joints)
+    ]
+
+
+def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
+    """Joints that share motors; those whose friction has further terms than viscous and Coulomb ones, or the others.
+
+    One-sided terms count as further ones where joints share motors.
+    """
+    everywhere = tuple(range(idm.robot.n))
+    joined = np.eye(idm.robot.n)
+    for c in _columns(idm, DISSIPATING, everywhere):
+        joined[np.ix_(_term(idm, c).rows, _term(idm, c).rows)] = 1.0
+    closed = np.linalg.matrix_power(joined, idm.robot.n)
+    groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
+    one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
+    further = {g for g in groups if _columns(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
+    return [joints for joints in groups if (joints in further) == shaped]
+
+
+def own_shares(idm: InverseModel) -> tuple[list[int], Array]:
+    """Columns (m,) of rotors, viscous and Coulomb friction, and what of each (m, p) is its joint's or motor's alone."""
+    columns = _columns(idm, RESISTING, tuple(range(idm.robot.n)))
+    terms = {c: _term(idm, c) for c in columns}
     own = {(s.kind, int(s.rows[0])): c for c, s in terms.items() if len(s.rows) == 1 and s.side == 0}
     A = np.zeros((idm.p, idm.p))
-    A[list(terms), list(terms)] = 1.0
+    A[columns, columns] = 1.0
     for c, term in terms.items():
         for j in np.flatnonzero(term.given_away):
             A[own[term.kind, int(j)], c] -= term.given_away[j]
-    denied = (A @ values <= 0) & (values > 0)
-    A[denied] = np.eye(idm.p)[denied]
-    return list(terms), A[list(terms)]
+    return columns, A[columns]
+
+
+def _single(idm: InverseModel, row: Array) -> Requirement:
+    """That a combination (p,) of parameters of one kind is positive."""
+    terms = [_term(idm, int(c)) for c in np.flatnonzero(row)]
+    text = " ".join(
+        f"{'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{abs(x):.4g} '}{term.name}"
+        for x, term in zip(row[row != 0], terms, strict=True)
+    ).removeprefix("+ ")
+    first = terms[0]
+    return Requirement(text=text, kind=first.kind, unit=first.unit, joint=first.joint, matrix=row[None, None])
 
 
 def _expected_link(idm: InverseModel, j: int, described: Array) -> tuple[Array, str]:

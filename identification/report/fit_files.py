@@ -75,9 +75,13 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: the errors of a fit, by its file's name, on another recording."""
+    """The JSON file of `validate`: the errors of a fit, by its file's name, on another recording.
+
+    `consistent_errors` are those of its consistent set, one per joint and, last, all joints together.
+    """
 
     fit: str
+    consistent_errors: list[TorqueError] | UnsetType = UNSET
 
 
 class EssentialSet(msgspec.Struct, frozen=True, kw_only=True):
@@ -201,16 +205,16 @@ def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
         condition_number_scaled=e.condition_number_scaled,
         rows=e.rows,
         parameters=[
-            FittedParameter(**msgspec.structs.asdict(parameter), sigma_percent=_number(percent))
+            FittedParameter(**msgspec.structs.asdict(parameter), sigma_percent=_finite(percent))
             for parameter, percent in zip(fitted_parameters(fit).parameters.values(), e.sigma_percent, strict=True)
         ],
         **consistent_keys(fit),
         essential=EssentialSet(
             names=list(fit.essential_names),
-            F=_number(reduction.F),
-            p_value=_number(reduction.p_value),
-            F_effective=_number(reduction.F_effective),
-            p_effective=_number(reduction.p_effective),
+            F=_finite(reduction.F),
+            p_value=_finite(reduction.p_value),
+            F_effective=_finite(reduction.F_effective),
+            p_effective=_finite(reduction.p_effective),
         ),
         description={
             name: signals.robot.files[name].decode("utf-8", errors="replace")
@@ -244,11 +248,13 @@ def validation_file(
     errors: tuple[TorqueError, ...],
     report: Document,
     warnings: tuple[str, ...],
+    consistent: tuple[TorqueError, ...] = (),
 ) -> ValidationFile:
-    """A validation as it goes into its JSON file: recordings, name of the fit's file, errors of all recordings, report."""
+    """A validation as it goes into its JSON file; arguments as `validation_document` has them, and that document."""
     first = replace(recordings[0], errors=errors)
     each = _several([recording_of_fit(one.signals, one.settings, one.errors) for one in recordings])
-    return ValidationFile(fit=fit, recordings=each, **_on_recording(first, warnings, report))
+    of_set = list(consistent) or UNSET
+    return ValidationFile(fit=fit, recordings=each, consistent_errors=of_set, **_on_recording(first, warnings, report))
 
 
 def _several(recordings: list[RecordingOfFit]) -> list[RecordingOfFit] | UnsetType:
@@ -268,12 +274,12 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
                 instruments=p.instruments,
                 reason=p.reason,
                 residual_norm=p.residual_norm,
-                largest_change_sigma=_number(p.change_sigma),
-                largest_change_percent=_number(p.change_percent),
+                largest_change_sigma=_finite(p.change_sigma),
+                largest_change_percent=_finite(p.change_percent),
                 changed_most=p.changed,
-                gains=[_number(g) for g in p.gains],
+                gains=[_finite(g) for g in p.gains],
                 tracking_error_percent=p.tracking_percent,
-                condition_number_ztw=_number(p.condition),
+                condition_number_ztw=_finite(p.condition),
                 settled=p.settled,
             )
             for p in iv.passes
@@ -320,8 +326,4 @@ def _on_recording(first: Validated, warnings: tuple[str, ...], report: Document)
 
 
 def _finite(x: float | None) -> float | None:
-    return None if x is None else _number(x)
-
-
-def _number(x: float) -> float | None:
-    return float(x) if math.isfinite(x) else None
+    return None if x is None or not math.isfinite(x) else float(x)

@@ -36,7 +36,7 @@ def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Doc
             _verdict_section(fit),
             _trust_section(fit),
             _parameters(fit, everything=everything),
-            *_consistent(fit),
+            *_consistent(fit, everything=everything),
             *(_iv_sections(fit.iv) if fit.iv else ()),
             errors_section(fit.errors, signals.robot.effort_units),
             *several,
@@ -136,27 +136,43 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
     )
 
 
-def _consistent(fit: Fit) -> list[Section]:
+def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
     """The physically consistent parameters, and how far they are from the estimate."""
     c = fit.consistent
     if c is None:
         return []
     free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
-    rows: list[Row] = [
-        (name, Number(round(float(value), 12) + 0.0, ".5g"), unit, "prior" if from_prior else "recording")
-        for name, value, unit, from_prior in zip(c.names, c.chi, c.units, c.from_prior, strict=True)
-    ]
+
+    def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
+        values = (Number(round(value, 12) + 0.0, ".5g"), Number(half, ".2g"))
+        return (name, *values, unit, "prior" if from_prior else "recording")
+
+    rows: list[Row] = list(map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist()))
+    left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
     lines = (
-        f"every link's pseudo-inertia is positive, every own rotor inertia and friction too; prior: {c.prior}; "
-        f"weight {c.prior_weight:g}",
+        f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; prior: {c.prior}; "
+        f"weight {c.prior_weight:g}" + ("" if c.prior_is_usual else " (the verdict's line `consistent` has its own)"),
         f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
+        *([f"moved by over one half-width of the fit's interval: {', '.join(left)}"] if left else []),
         f"relative torque error {_percent(free)} → {_percent(held)} of all rows; certificate {c.certificate:.1e} "
         "(Newton decrement)",
         f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
     )
-    table = Table(columns=columns("parameter", numbers=("value",)) + columns("unit", "mostly from"), rows=tuple(rows))
-    return [Section(title="physically consistent standard parameters", table=table, lines=lines)]
+    heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
+    found = [
+        Section(
+            title="physically consistent standard parameters", table=Table(columns=heads, rows=tuple(rows)), lines=lines
+        )
+    ]
+    if everything:
+        of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
+        moved = [
+            (*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)
+        ]
+        table = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
+        found.append(Section(title="physically consistent base parameters", table=table))
+    return found
 
 
 def _percent(error: float | None) -> str:

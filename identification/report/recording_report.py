@@ -1,7 +1,7 @@
 """The reports of a recording: settings and ranges before a fit, the torque errors of a fit on another recording."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +64,11 @@ class Validated:
 
 
 def validation_document(
-    recordings: Sequence[Validated], fit: str, errors: tuple[TorqueError, ...], warnings: tuple[str, ...]
+    recordings: Sequence[Validated],
+    fit: str,
+    errors: tuple[TorqueError, ...],
+    warnings: tuple[str, ...],
+    consistent: tuple[TorqueError, ...] = (),
 ) -> Document:
     """The torque errors of a fit on recordings that it was not made from.
 
@@ -73,7 +77,10 @@ def validation_document(
     recordings : one by one.
     fit : name of the file of the parameters.
     errors, warnings : of all recordings together, and what was noticed.
+    consistent : errors of the fit's consistent set, to stand beside those of the fit.
     """
+    units = recordings[0].signals.robot.effort_units
+    beside = "relative torque error of the consistent set, %"
     names = ", ".join(one.signals.recording for one in recordings)
     lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
@@ -84,9 +91,13 @@ def validation_document(
     return Document(
         title=f"{fit} on {names}: {headline(errors)}",
         sections=(
-            Section(lines=(error_line(errors),), warnings=warnings),
+            Section(
+                lines=(error_line(errors), *([f"consistent set: {error_line(consistent)}"] if consistent else [])),
+                warnings=warnings,
+            ),
             *([each] if len(recordings) > 1 else []),
-            errors_section(errors, recordings[0].signals.robot.effort_units),
+            errors_section(errors, units),
+            *([replace(errors_section(consistent, units), title=beside)] if consistent else []),
             Section(title="settings", lines=tuple(lines)),
         ),
     )

@@ -15,7 +15,7 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import TorqueError
 from ..methods import NO_FIXED_POINT, Fit
-from ..model import BaseParameters
+from ..model import BaseParameters, InverseModel, base_parameters
 from ..regression import Overrides, Settings, Span, base_name
 from ..trust import HeldOut, Verdict
 from .comparison import Parameter, ParameterSet
@@ -43,13 +43,18 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
     sigma: float
 
 
-class StandardParameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A standard parameter of the physically consistent set; `from_prior`: the recording says less of it than the prior."""
+class StandardParameter(msgspec.Struct, frozen=True):
+    """A parameter of the consistent set; `from_prior`: the recording says less of it than the prior.
+
+    Earlier files lack `half_width`, of its 95 % interval. Base parameters have `move`, off the fit in its half-widths.
+    """
 
     name: str
     value: float
     unit: str
     from_prior: bool
+    half_width: float | UnsetType = UNSET
+    move: float | UnsetType = UNSET
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
@@ -64,6 +69,7 @@ class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
     moved_most: str
     certificate: float
     relative_error_percent: float | None
+    base_parameters: list[StandardParameter] | UnsetType = UNSET
 
 
 class StoredJoint(msgspec.Struct, frozen=True):
@@ -211,6 +217,18 @@ class StoredFit(msgspec.Struct, frozen=True):
             or p.expression not in (None, known[name][1])
         ]
 
+    def consistent_fit(self, place: str) -> "StoredFit":
+        """The same with the values of its consistent set; a file, `place`, without one is refused."""
+        robot, given = self.robot(place), {p.name: p.value for p in self.standard_parameters or ()}
+        if robot is None or not given:
+            expected = "the fit again with `fit --consistent`"
+            raise IdentificationError(place=place, key="standard_parameters", value=None, expected=expected)
+        base = base_parameters(model := InverseModel(robot))
+        beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
+        found = zip(base.names, beta, base.units, base.expressions, strict=True)
+        parameters = [Parameter(name=n, value=x, unit=unit, expression=e) for n, x, unit, e in found]
+        return msgspec.structs.replace(self, parameters=parameters)
+
     def beta(self, base: BaseParameters, place: str) -> Array:
         """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot."""
         values = self._values()
@@ -245,7 +263,8 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
     c = fit.consistent
     if c is None:
         return keys
-    standard = zip(c.names, c.chi, c.units, c.from_prior, strict=True)
+    standard = map(StandardParameter, c.names, c.chi.tolist(), c.units, c.from_prior.tolist(), c.half.tolist())
+    of_base = (c.base_names, c.beta.tolist(), fit.base.units, c.base_from_prior.tolist(), c.base_half.tolist())
     return keys | {
         "consistent": ConsistentFile(
             prior=c.prior,
@@ -255,11 +274,9 @@ def consistent_keys(fit: Fit) -> dict[str, Any]:
             moved_most=c.moved_most,
             certificate=c.certificate,
             relative_error_percent=fit.consistent_errors[-1].relative_error_percent,
+            base_parameters=list(map(StandardParameter, *of_base, c.moves.tolist())),
         ),
-        "standard_parameters": [
-            StandardParameter(name=name, value=float(value), unit=unit, from_prior=bool(from_prior))
-            for name, value, unit, from_prior in standard
-        ],
+        "standard_parameters": list(standard),
     }
 
 
@@ -310,11 +327,9 @@ def frame_lines(a: StoredFit, b: StoredFit, labels: tuple[str, str]) -> list[str
     frames = [(robot.urdf, tuple(joint.dh for joint in robot.joints)) for robot in robots if robot]
     if frames[0] == frames[1]:
         return []
-    which = (
-        f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}" if kinds[0] != kinds[1] else f"two different {kinds[0]}"
-    )
-    if kinds[0] == kinds[1] == "a URDF":
-        which = "two different URDFs"
+    which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
+    if kinds[0] != kinds[1]:
+        which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
     return [
         f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"
     ]

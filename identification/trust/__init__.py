@@ -4,7 +4,7 @@ from .evidence import Evidence, Lag, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lag import Groups, combined_lag, lag_columns, lag_moves, lags_in
 from .lines import LEVELS, Assumed, Figure, Level, Trust, TrustLine, Verdict
-from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of
+from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of, recorded_power
 from .replay import replay_line
 from .solution import trust_in
 
@@ -32,6 +32,7 @@ __all__ = [
     "not_positive",
     "pose_step",
     "poses_of",
+    "recorded_power",
     "replay_line",
     "trust_in",
 ]

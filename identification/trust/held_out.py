@@ -70,6 +70,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     told = f"error {error:.3g} % held out, {training:.3g} % trained"
     if error > HELD_OUT_FACTOR * training:
         text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
+        text += _cure(evidence)
         return _doubtful(error, training, text, figures)
     return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
 
@@ -165,6 +166,7 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
     text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
     if error > HELD_OUT_FACTOR * training:
         text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
+        text += _cure(evidence)
         return _doubtful(error, training, text, figures)
     return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
 
@@ -180,6 +182,12 @@ def _doubtful(error: float, training: float, text: str, figures: list[Figure]) -
         unit="%",
         far_off=error > FAR_FACTOR * training,
     )
+
+
+def _cure(evidence: Evidence) -> str:
+    """More advice where the drive gains are known."""
+    known = evidence.problem.signals.robot.gain_known
+    return ", or take the parameters of --consistent, which carry over better" if known else ""
 
 
 def _blocks(T: int, count: int) -> list[slice]:

@@ -4,11 +4,13 @@ No method sees to that by itself: an effort or a position of the wrong sign fits
 inertias and friction below zero. What is below zero by two half-widths of its 95 % interval is no chance. For M that is judged
 along single directions v: v'M(q)v is linear in beta, g(q, v)'beta with g'Cg as its variance, C = D R D with the formula's
 correlations R and the intervals' deviations D. Tried at each pose are each joint alone, and the eigenvector of the lowest
-eigenvalue. Where friction has more terms than Fv and Fc, their sum counts, not the sign of each: friction that would drive a
-joint at a recorded speed is no friction. A stricter test: how far the nearest parameters are whose links have positive density.
+eigenvalue; in the same way where joints share motors, along the speeds of their viscous friction, and at the corners of their
+Coulomb friction (`model.requirements`). Where friction has more terms than Fv and Fc, their sum counts, not the sign of each:
+friction that would drive a joint at a recorded speed is no friction. A stricter test: how far the nearest parameters are whose
+links have positive density as well. Both, `fit --consistent` and `export` ask for the same.
 """
 
-from collections.abc import Collection, Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,27 +26,26 @@ from ..estimation import (
     intervals,
     intervals_of_blocks,
     r_factor,
-    slices,
     sums_of_blocks,
     weighted_least_squares,
 )
 from ..model import (
-    DISSIPATING,
-    RESISTING,
-    SHAPES,
+    BaseParameters,
     DirectModel,
     InverseModel,
-    JointTerm,
-    friction_alone,
+    friction_power,
     physical_parameters,
+    requirements,
+    shaped_states,
 )
-from ..passes import torque_of_links
+from ..passes import RowStates, torque_of_links
 from ..regression import Problem, base_name
 from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 POSES = 300  # positions of the trajectory at which M must be positive
+TINY = 1e-300  # in place of an interval of no width
 NO_WEIGHT = 1e-9  # m: arms of weights about all axes below this are none
 LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is told
 FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
@@ -120,77 +121,101 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
 def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[_Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
     problem = evidence.problem
-    signals, idm, base = problem.signals, problem.model, problem.base
+    idm, base = problem.model, problem.base
     among = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    findings, lowest = _inertia_findings(
-        idm, base.columns[among], estimate.beta, found, np.concatenate([part.poses for part in evidence.parts])
-    )
-    shaped = _joints_of(idm, SHAPES)
-    if shaped:
-        rigid = [torque_of_links(p.problem, estimate.among(p.parameters), p.states) for p in evidence.parts if p.states]
-        findings += [x for j in sorted(shaped) for x in _driving_findings(evidence, j, rigid, estimate, found)]
-    below: dict[int, list[tuple[str, float, bool]]] = {}  # by joint: name and value, in half-widths, whether it resists
-    half = found.reach * np.sqrt(np.diag(found.covariance))
-    for i, name, value, width in zip(among, estimate.names, estimate.beta, half, strict=True):
-        terms = [idm.sources[c] for c in np.flatnonzero(base.K[i])]
-        kinds = {term.kind for term in terms if isinstance(term, JointTerm)}
-        of_joints = all(isinstance(term, JointTerm) for term in terms) and "offset" not in kinds
-        of_joints &= not (kinds <= set(DISSIPATING) and shaped & _joints(terms))
-        if of_joints and (base.K[i] >= 0).all() and value < -width:
-            joint = int("".join(filter(str.isdigit, base.names[i]))) - 1
-            text = f"{name} = {value:.4g} ± {width:.2g} {base.units[i]}"
-            below.setdefault(joint, []).append((text, -value / width, kinds <= set(RESISTING)))
-    for joint, told in sorted(below.items()):
+    poses = np.concatenate([part.poses for part in evidence.parts])
+    findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
+    findings += _driving_findings(evidence, estimate, found)
+    own = any("@" in name for name in estimate.names)
+    beyond: dict[
+        int, dict[str, tuple[float, str]]
+    ] = {}  # by joint and kind: the furthest, in half-widths, and its text
+    for part in evidence.parts if own else evidence.parts[:1]:
+        of_part = np.array([name in part.parameters for name in estimate.names])
+        for asked in requirements(idm, shaped=False):
+            G = _by_base(asked.matrix, base)
+            if G is None or not (G[..., among] * of_part).any():
+                continue
+            G = G[..., among] * of_part
+            vectors = np.linalg.eigh(G @ estimate.beta)[1]
+            g = np.einsum("di,ijb,dj->db", tried := np.c_[np.eye(len(G)), vectors[:, 0]].T, G, tried)
+            value, half = g @ estimate.beta, _half(g, found)
+            worst = int(np.argmin(value / np.maximum(half, TINY)))
+            name = asked.text + (f" in {part.problem.signals.recording}" if own else "")
+            text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {asked.unit}"
+            furthest = (float(-value[worst] / max(half[worst], TINY)), text)
+            if furthest[0] > 1:
+                of_joint = beyond.setdefault(asked.joint, {})
+                of_joint[asked.kind] = max(furthest, of_joint.get(asked.kind, furthest))
+    for joint, kinds in sorted(beyond.items()):
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
-        together = sum(resists for _, _, resists in told) > 1
-        severe = [text for text, beyond, resists in told if resists and (together or beyond > SEVERE)]
-        mild = [text for text, _, _ in told if text not in severe]
+        severe = [text for far, text in kinds.values() if len(kinds) > 1 or far > SEVERE]
+        mild = [text for _, text in kinds.values() if text not in severe]
         levels: tuple[tuple[Level, list[str]], ...] = (("do not use", severe), ("caution", mild))
         for level, texts in levels:
             if texts:
-                question = _question(signals.robot.joints[joint].name)
+                question = _question(idm.robot.joints[joint].name)
                 findings.append(_Finding(level=level, text=f"below zero: {', '.join(texts)}: {question}"))
     return findings, lowest
 
 
-def _joints_of(idm: InverseModel, kinds: Collection[str]) -> set[int]:
-    """Joints on which terms of these kinds act."""
-    return _joints(source for source in idm.sources if isinstance(source, JointTerm) and source.kind in kinds)
+def _by_base(matrix: Array, base: BaseParameters) -> Array | None:
+    """The same (s, s, b) of the base parameters; None where they do not tell it, as rotors regrouped with links."""
+    G = np.asarray(matrix @ np.linalg.pinv(base.K))
+    return G if np.allclose(G @ base.K, matrix, atol=1e-9) else None
 
 
-def _joints(terms: Iterable[tuple[int, int] | JointTerm]) -> set[int]:
-    return {int(j) for term in terms if isinstance(term, JointTerm) for j in term.rows}
+def _half(g: Array, found: Intervals) -> Array:
+    """Half-widths (k,) of g beta, of rows g (k, b)."""
+    return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
 
 
-def _driving_findings(
-    evidence: Evidence, j: int, rigid: list[Array], estimate: Estimate, found: Intervals
-) -> list[_Finding]:
-    """Whether friction would drive joint j, moving alone, at a speed and load of a row that counts.
+def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> list[_Finding]:
+    """Whether friction of further terms would drive a joint moving alone, or joints that share motors, at recorded speeds.
 
-    `rigid` are the torques (k, n) of the links at the states of each recording.
-    Of friction that has a shape no single term tells that: the root of speed may be below zero where viscous friction makes up
-    for it. Constant offsets are no friction. A recording's own parameters are judged in its own rows.
+    No single term tells that: the root of speed may be below zero where viscous friction makes up for it. Constant offsets are
+    no friction. A recording's own parameters are judged at its own speeds.
     """
     idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.signals.robot
     columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
-    speeds, resisting = [], []
-    for part, rows, tau in zip(evidence.parts, slices(evidence.observed.parts), rigid, strict=True):
-        assert part.states is not None
-        fast = evidence.observed.fast[rows][part.states.rows, j]
-        v, of_part = part.states.dq[fast, j], [name in part.parameters for name in estimate.names]
-        speeds.append(v)
-        resisting.append(np.sign(v)[:, None] * friction_alone(idm, columns, j, v, np.abs(tau[fast, j])) * of_part)
-    v, G = np.concatenate(speeds), np.concatenate(resisting)
-    resists = G @ estimate.beta
-    half = found.reach * np.sqrt(np.maximum(np.sum((G @ found.covariance) * G, axis=1), 0.0))
-    drives = np.flatnonzero(resists < -half)
-    if not drives.size:
-        return []
-    worst = drives[int(np.argmin(resists[drives] / np.maximum(half[drives], 1e-300)))]
-    joint, unit = robot.joints[j], robot.effort_units[j]
-    text = f"friction would drive joint {joint.name} at {v[worst]:.3g} {joint.position_unit}/s: "
-    text += f"{resists[worst]:.3g} ± {half[worst]:.2g} {unit} against its motion: {_question(joint.name)}, or leave terms out"
-    return [_Finding(level="do not use" if resists[worst] < -SEVERE * half[worst] else "caution", text=text)]
+    worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
+    for part in evidence.parts:
+        of_part = np.array([name in part.parameters for name in estimate.names])
+        if part.states is None:
+            continue
+        dq, load = _friction_states(part.problem, part.states, estimate.among(part.parameters))
+        G = friction_power(idm, columns, dq, load) * of_part
+        for g, v in zip(G, dq, strict=True):
+            j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
+            one = (power / max(half, TINY), v[j], power, half)
+            worst[j] = min(one, worst.get(j, one))
+    findings = []
+    for j, (beyond, speed, power, half) in sorted(worst.items()):
+        if beyond < -1:
+            name, length, unit = robot.joints[j].name, robot.joints[j].position_unit, robot.effort_units[j]
+            text = f"friction would drive joint {name} at {speed:.3g} {length}/s: {power:.3g} ± {half:.2g} {unit} against its "
+            text += f"motion: {_question(name)}, or leave terms out"
+            findings.append(_Finding(level="do not use" if beyond < -SEVERE else "caution", text=text))
+    return findings
+
+
+def _friction_states(problem: Problem, states: RowStates, beta: Array) -> tuple[Array, Array]:
+    """Speeds and loads (k, n) of a recording at which friction of further terms is asked for its power."""
+    step, load = pose_step(len(states.rows)), np.abs(torque_of_links(problem, beta, states))
+    return shaped_states(problem.model, states.dq[::step], load[::step])
+
+
+def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Array) -> Array | None:
+    """What friction takes (m, p) per unit of the standard parameters at recorded speeds; None where it has no further terms.
+
+    `moved` are recordings and states in them, beta (b,) the base parameters that their links' torque goes by.
+    """
+    found = [
+        friction_power(problem.model, np.arange(problem.model.p), *_friction_states(problem, states, beta))
+        for problem, states in moved
+        if states is not None
+    ]
+    return np.concatenate(found) if found else None
 
 
 def _question(name: str) -> str:
@@ -268,16 +293,17 @@ def _positions(problem: Problem) -> Array:
     return settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
 
 
-def nearest_consistent(problem: Problem, beta: Array, covariance: Array) -> Consistent:
+def nearest_consistent(problem: Problem, beta: Array, covariance: Array, power: Array | None = None) -> Consistent:
     """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
 
-    Raises `IdentificationError` where there are none to be found.
+    `power` as `recorded_power` has it. Raises `IdentificationError` where there are none to be found.
     """
-    return consistent_parameters(beta, covariance, problem.base.K, physical_parameters(problem.model))
+    physical = physical_parameters(problem.model, power=power)
+    return consistent_parameters(beta, covariance, problem.base.K, physical)
 
 
 def consistent_test(evidence: Evidence) -> TrustLine:
-    """How far the nearest consistent parameters are: in chi-squared, and the largest move in deviations."""
+    """How far the nearest consistent parameters are: in chi-squared, and the largest move in half-widths of the intervals."""
     from scipy.special import chdtri
 
     problem, estimate = evidence.problem, evidence.estimate
@@ -287,13 +313,15 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
+    moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
+    beta = estimate.among(names)
     try:
-        nearest = nearest_consistent(problem, estimate.among(names), covariance[np.ix_(first, first)])
+        nearest = nearest_consistent(problem, beta, covariance[np.ix_(first, first)], recorded_power(moved, beta))
     except IdentificationError as error:
         return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
-    most, bound = int(np.abs(nearest.deviations).argmax()), float(chdtri(len(names), FAR_LEVEL))
+    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, float(chdtri(len(names), FAR_LEVEL))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
-    text += f"{names[most]} moved by {abs(nearest.deviations[most]):.2g} deviations"
+    text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
         text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
         return TrustLine(test="consistent", level="caution", value=nearest.chi_squared, text=text)
