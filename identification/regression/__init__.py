@@ -14,6 +14,7 @@ from .settings import (
     Settings,
     Span,
     decimation_rule,
+    largest_of_type,
     make_settings,
     rule_cutoff_hz,
 )
@@ -57,6 +58,7 @@ __all__ = [
     "forward_backward_3db_hz",
     "is_long",
     "known_torque_rows",
+    "largest_of_type",
     "load_friction",
     "lowest_nearby",
     "make_problem",
