@@ -17,6 +17,7 @@ from .settings import (
     largest_of_type,
     make_settings,
     rule_cutoff_hz,
+    standing_joints,
 )
 from .system import (
     ALL_REDUCED,
@@ -76,6 +77,7 @@ __all__ = [
     "rule_cutoff_hz",
     "sampled_at",
     "stacked",
+    "standing_joints",
     "torque_of_recording",
     "torque_rate",
 ]

@@ -226,6 +226,12 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
     return np.where(found > 0, found, values.max())
 
 
+def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
+    """Names of the joints whose `peak` speeds (n,) are small beside that of the fastest joint of the same type."""
+    limits = STANDS * largest_of_type(peak, joints)
+    return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
+
+
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
     """Cut-off by the rule, or 0.4 times the rate where the recording does not reach that far."""
     return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
@@ -257,8 +263,7 @@ def _span(
     peak = speed.max(axis=0)
     if not peak.any():
         raise IdentificationError("no joint moves", place=signals.recording, expected="an exciting trajectory")
-    joints = signals.robot.joints
-    moves = peak > STANDS * largest_of_type(peak, joints)
+    standing = standing_joints(peak, signals.robot.joints)
+    moves = [joint.name not in standing for joint in signals.robot.joints]
     moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))
-    standing = tuple(j.name for j, m in zip(joints, moves, strict=True) if not m)
     return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion", standing
