@@ -11,7 +11,6 @@ import identification.regression.system as regression_module
 from acquisition.trajectory import fourier_reference
 from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.estimation.diagnostics import hac_sigma
 from identification.estimation.estimators import (
     essential_parameters,
     joint_weights,
@@ -74,14 +73,14 @@ def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
     write_signals(out, closed_loop(robot, q_ref, 1000.0, noise=noise, seed=8), source="made for a test")
     fit = identify_ls(load_signals(out), Overrides())
     true = truth(InverseModel(robot_named("scara")), fit.base)
-    assert (np.abs(fit.beta - true) < 4 * fit.sigma_hac).all()
+    assert (np.abs(fit.beta - true) < 2 * fit.intervals.half).all()
     assert fit.status == "solved"
 
 
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
     true = truth(InverseModel(robot_named("scara")), fit.base)
-    assert (np.abs(fit.beta - true) < 3.5 * np.fmax(fit.sigma_hac, fit.estimate.sigma)).all()
+    assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 
 
@@ -114,23 +113,6 @@ def test_weights_are_the_joints_noise_and_beat_equal_rows():
     weighted = weighted_least_squares(problem)
     equal = ordinary_least_squares(problem)
     assert np.abs(weighted.beta - beta)[:3].max() < 0.3 * np.abs(equal.beta - beta)[:3].max()
-
-
-def test_robust_deviations_are_the_sum_over_lags_with_bartletts_weights():
-    """Newey and West 1987: S = G0 + sum over k of (1 - k/(L + 1)) (Gk + Gk'), L = ceil(1.3 sqrt(T)); factor r/(r - b)."""
-    rng, n, T, b = np.random.default_rng(11), 2, 90, 3
-    Q, bread = np.linalg.qr(rng.normal(size=(n * T, b)))[0], rng.normal(size=(b, b))
-    rho = np.convolve(rng.normal(size=n * T + 4), np.ones(5), mode="valid")
-    scores = (Q * rho[:, None])[:T] + (Q * rho[:, None])[T:]
-    lags = 13
-    S = sum(
-        (1 - abs(k) / (lags + 1)) * np.outer(scores[t], scores[t + k])
-        for k in range(-lags, lags + 1)
-        for t in range(T)
-        if 0 <= t + k < T
-    )
-    wanted = np.sqrt(150 / 147 * np.diag(bread @ S @ bread.T))
-    np.testing.assert_allclose(hac_sigma(Q, bread, rho, n, rows=150), wanted, rtol=1e-9)
 
 
 def test_estimate_is_that_of_the_normal_equations():
@@ -222,7 +204,6 @@ def test_reduced_rows_give_the_same_fit(monkeypatch):
     np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-7)
     np.testing.assert_allclose(reduced.estimate.sigma, whole.estimate.sigma, rtol=1e-7)
     assert reduced.estimate.rows == whole.estimate.rows
-    assert np.isnan(reduced.sigma_hac).all()
     for a, b in zip(reduced.errors, whole.errors, strict=True):
         assert a.relative_error_percent == pytest.approx(b.relative_error_percent, rel=1e-7)
 

@@ -194,8 +194,6 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
 def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwargs):
     whole, reduced = fits_both_ways(monkeypatch, **kwargs)
     assert len(whole.rows.tau) > 8 * MOST
-    assert np.isnan(reduced.sigma_hac).all()
-    assert np.isfinite(whole.sigma_hac).all()
     assert reduced.intervals.freedom == whole.intervals.freedom == MOST
     apart = np.abs(reduced.intervals.sigma / whole.intervals.sigma - 1)
     # A block's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.

@@ -183,7 +183,7 @@ def files(tmp_path_factory):
 
 
 def bits(fit) -> list[bytes]:
-    arrays = fit.estimate.beta, fit.intervals.covariance, fit.sigma_hac, fit.rows.tau_predicted
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.rows.tau_predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 

@@ -23,10 +23,10 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     true = json.loads((folder / "truth.json").read_text())["parameters"]
     assert (fit.status, len(fit.beta)) == ("converged", count)
     assert [p["name"] for p in stored] == [p["name"] for p in true] == list(fit.base.names)
-    sigma = np.fmax(fit.sigma_hac, fit.estimate.sigma)
-    np.testing.assert_array_less(np.abs(fit.beta - [p["value"] for p in stored]), 0.05 * sigma)
-    off = np.abs(fit.beta - [p["value"] for p in true]) / sigma
-    assert (off < 3).sum() >= count - (2 if count == 60 else 0)
+    half = fit.intervals.half
+    np.testing.assert_array_less(np.abs(fit.beta - [p["value"] for p in stored]), 0.025 * half)
+    off = np.abs(fit.beta - [p["value"] for p in true]) / half
+    assert (off < 1.5).sum() >= count - (2 if count == 60 else 0)
     # The truth is that of the description's [parameters].
     idm = InverseModel(signals.robot)
     np.testing.assert_allclose([p["value"] for p in true], truth(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15)

@@ -27,7 +27,7 @@ def run(one: Judged | None, noise: Noise = QUIET, gain_error: float = 1.0, **oth
     drawn = Draw(cutoff=5.0, start=1.0, gain_error=gain_error, seed=1, controller="described", noise=noise)
     return Run(
         number=0, cutoff=5.0, start=1.0, gain_error=gain_error, status="converged", positive=True, error_ls=0.1, error_iv=0.1,
-        error_tuned_ls=0.1, beta_ls=TRUE, beta_iv=TRUE, sigma_ls=NAN, sigma_iv=NAN, hac_ls=NAN, hac_iv=NAN,
+        error_tuned_ls=0.1, beta_ls=TRUE, beta_iv=TRUE, sigma_ls=NAN, sigma_iv=NAN,
         drawn=drawn, ls=None, iv=one, **others,
     )  # fmt: skip
 

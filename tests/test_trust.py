@@ -161,7 +161,7 @@ def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
         arrays = {name: getattr(fine, name)[::step] for name in ("t_s", "q", "q_ref", "effort")}
         slow = identify_iv(dataclasses.replace(fine, **arrays, sample_rate_hz=1000.0 / step), Overrides(), Iteration())
         assert (fit.status, slow.status) == ("converged", "converged")
-        width = 1.96 * np.max([np.fmax(f.sigma_hac, f.estimate.sigma) for f in (fit, slow)], axis=0)
+        width = np.max([f.intervals.half for f in (fit, slow)], axis=0)
         assert (np.abs(slow.beta - fit.beta) < intervals * width).all()
 
 

@@ -432,14 +432,6 @@ def test_parameters_are_drawn_with_their_names_and_deviations(essential, written
     assert marked == set(fit.essential.estimate.names)
 
 
-def test_a_fit_without_robust_deviations_is_drawn(written):
-    signals = made_up()
-    fit = replace(fitted(signals), sigma_hac=np.full(len(fitted(signals).estimate.names), np.nan))
-    file = written(signals, fit)
-    assert np.isfinite(np.array(file.static["/parameters/strokes"]["LineStrips2D:strips"])).all()
-    assert "nan" not in file.static["/report"]["TextDocument:text"][0]
-
-
 def test_the_residual_is_shown_against_white_noise(written):
     signals = made_up()
     file = written(signals)

@@ -346,12 +346,14 @@ def test_differences_are_in_deviations_of_the_difference():
 
 def test_where_there_are_intervals_they_are_the_deviations_to_judge_by():
     """Intervals of 2.0 ± 0.6 and 1.0 ± 0.8: the difference is one of two whose halves add up to 1, so 1.96 deviations."""
-    a = Parameter(name="M1", value=2.0, low=1.4, high=2.6, unit="kg", sigma=0.01, sigma_hac=0.02)
+    a = Parameter(name="M1", value=2.0, low=1.4, high=2.6, unit="kg", sigma=0.01)
     b = Parameter(name="M1", value=1.0, low=0.2, high=1.8, unit="kg", sigma=5.0)
     (row,) = differences(ParameterSet(label="A", parameters={"M1": a}), ParameterSet(label="B", parameters={"M1": b}))
     assert row.off_sigma == pytest.approx(1.96)
-    without = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)
-    assert (without.half, without.spread) == (pytest.approx(1.96 * 0.3), pytest.approx(0.3))
+    without = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2)
+    assert (without.half, without.spread) == (pytest.approx(1.96 * 0.2), pytest.approx(0.2))
+    earlier = Parameter(name="M1", value=1.0, unit="kg", sigma=0.2, sigma_hac=0.3)  # in files of earlier versions
+    assert earlier.spread == pytest.approx(0.3)
     assert Parameter(name="M1", value=1.0, unit="kg").half == 0
 
 
@@ -398,7 +400,7 @@ def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
     true = np.array([1.0, 2.0])
 
     def a_run(number, cutoff, ls, iv, status="converged"):
-        some = dict.fromkeys(("sigma_ls", "sigma_iv", "hac_ls", "hac_iv"), np.full(2, 0.1))
+        some = dict.fromkeys(("sigma_ls", "sigma_iv"), np.full(2, 0.1))
         beta = {name: true + 0.01 * rng.standard_normal(2) for name in ("beta_ls", "beta_iv")}
         return Run(
             number=number,

@@ -1,5 +1,5 @@
 """How far a fit can be trusted: torque errors by joint and by state of motion, residual correlation and systems
-without it, robust deviations."""
+without it."""
 
 from dataclasses import dataclass, replace
 
@@ -83,40 +83,6 @@ def relative_error_percent(tau: Array, rho: Array) -> float | None:
     """100 |rho| / |tau| of residual and torque in the same unit and shape; None where the torque is zero."""
     norm = np.linalg.norm(tau)
     return float(100.0 * np.linalg.norm(rho) / norm) if norm > 0 else None
-
-
-def hac_sigma(Q: Array, bread: Array, rho: Array, n: int, *, rows: int, parts: tuple[int, ...] | None = None) -> Array:
-    """Standard deviations that hold for correlated residuals (Newey and West, Econometrica 55, 1987).
-
-    beta - beta_true = bread Qᵀ rho. The scores of all joints at one instant are added first, so correlation between joints
-    counts as well as correlation in time; the window spans 1.3 sqrt(T) of the T instants. The formula's deviations assume
-    white residuals.
-
-    Parameters
-    ----------
-    Q, bread : (r, b), (b, b) as `Estimate` has them.
-    rho : (r,) weighted residuals, stacked joint by joint, zero in rows that do not count.
-    n : number of joints, of equally many rows.
-    rows : how many of the rows count.
-    parts : numbers of instants of several recordings; None for one.
-
-    Returns
-    -------
-    (b,) deviations in the units of the parameters.
-    """
-    b = Q.shape[1]
-    scores = (Q * rho[:, None]).reshape(n, -1, b).sum(axis=0)  # (T, b)
-    variance = np.sum([_hac_variance(scores[part], bread) for part in slices(parts or (len(scores),))], axis=0)
-    return np.asarray(np.sqrt(rows / max(1, rows - b) * variance))
-
-
-def _hac_variance(scores: Array, bread: Array) -> Array:
-    T, b = scores.shape
-    width = min(int(np.ceil(1.3 * np.sqrt(T))), T - 1) + 1
-    # Bartlett's weights 1 - lag/width are those of sums over a moving window: S is the mean product of such sums.
-    running = np.cumsum(np.concatenate([np.zeros((width, b)), scores, np.zeros((width - 1, b))]), axis=0)
-    sums = (running[width:] - running[:-width]) @ bread.T
-    return np.asarray((sums**2).sum(axis=0) / width)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Assesses an estimate: torque errors of all rows, robust deviations, tests, warnings."""
+"""Assesses an estimate: torque errors of all rows, intervals, tests, warnings."""
 
 from dataclasses import dataclass, replace
 
@@ -14,7 +14,6 @@ from ..estimation import (
     Intervals,
     System,
     f_tail,
-    hac_sigma,
     independent_share,
     intervals,
     intervals_of_blocks,
@@ -86,10 +85,7 @@ def assess_estimate(
     observed: Observed, evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict
 ) -> Fit:
     """A fit by instruments, with the torque (rows, n) it predicts; least squares of the same rows stands beside it."""
-    sigma_hac = robust_sigma(observed.regression, evidence.estimate, predicted, evidence.used)
-    own = replace(
-        ls, estimate=evidence.estimate, sigma_hac=sigma_hac, intervals=evidence.intervals, tau_predicted=predicted
-    )
+    own = replace(ls, estimate=evidence.estimate, intervals=evidence.intervals, tau_predicted=predicted)
     return replace(_fit(observed, evidence, own, verdict), least_squares=ls)
 
 
@@ -123,7 +119,6 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
         method=evidence.method,
         status=verdict.status,
         estimate=solved.estimate,
-        sigma_hac=solved.sigma_hac,
         intervals=solved.intervals,
         least_squares=solved,
         rows=Rows(
@@ -187,16 +182,6 @@ def sums_along(z: PassInstruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     R = estimate.Q.T @ (Z[:, among] * estimate.weights[system.joint_of_row, None])  # of the weighted Z = Q R
     blocks = [one.factors.time_blocks for one in z.each if one.factors is not None]
     return sums_of_blocks(estimate, blocks, np.asarray(np.linalg.inv(R)))
-
-
-def robust_sigma(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Array:
-    """HAC deviations (b,) from the rows that are `used` (r,); NaN where rows are reduced."""
-    if observed.reduced:
-        return np.full(len(estimate.names), np.nan)
-    rho = ((observed.tau - predicted) * estimate.weights).T.reshape(-1)
-    return hac_sigma(
-        estimate.Q, estimate.bread, rho * used, observed.tau.shape[1], rows=estimate.rows, parts=observed.parts
-    )
 
 
 def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]:

@@ -98,7 +98,6 @@ class LeastSquares:
 
     Attributes:
         estimate: `full`, or that of the essential parameters where only these were asked for.
-        sigma_hac: (b,) its deviations that hold for correlated residuals; NaN where rows were reduced.
         intervals: its 95 % intervals.
         full: of all base parameters.
         essential: the reduction to the essential parameters.
@@ -106,7 +105,6 @@ class LeastSquares:
     """
 
     estimate: Estimate
-    sigma_hac: Array
     intervals: Intervals
     full: Estimate
     essential: Reduction
@@ -230,8 +228,6 @@ class Fit:
         recordings: those fitted, in the order given.
         method, status: by which method, and how it ended.
         estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
-        sigma_hac: (b,) deviations that hold for correlated residuals; NaN where the recording is so long that rows were
-            reduced.
         intervals: 95 % intervals of the estimate.
         least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
             beside instrumental variables.
@@ -250,7 +246,6 @@ class Fit:
     method: Method
     status: Status
     estimate: Estimate
-    sigma_hac: Array
     intervals: Intervals
     least_squares: LeastSquares
     rows: Rows

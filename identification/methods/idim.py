@@ -27,7 +27,7 @@ from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..replica import PassInstruments
 from ..trust import covariance_of_all
-from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of, robust_sigma
+from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of
 from .fit import Fit, LeastSquares, Method
 from .iteration import (
     Iteration,
@@ -195,7 +195,6 @@ def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) 
         predicted = observed.predicted(estimate)
     return LeastSquares(
         estimate=estimate,
-        sigma_hac=robust_sigma(rows, estimate, predicted, rows.system.used),
         intervals=intervals_of(rows, estimate, predicted, rows.system.used),
         full=full,
         essential=reduction,

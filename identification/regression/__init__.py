@@ -14,8 +14,10 @@ from .settings import (
     Settings,
     Span,
     decimation_rule,
+    largest_of_type,
     make_settings,
     rule_cutoff_hz,
+    standing_joints,
 )
 from .system import (
     ALL_REDUCED,
@@ -57,6 +59,7 @@ __all__ = [
     "forward_backward_3db_hz",
     "is_long",
     "known_torque_rows",
+    "largest_of_type",
     "load_friction",
     "lowest_nearby",
     "make_problem",
@@ -74,6 +77,7 @@ __all__ = [
     "rule_cutoff_hz",
     "sampled_at",
     "stacked",
+    "standing_joints",
     "torque_of_recording",
     "torque_rate",
 ]

@@ -1,6 +1,7 @@
 """What a fit does with a recording: which samples, which cut-off, which decimation; the rules of the method and overrides."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -8,8 +9,9 @@ import numpy as np
 
 from acquisition.errors import AcquisitionError
 from acquisition.files import let_go
-from acquisition.robot import Edges, LowSpeed, check_recorded_positions, low_speed_by_method
+from acquisition.robot import Edges, Joint, LowSpeed, check_recorded_positions, low_speed_by_method
 
+from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import MOVING
@@ -218,6 +220,18 @@ def known_lag(signals: Signals, overrides: Overrides) -> KnownLag:
     return KnownLag(value_s=value_s, sd_s=0.25 * period_s, source=f"effort_timing {timing}")
 
 
+def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
+    """(n,) largest of the `values` (n,) of joints of the same type, or of all joints where that is zero."""
+    found = np.array([max(x for x, other in zip(values, joints, strict=True) if other.type == j.type) for j in joints])
+    return np.where(found > 0, found, values.max())
+
+
+def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
+    """Names of the joints whose `peak` speeds (n,) are small beside that of the fastest joint of the same type."""
+    limits = STANDS * largest_of_type(peak, joints)
+    return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
+
+
 def rule_cutoff_hz(bandwidth_hz: float, sample_rate_hz: float) -> float:
     """Cut-off by the rule, or 0.4 times the rate where the recording does not reach that far."""
     return min(CUTOFF_PER_BANDWIDTH * bandwidth_hz, 0.4 * sample_rate_hz)
@@ -249,9 +263,7 @@ def _span(
     peak = speed.max(axis=0)
     if not peak.any():
         raise IdentificationError("no joint moves", place=signals.recording, expected="an exciting trajectory")
-    joints = signals.robot.joints
-    fastest = np.array([max(p for p, other in zip(peak, joints, strict=True) if other.type == j.type) for j in joints])
-    moves = peak > STANDS * fastest
+    standing = standing_joints(peak, signals.robot.joints)
+    moves = [joint.name not in standing for joint in signals.robot.joints]
     moving = np.flatnonzero((speed > MOVING * peak)[:, moves].any(axis=1))
-    standing = tuple(j.name for j, m in zip(joints, moves, strict=True) if not m)
     return int(moving[0]), int(moving[-1]) + 1, "the span between first and last motion", standing

@@ -6,17 +6,30 @@ recording and controller. Everything is made block by block, as the rows are: of
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from acquisition.files import let_go
+from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
-from ..regression import Decimation, Motion, Problem, RowBlock, differentiate, row_blocks, rule_cutoff_hz, sampled_at
+from ..regression import (
+    Decimation,
+    Motion,
+    Problem,
+    RowBlock,
+    differentiate,
+    largest_of_type,
+    row_blocks,
+    rule_cutoff_hz,
+    sampled_at,
+)
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
 from ..trust import inertias, pose_step
 from .layout import Layout, make_layout
@@ -24,6 +37,10 @@ from .layout import Layout, make_layout
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
 LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
+MIN_TRAVEL = (
+    0.01  # of the reference, in that of the joint of the same type which travels most: a joint with less is held
+)
+MIN_SATURATED_PERCENT = 5.0  # share of saturated samples that explains why a robot leaves its reference
 _SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
 _BLOCK = 200_000  # samples looked through at a time for saturation
 
@@ -36,7 +53,8 @@ class Experiment:
         blocks: of the rows; `layout` the instants, and `decimation` of the instruments to the rows.
         reference_kind: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
         start: measured position and speed, filtered, (n,) each, at the first instant.
-        travel: (n,) of the reference; `fastest` (c,) speeds of its directions of Coulomb friction.
+        bound: (n,) how far a simulation may leave the reference; `held` (n,), which joints the reference holds;
+            `fastest` (c,) speeds of its directions of Coulomb friction.
         scatter: (n,) sum of squares of the measured position, filtered, about its mean.
         poses: (P, n) positions at which M is checked.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
@@ -52,7 +70,8 @@ class Experiment:
     decimation: Decimation
     reference_kind: Literal["recorded", "surrogate"]
     start: tuple[Array, Array]
-    travel: Array
+    bound: Array
+    held: NDArray[np.bool_]
     fastest: Array
     scatter: Array
     poses: Array
@@ -110,7 +129,8 @@ def make_experiment(
         reference = _reference(problem, loop, layout.places(*layout.around(own)))
         ends += [reference.q.min(axis=0), reference.q.max(axis=0)]
         fastest = np.maximum(fastest, np.abs(reference.dq @ directions.T).max(axis=0, initial=0.0))
-    at = np.concatenate(poses)
+    at, travel = np.concatenate(poses), np.ptp(ends, axis=0)
+    scale, held = _scales(travel, robot.joints)
     prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
     J_prior = inertias(prior, at)
     J_known = bool((J_prior > 0).all())
@@ -123,7 +143,8 @@ def make_experiment(
         decimation=decimation,
         reference_kind="surrogate" if signals.q_ref is None else "recorded",
         start=(first.q[0], first.dq[0]),
-        travel=np.ptp(ends, axis=0),
+        bound=LOST * np.maximum(scale, 0.1 * travel.max()),
+        held=held,
         fastest=fastest,
         scatter=np.maximum(squares - total**2 / layout.N, 0.0),
         poses=at,
@@ -167,29 +188,46 @@ def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Referenc
     return Reference(*paths, known_torque=known, feedforward=ahead)
 
 
+def _scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.bool_]]:
+    """(n,) by what position errors are large, from the `travel` (n,) of the reference; and which joints are held.
+
+    Neighbours push a held joint, whose own travel says nothing of that: it goes by the joint of its type that travels most.
+    """
+    largest = largest_of_type(travel, joints)
+    held = travel < MIN_TRAVEL * largest
+    return np.where(held, largest, travel), held
+
+
 def _refuse_foreign_reference(problem: Problem) -> None:
-    """A reference far from the measured position belongs to another recording, or to other units."""
+    """A reference far from the measured position is of a saturated drive, of another recording, or in other units."""
     signals, used = problem.signals, slice(problem.settings.start, problem.settings.stop)
     if signals.q_ref is None:
         return
-    joints, first, N = signals.robot.joints, signals.q[used.start], used.stop - used.start
+    joints, first, N = signals.robot.joints, signals.q_ref[used.start], used.stop - used.start
     total, squares, off = np.zeros((3, len(joints)))
     for a in range(used.start, used.stop, _BLOCK):
         some = slice(a, min(used.stop, a + _BLOCK))
-        x = signals.q[some] - first
+        x = signals.q_ref[some] - first
         total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
         off = off + ((signals.q_ref[some] - signals.q[some]) ** 2).sum(axis=0)
         let_go(signals.q)
         let_go(signals.q_ref)
     spreads, errors = np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0)), np.sqrt(off / N)
-    for joint, spread, error in zip(joints, spreads, errors, strict=True):
-        largest = max(s for s, other in zip(spreads, joints, strict=True) if other.type == joint.type)
-        if error > LOST * max(spread, 0.02 * largest):
+    for joint, scale, error in zip(joints, _scales(spreads, joints)[0], errors, strict=True):
+        if error <= LOST * scale:
+            continue
+        place = f"{signals.recording}: reference of joint {joint.name}"
+        left = f"{error:.3g} {joint.position_unit} rms off the measured position"
+        saturated = _saturated_percent(problem)
+        if saturated is not None and saturated > MIN_SATURATED_PERCENT:
             raise IdentificationError(
-                f"{error:.3g} {joint.position_unit} rms off the measured position, which varies by {spread:.3g}",
-                place=f"{signals.recording}: reference of joint {joint.name}",
-                expected="the reference of this recording",
+                f"{left}: a drive is saturated in {saturated:.0f} % of the samples",
+                place=place,
+                expected="a slower motion, within the drives' limits",
             )
+        raise IdentificationError(
+            f"{left}, where references travel {scale:.3g}", place=place, expected="the reference of this recording"
+        )
 
 
 def _saturated_percent(problem: Problem) -> float | None:

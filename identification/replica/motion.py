@@ -13,7 +13,7 @@ from ..model import direct_model
 from ..regression import Decimation, Motion, RowBlock
 from ..simulation import ClosedLoop, surrogate_loop
 from ..trust import inertias, nearest_consistent, not_positive
-from .experiment import LOST, Experiment
+from .experiment import Experiment
 
 
 class NotSimulatedError(Exception):
@@ -38,8 +38,8 @@ class SimulatedMotion:
         reason: why it could not be simulated; where there is a motion all the same, it is that of the nearest physically
             consistent parameters.
         gains: (n,) factors on the controller.
-        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints together; `position_percent` by joint, None for one
-            that stands. `torque_percent`: decimated torque in percent of the measured one.
+        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `position_percent` by joint, None for one
+            that is held. `torque_percent`: decimated torque in percent of the measured one.
     """
 
     motion: Motion | None
@@ -71,7 +71,6 @@ def simulated_blocks(e: Experiment, beta: Array) -> Iterator[MotionBlock]:
         raise NotSimulatedError(reason)
     model, layout = direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.layout
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / layout.period_s)
-    bound = np.maximum(LOST * e.travel, 0.1 * LOST * e.travel.max())
     robot = ClosedLoop(model, loop, e.start, fastest=e.fastest, substeps=layout.substeps)
     n, done, first = len(gains), 0, 0
     rows = np.empty((0, 4 * n))  # simulated, from row `first` on
@@ -80,7 +79,7 @@ def simulated_blocks(e: Experiment, beta: Array) -> Iterator[MotionBlock]:
         begin, end = layout.around(at)
         rows, first = rows[begin * layout.substeps - first :], begin * layout.substeps
         if end > done:
-            part = robot.follow(e.reference(done, end), bound)
+            part = robot.follow(e.reference(done, end), e.bound)
             if part.reason is not None:
                 raise NotSimulatedError(part.reason)
             rows, done = np.concatenate([rows, np.hstack([part.q, part.dq, part.ddq, part.tau])]), end
@@ -126,13 +125,14 @@ class Followed:
     def motion(self, gains: Array) -> SimulatedMotion:
         """The whole of it."""
         e = self._e
-        kept, q = None, np.zeros((0, len(gains)))
+        kept, q, moves = None, np.zeros((0, len(gains))), ~e.held
+        scatter = e.scatter * moves
         if self._kept:
             t_s, q, *rest = (np.concatenate(x) for x in zip(*self._kept, strict=True))
             kept = Motion(**dict(zip(("t_s", "q", "dq", "ddq", "tau"), (t_s, *rest), strict=True)))
         position, torque = (
             tuple(100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(off, of, strict=True))
-            for off, of in ((self._off, e.scatter), (self._rho, self._tau))
+            for off, of in ((self._off, scatter), (self._rho, self._tau))
         )
         return SimulatedMotion(
             motion=kept,
@@ -140,7 +140,7 @@ class Followed:
             decimation=replace(e.decimation, factor=1) if e.long else e.decimation,
             reason=None,
             gains=gains,
-            tracking_percent=100.0 * float(np.sqrt(self._off.sum() / e.scatter.sum())),
+            tracking_percent=100.0 * float(np.sqrt(self._off[moves].sum() / scatter.sum())),
             position_percent=position,
             torque_percent=torque,
         )

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
+from msgspec import UNSET, UnsetType
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -18,10 +19,9 @@ PER_INTERVAL = 1.96  # deviations in half a 95 % interval
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
-    """A parameter with its 95 % interval and its deviations, by the formula and HAC.
+    """A parameter with its 95 % interval and its deviation `sigma` by the formula, 0 where the value is known exactly.
 
-    `sigma` is 0 where the value is known exactly, `sigma_hac` None where it is not known. `low`, `high` and `expression`, what
-    it stands for, are None in a file of an earlier version.
+    `low`, `high` and `expression`, what it stands for, are None in a file of an earlier version.
     """
 
     name: str
@@ -31,7 +31,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
     unit: str
     expression: str | None = None
     sigma: float = 0.0
-    sigma_hac: float | None = None
+    sigma_hac: float | UnsetType | None = UNSET  # of a file of an earlier version
     essential: bool = False
 
     @property
@@ -74,18 +74,15 @@ class Difference:
 
 def fitted_parameters(fit: Fit) -> ParameterSet:
     """The parameters that a fit estimated, labelled by its method: IV, LS or OLS."""
-    return _estimated(
-        {"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.sigma_hac, fit.intervals
-    )
+    return _estimated({"iv": "IV", "wls": "LS", "ols": "OLS"}[fit.method], fit, fit.estimate, fit.intervals)
 
 
 def least_squares_parameters(fit: Fit) -> ParameterSet:
     """The parameters that least squares of the same recording estimated, labelled LS."""
-    ls = fit.least_squares
-    return _estimated("LS", fit, ls.estimate, ls.sigma_hac, ls.intervals)
+    return _estimated("LS", fit, fit.least_squares.estimate, fit.least_squares.intervals)
 
 
-def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array, intervals: Intervals) -> ParameterSet:
+def _estimated(label: str, fit: Fit, e: Estimate, intervals: Intervals) -> ParameterSet:
     essential = set(fit.essential.estimate.names)
     known = dict(zip(fit.base.names, zip(fit.base.units, fit.base.expressions, strict=True), strict=True))
     return ParameterSet(
@@ -99,11 +96,10 @@ def _estimated(label: str, fit: Fit, e: Estimate, sigma_hac: Array, intervals: I
                 unit=known[base_name(name)][0],
                 expression=known[base_name(name)][1],
                 sigma=float(sigma),
-                sigma_hac=float(hac) if math.isfinite(hac) else None,
                 essential=name in essential,
             )
-            for name, value, low, high, sigma, hac in zip(
-                e.names, e.beta, intervals.low, intervals.high, e.sigma, sigma_hac, strict=True
+            for name, value, low, high, sigma in zip(
+                e.names, e.beta, intervals.low, intervals.high, e.sigma, strict=True
             )
         },
     )

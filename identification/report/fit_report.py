@@ -109,28 +109,20 @@ def _parameters(fit: Fit, *, everything: bool) -> Section:
                 Number(percent, ".2f", most=1000),
                 units[base_name(name)],
             )
-            deviations = (
-                Number(sigma, form),
-                Number(float(fit.sigma_hac[k]), form),
-                "yes" if name in essential else "",
-            )
-            rows.append((*row, *deviations) if everything else row)
+            more = (Number(sigma, form), "yes" if name in essential else "")
+            rows.append((*row, *more) if everything else row)
     left_out = len(e.names) - len(rows)
     return Section(
         title="parameters" if everything else "essential parameters",
         table=Table(
             columns=columns("parameter", numbers=("value", "±95%", "in %"))
-            + columns("unit", numbers=("sigma", "sigma HAC") if everything else ())
+            + columns("unit", numbers=("sigma",) if everything else ())
             + columns(*(["essential"] if everything else [])),
             rows=tuple(rows),
         ),
         lines=(
             f"±95%: half the 95 % interval, by equal-weighted cosines, Student's t of {fit.intervals.freedom} degrees",
-            *(
-                ["sigma takes the residual for white noise; sigma HAC (Newey, West) allows for a correlated one"]
-                if everything
-                else []
-            ),
+            *(["sigma takes the residual for white noise, the interval does not"] if everything else []),
             *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
         ),
     )

@@ -306,9 +306,7 @@ def read_fit(path: Path) -> StoredFit:
         raise IdentificationError(
             place=str(path), key="format", value=stored.format, expected=f"{FORMAT}, the one that this version reads"
         )
-    if not all(
-        math.isfinite(p.value) and p.sigma >= 0 and (p.sigma_hac or 0) >= 0 and p.half >= 0 for p in stored.parameters
-    ):
+    if not all(math.isfinite(p.value) and p.sigma >= 0 and p.half >= 0 for p in stored.parameters):
         raise IdentificationError(
             place=str(path), key="parameters", expected="finite values, sigmas of at least 0, low not above high"
         )

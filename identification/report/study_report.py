@@ -132,7 +132,7 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
     """
     rows = summaries(runs, true)
     percents = ("bias %", "spread %", "median error %", "worst error %")
-    shares = ("sigma / spread", "HAC / spread", "within 3 sigma %", "converged %", "passes", "false %")
+    shares = ("sigma / spread", "converged %", "passes", "false %")
     estimates = Table(
         columns=columns("cut-off", "method", numbers=("runs", *percents, *shares)),
         rows=tuple(
@@ -144,8 +144,6 @@ def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -
                 Number(s.median_error_percent, ".3f"),
                 Number(s.worst_error_percent, ".3f"),
                 Number(s.sigma_over_spread, ".2f"),
-                Number(s.hac_over_spread, ".2f"),
-                Number(s.within_percent, ".1f"),
                 *("" if x is None else Number(x, ".1f") for x in (s.converged_percent, s.mean_passes, s.false_percent)),
             )
             for s in rows

@@ -72,8 +72,6 @@ class Run:
     beta_iv: Array
     sigma_ls: Array
     sigma_iv: Array
-    hac_ls: Array
-    hac_iv: Array
     drawn: Draw | None = None
     ls: Judged | None = None
     iv: Judged | None = None
@@ -137,8 +135,6 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         beta_iv=nan,
         sigma_ls=nan,
         sigma_iv=nan,
-        hac_ls=nan,
-        hac_iv=nan,
     )
     J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
 
@@ -170,7 +166,6 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         error_tuned_ls=off(tuned),
         beta_ls=ls.beta,
         sigma_ls=ls.estimate.sigma,
-        hac_ls=ls.sigma_hac,
         ls=judged(ls),
     )
     try:
@@ -188,7 +183,6 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         error_iv=off(iv),
         beta_iv=iv.beta,
         sigma_iv=iv.estimate.sigma,
-        hac_iv=iv.sigma_hac,
         iv=found,
     )
 

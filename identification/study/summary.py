@@ -14,7 +14,7 @@ FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 FALSE_TRUST = 3.0  # half-widths that an essential parameter may be off for `trust`
 INSIDE = 2.0  # half-widths within which nothing is wrong
 NORMAL = 1.96  # half-width of 95 % of a normal distribution, in deviations
-_PER_METHOD = ("beta", "sigma", "hac", "error")
+_PER_METHOD = ("beta", "sigma", "error")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -22,8 +22,7 @@ class Summary:
     """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN where there are none.
 
     `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
-    `sigma_over_spread` and `hac_over_spread` medians over the parameters of reported deviation by observed one;
-    `within_percent` is the share of true values within three deviations, formula or HAC, whichever is larger.
+    `sigma_over_spread` is the median over the parameters of the formula's deviation by the observed one.
     `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
     times that of least squares at the rule's cut-off on the same recording. By luck that may be right to many digits.
 
@@ -40,8 +39,6 @@ class Summary:
     bias_percent: float
     spread_percent: float
     sigma_over_spread: float
-    hac_over_spread: float
-    within_percent: float
     median_error_percent: float
     worst_error_percent: float
     converged_percent: float | None
@@ -66,9 +63,8 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
         for method, used in (("wls", solved), ("iv", settled)):
             kind = "ls" if method == "wls" else "iv"
             every = [(r, judged) for r in here if (judged := getattr(r, kind)) is not None]
-            beta, sigma, hac, errors = (_stacked(used, f"{name}_{kind}", true) for name in _PER_METHOD)
+            beta, sigma, errors = (_stacked(used, f"{name}_{kind}", true) for name in _PER_METHOD)
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
-            off = np.abs(beta - true)
             found.append(
                 Summary(
                     method=method,
@@ -77,8 +73,6 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                     bias_percent=float(100 * np.linalg.norm(beta.mean(axis=0) - true) / np.linalg.norm(true)),
                     spread_percent=float(100 * np.linalg.norm(spread) / np.linalg.norm(true)),
                     sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
-                    hac_over_spread=float(np.median(np.median(hac, axis=0) / spread)),
-                    within_percent=float(100 * (off <= 3 * np.maximum(sigma, hac)).mean()) if used else np.nan,
                     median_error_percent=float(100 * np.median(errors)),
                     worst_error_percent=float(100 * errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,

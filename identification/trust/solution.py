@@ -22,7 +22,7 @@ from ..estimation import (
     whitened,
 )
 from ..model import JointTerm
-from ..regression import base_name
+from ..regression import base_name, standing_joints
 from .assumed import assumed
 from .columns import added_columns_test
 from .evidence import Evidence
@@ -240,7 +240,19 @@ def trust_in(evidence: Evidence) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [test(evidence) for test in (*OF_ALL, *(OF_INSTRUMENTS if evidence.method == "iv" else ()))]
     lines += [evidence.position_noise] if evidence.position_noise is not None else []
+    lines += _standing(evidence)
     return worst_first(_judged_together(lines), assumed(evidence, {line.test: line for line in lines}))
+
+
+def _standing(e: Evidence) -> list[TrustLine]:
+    """A line for joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
+    speed, joints = np.abs(e.observed.speed).max(axis=0), e.parts[0].problem.signals.robot.joints
+    if not (names := standing_joints(speed, joints)):
+        return []
+    text = f"joint {', '.join(names)} does not move: its friction values do not hold for motion: move it, or do not use them"
+    return [
+        TrustLine(test="motion", level="caution", value=None, text=text, finding=f"{', '.join(names)} does not move")
+    ]
 
 
 def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
