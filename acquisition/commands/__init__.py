@@ -10,5 +10,3 @@ if TYPE_CHECKING:
 
 # `robot-identify` shares the program, not the commands, which import everything that talks to drives.
 __getattr__, __dir__ = lazy_names(__name__, {"program": ("main",)})
-
-__all__ = ["STATUSES", "Commands", "Program", "Progress", "from_options", "main", "run_command"]

@@ -5,21 +5,3 @@ from .columns import read_columns, write_columns
 from .meshes import MESHES, find_mesh, read_meshes
 from .on_disk import GrowingBytes, field_of, let_go, room
 from .xml_source import Edits, Element, parse_xml, text_of
-
-__all__ = [
-    "MESHES",
-    "Edits",
-    "Element",
-    "GrowingBytes",
-    "atomic_write",
-    "field_of",
-    "find_mesh",
-    "let_go",
-    "parse_xml",
-    "read_columns",
-    "read_meshes",
-    "refuse_clash",
-    "room",
-    "text_of",
-    "write_columns",
-]

@@ -4,17 +4,3 @@ from .bags import BagChoice, import_bag, is_bag
 from .conversions import Converted, decode_recording, export_bag, export_csv, import_log, is_log
 from .samples import Imported
 from .tables import import_tables
-
-__all__ = [
-    "BagChoice",
-    "Converted",
-    "Imported",
-    "decode_recording",
-    "export_bag",
-    "export_csv",
-    "import_bag",
-    "import_log",
-    "import_tables",
-    "is_bag",
-    "is_log",
-]

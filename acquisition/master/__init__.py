@@ -8,36 +8,3 @@ from .orders import Orders, send_orders
 from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import second_stop, supervision_of
-
-__all__ = [
-    "FOLLOWS",
-    "LISTEN_S",
-    "OPERATIONAL",
-    "REMOTE",
-    "Confirm",
-    "Master",
-    "MasterHeartbeat",
-    "Orders",
-    "Wire",
-    "confirm_positions",
-    "error_report",
-    "error_words",
-    "homed",
-    "joint_positions",
-    "joints_of",
-    "leave_operational",
-    "listen",
-    "not_disabled",
-    "notices",
-    "other_master",
-    "position_words",
-    "refuse_enabled",
-    "refuse_other_master",
-    "safe_stop",
-    "second_stop",
-    "send_orders",
-    "service_of",
-    "status_words",
-    "stop_drives",
-    "supervision_of",
-]

@@ -5,16 +5,3 @@ from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
 from .traffic import written_by_master
-
-__all__ = [
-    "STOPPING",
-    "Decoded",
-    "InlineLog",
-    "ProcessLog",
-    "Recorded",
-    "Recorder",
-    "Role",
-    "Status",
-    "decode",
-    "written_by_master",
-]

@@ -6,23 +6,3 @@ from .rows import ERROR, EXTENDED, FRAME, LARGEST_STAMP_NS, OPTIONAL, REMOTE_REQ
 from .schema import Header
 from .summary import as_tables, overview
 from .writer import RecordingWriter
-
-__all__ = [
-    "ERROR",
-    "EXTENDED",
-    "FRAME",
-    "LARGEST_STAMP_NS",
-    "OPTIONAL",
-    "REMOTE_REQUEST",
-    "SENT",
-    "Block",
-    "Header",
-    "Recording",
-    "RecordingWriter",
-    "as_tables",
-    "has_reference",
-    "overview",
-    "read_recording",
-    "recover",
-    "sample_dtype",
-]

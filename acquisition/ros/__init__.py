@@ -4,18 +4,3 @@ from .bag_reader import JointStates, read_joint_states
 from .bag_writer import BagWriter
 from .messages import JOINT_STATE, RosMessages
 from .placements import UNLIMITED, LinkFrames, link_frames, quaternions, roll_pitch_yaw, rotation, urdf_of
-
-__all__ = [
-    "JOINT_STATE",
-    "UNLIMITED",
-    "BagWriter",
-    "JointStates",
-    "LinkFrames",
-    "RosMessages",
-    "link_frames",
-    "quaternions",
-    "read_joint_states",
-    "roll_pitch_yaw",
-    "rotation",
-    "urdf_of",
-]

@@ -5,19 +5,3 @@ from .replaying import replay
 from .scheduling import DEVIATIONS, steady, sync_jitter
 from .session import run_active
 from .task import Outcome, Stop, Task
-
-__all__ = [
-    "DEVIATIONS",
-    "Operator",
-    "Outcome",
-    "RecordOptions",
-    "ShowStatus",
-    "Stop",
-    "Task",
-    "record",
-    "replay",
-    "run_active",
-    "steady",
-    "stop_on_signals",
-    "sync_jitter",
-]

@@ -10,14 +10,3 @@ from .reference import (
     fourier_reference,
     table_reference,
 )
-
-__all__ = [
-    "HARMONICS",
-    "LIMIT_SHARE",
-    "FourierReference",
-    "approach",
-    "check_limits",
-    "follow",
-    "fourier_reference",
-    "table_reference",
-]

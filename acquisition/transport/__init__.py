@@ -7,24 +7,3 @@ from .logs import SUFFIXES, read_log
 from .receiver import DRAIN_S, Receiver
 from .sockets import QUEUE_BYTES, kernel_drops, queue_bytes, socket_of
 from .wall_clock import WallClock, describe_step
-
-__all__ = [
-    "DRAIN_S",
-    "QUEUE_BYTES",
-    "SHARED",
-    "SUFFIXES",
-    "Frame",
-    "Link",
-    "LockStepLink",
-    "Receiver",
-    "Tap",
-    "WallClock",
-    "block_of",
-    "describe_step",
-    "kernel_drops",
-    "open_bus",
-    "open_link",
-    "queue_bytes",
-    "read_log",
-    "socket_of",
-]

@@ -4,14 +4,3 @@ from .agreement import check_one_robot
 from .in_memory import OptionalColumns, signals_from_arrays
 from .signals import ON_GRID, Signals, load_signals
 from .sources import RecordingFile, Recordings
-
-__all__ = [
-    "ON_GRID",
-    "OptionalColumns",
-    "RecordingFile",
-    "Recordings",
-    "Signals",
-    "check_one_robot",
-    "load_signals",
-    "signals_from_arrays",
-]

@@ -3,5 +3,3 @@
 from .design import Excitation, Settings, excite
 from .document import excitation_document
 from .knowledge import Knowledge, knowledge_of
-
-__all__ = ["Excitation", "Knowledge", "Settings", "excitation_document", "excite", "knowledge_of"]

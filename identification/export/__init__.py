@@ -4,16 +4,3 @@ from .exporting import Exported, Outputs, export_model
 from .losses import Loss
 from .mechanism import Coupling, Mechanism, mechanism_of
 from .stored_model import StoredModel, distrust, model_of_fit
-
-__all__ = [
-    "Coupling",
-    "Exported",
-    "Loss",
-    "Mechanism",
-    "Outputs",
-    "StoredModel",
-    "distrust",
-    "export_model",
-    "mechanism_of",
-    "model_of_fit",
-]

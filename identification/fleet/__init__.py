@@ -3,20 +3,3 @@
 from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
 from .rows import FleetSettings, Row, Value, fit_row
 from .run import Kept, found_recordings, method_of, run_fleet
-
-__all__ = [
-    "Chart",
-    "Drift",
-    "FleetSettings",
-    "Kept",
-    "Row",
-    "Value",
-    "control_limits",
-    "drifts",
-    "fit_row",
-    "fleet_document",
-    "found_recordings",
-    "method_of",
-    "run_fleet",
-    "write_table",
-]

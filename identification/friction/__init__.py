@@ -7,26 +7,3 @@ from .selection import TermChoice, choose_terms, fits_with, recommended
 from .sets import TermSet, described_terms, with_terms
 from .trials import Trial, Trials
 from .writing import with_friction, write_friction
-
-__all__ = [
-    "FrictionCurve",
-    "FrictionFile",
-    "JointFriction",
-    "Part",
-    "TermChoice",
-    "TermSet",
-    "Trial",
-    "Trials",
-    "choose_terms",
-    "described_terms",
-    "fits_with",
-    "friction_document",
-    "friction_file",
-    "friction_line",
-    "friction_of_joints",
-    "parts_of",
-    "recommended",
-    "with_friction",
-    "with_terms",
-    "write_friction",
-]

@@ -3,18 +3,3 @@
 from .linearised import AtHand, Linearised, without_terms
 from .links import RowStates, links_at_rows, row_states, torque_of_links
 from .settled import Settled, alike, leave_out_untold, load_passes, settled_least_squares
-
-__all__ = [
-    "AtHand",
-    "Linearised",
-    "RowStates",
-    "Settled",
-    "alike",
-    "leave_out_untold",
-    "links_at_rows",
-    "load_passes",
-    "row_states",
-    "settled_least_squares",
-    "torque_of_links",
-    "without_terms",
-]

@@ -5,24 +5,3 @@ from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .instruments import Counting, InstrumentKind, Instruments, simulate_instruments
 from .lab import Lab, PassInstruments, told, worst
 from .motion import SimulatedMotion, simulated_motion
-
-__all__ = [
-    "EARLY_RATE_PER_BANDWIDTH",
-    "RATE_PER_BANDWIDTH",
-    "Bench",
-    "Counting",
-    "DirectModelError",
-    "Experiment",
-    "InstrumentKind",
-    "Instruments",
-    "Lab",
-    "PassInstruments",
-    "Place",
-    "Replica",
-    "SimulatedMotion",
-    "make_experiment",
-    "simulate_instruments",
-    "simulated_motion",
-    "told",
-    "worst",
-]

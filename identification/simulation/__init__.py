@@ -12,17 +12,3 @@ from .control_law import (
 )
 from .disturbances import Disturbances
 from .friction import Friction
-
-__all__ = [
-    "SURROGATE_DAMPING",
-    "ClosedLoop",
-    "Control",
-    "ControlLaw",
-    "Disturbances",
-    "Friction",
-    "Reference",
-    "has_controller",
-    "recorded_loop",
-    "simulate",
-    "surrogate_loop",
-]

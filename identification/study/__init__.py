@@ -18,28 +18,3 @@ if TYPE_CHECKING:
 __getattr__, __dir__ = lazy_names(
     __name__, {"demo": ("Rehearsal", "description", "rehearse"), "plant": ("described_robot",)}
 )
-
-__all__ = [
-    "CONTROLLERS",
-    "FALSE_ERROR",
-    "FALSE_TRUST",
-    "INSIDE",
-    "Judged",
-    "Noise",
-    "Rehearsal",
-    "Run",
-    "Study",
-    "Summary",
-    "closed_loop",
-    "described_robot",
-    "description",
-    "false_trust",
-    "random_reference",
-    "rehearse",
-    "run_study",
-    "study_json",
-    "study_truth",
-    "summaries",
-    "truth",
-    "write_signals",
-]

@@ -7,32 +7,3 @@ from .lines import LEVELS, Assumed, Figure, Level, Trust, TrustLine, Verdict
 from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of, recorded_power
 from .replay import replay_line
 from .solution import trust_in
-
-__all__ = [
-    "LEVELS",
-    "Assumed",
-    "Evidence",
-    "Figure",
-    "Groups",
-    "HeldOut",
-    "Lag",
-    "Level",
-    "Part",
-    "Trust",
-    "TrustLine",
-    "Verdict",
-    "combined_lag",
-    "covariance_of_all",
-    "held_out_recordings",
-    "inertias",
-    "lag_columns",
-    "lag_moves",
-    "lags_in",
-    "nearest_consistent",
-    "not_positive",
-    "pose_step",
-    "poses_of",
-    "recorded_power",
-    "replay_line",
-    "trust_in",
-]

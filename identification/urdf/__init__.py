@@ -3,16 +3,3 @@
 from .chain import QUANTITIES, Chain, UrdfJoint, is_urdf, read_chain
 from .description import FILL_IN, describe, described_robot
 from .stated import OPTIONS, Stated
-
-__all__ = [
-    "FILL_IN",
-    "OPTIONS",
-    "QUANTITIES",
-    "Chain",
-    "Stated",
-    "UrdfJoint",
-    "describe",
-    "described_robot",
-    "is_urdf",
-    "read_chain",
-]

@@ -9,13 +9,3 @@ from .viewer import (
     write_recording_rrd,
     write_study_rrd,
 )
-
-__all__ = [
-    "write_comparison_rrd",
-    "write_excitation_rrd",
-    "write_fit_rrd",
-    "write_fleet_rrd",
-    "write_friction_rrd",
-    "write_recording_rrd",
-    "write_study_rrd",
-]

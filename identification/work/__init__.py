@@ -2,5 +2,3 @@
 
 from .dask_cluster import cluster, versions
 from .work import Pool, Serial, Work, processes
-
-__all__ = ["Pool", "Serial", "Work", "cluster", "processes", "versions"]
