@@ -176,7 +176,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
 @pytest.mark.parametrize("way", [1, -1])
 def test_viscous_friction_of_each_direction_slows_its_own(way):
     """M dv/dt = -Fv v - Fc of the side it moves to: v = (v0 + Fc/Fv) exp(-Fv t/M) - Fc/Fv."""
-    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fvp1": 160.0, "Fcp1": 15.0, "Fvn1": 240.0, "Fcn1": 25.0}
     chi = np.array([values.get(name, 0.0) for name in dynamics.names])
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
@@ -250,7 +250,7 @@ def test_an_integral_starts_within_the_limit():
 @pytest.mark.parametrize(("force", "moves"), [(14.0, False), (16.0, True), (-24.0, False), (-26.0, True)])
 def test_friction_by_direction_holds_by_direction(force, moves):
     """15 N hold against a push in the positive direction, 25 N against one in the negative direction."""
-    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml"))
+    dynamics = InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml"))
     values = {"M1": 95.0, "Fcp1": 15.0, "Fcn1": 25.0}
     model = direct_model(dynamics, np.array([values.get(name, 0.0) for name in dynamics.names]))
     one, zero = np.ones(1), np.zeros((TICKS, 1))

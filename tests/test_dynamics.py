@@ -60,7 +60,7 @@ def test_emps_has_four_parameters_and_five_with_friction_by_direction():
     base = base_parameters(InverseModel(robot_named("emps")))
     assert base.names == ("M1", "Fv1", "Fc1", "Off1")
     assert base.units == ("kg", "N s/m", "N", "N")
-    asymmetric = base_parameters(InverseModel(load_robot(REPLAY / "emps" / "robot_asymmetric.toml")))
+    asymmetric = base_parameters(InverseModel(load_robot(REPLAY / "emps" / "robot_published_asymmetric.toml")))
     assert asymmetric.names == ("M1", "Fvp1", "Fcp1", "Fvn1", "Fcn1")
 
 

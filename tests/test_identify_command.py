@@ -89,7 +89,7 @@ def test_simulation_is_repeatable(capsys, tmp_path):
     from acquisition.recording.reader import read_recording
 
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
-    asymmetric = REPLAY / "emps" / "robot_asymmetric.toml"
+    asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
     assert "no [parameters] to simulate with" in refused(capsys, "simulate", asymmetric, "-o", tmp_path / "c.mcap")
     for name in ("a.mcap", "b.mcap"):
         assert run(capsys, "simulate", REPLAY / "scara" / "robot.toml", "-o", tmp_path / name, *options)[0] == 0

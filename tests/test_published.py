@@ -14,8 +14,12 @@ def digits(values, places=4):
     return [f"{value:.{places}f}" for value in values]
 
 
+def published(emps, name="robot_published.toml"):
+    return load_signals(emps, load_robot(REPLAY / "emps" / name))
+
+
 def test_emps_gives_every_printed_digit(emps):
-    fit = ls_of(emps)
+    fit = identify_ls(published(emps), Overrides())
     assert digits(fit.estimate.beta) == ["95.1089", "203.5034", "20.3935", "-3.1648"]
     assert digits(fit.estimate.sigma) == ["0.1085", "1.1460", "0.1012", "0.0444"]
     assert f"{fit.errors[-1].relative_error_percent:.4f}" == "4.0834"
@@ -23,8 +27,7 @@ def test_emps_gives_every_printed_digit(emps):
 
 
 def test_emps_with_friction_by_direction_gives_every_printed_digit(emps):
-    robot = load_robot(REPLAY / "emps" / "robot_asymmetric.toml")
-    fit = identify_ls(load_signals(emps, robot), Overrides())
+    fit = identify_ls(published(emps, "robot_published_asymmetric.toml"), Overrides())
     assert digits(fit.estimate.beta) == ["95.1540", "166.7061", "20.1440", "240.4236", "20.6277"]
     assert f"{fit.errors[-1].relative_error_percent:.4f}" == "3.1117"
 
