@@ -3,7 +3,7 @@
 from .evidence import Evidence, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lines import LEVELS, Figure, Level, Trust, TrustLine, Verdict
-from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of, recorded_power
+from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of
 from .replay import replay_line
 from .solution import trust_in
 
@@ -24,7 +24,6 @@ __all__ = [
     "not_positive",
     "pose_step",
     "poses_of",
-    "recorded_power",
     "replay_line",
     "trust_in",
 ]
