@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
-from fits_of_records import ls_of
+from fits_of_records import ls_of, signals_of
 from made_up_recordings import write
 from random_arms import random_estimate
 from test_consistency import covariance, covariance_with, lowest, one_link
@@ -15,17 +15,20 @@ from test_consistency import tx40 as described_tx40
 
 from acquisition.robot import robot_from_files
 from identification.commands.program import main
+from identification.data.in_memory import signals_from_arrays
 from identification.errors import IdentificationError
 from identification.estimation import certainty, intervals, link_parameters, pseudo_inertia, weighted_least_squares
 from identification.estimation.consistency import (
     CERTIFIED,
+    MATRIX,
     consistent_parameters,
 )
-from identification.methods import Prior, urdf_prior, with_consistent
+from identification.methods import Prior, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
-from identification.regression import regression_of_recording
-from identification.report import fit_schema, read_fit
+from identification.regression import Overrides, regression_of_recording
+from identification.report import fit_document, fit_schema, read_fit
 from identification.report.stored_fit import LeftOut, consistent_keys
+from identification.study.synthetic import periodic_reference
 
 
 @pytest.fixture(scope="module")
@@ -59,6 +62,43 @@ def test_the_real_arm_becomes_a_physical_one(consistent):
     assert not any(from_prior[name] for name in c.names if name[:2] in ("Fv", "Fc", "Of", "Ia"))
     assert not from_prior["MX2"]
     assert c.prior == "the description: all links of its [parameters]"
+
+
+def test_the_verdict_and_the_consistent_set_are_one_computation(consistent, tx40):
+    """chi² and largest move of the verdict's line are those of `--consistent`; not with another prior, which is said."""
+    c, line = consistent.consistent, consistent.trust.line("consistent")
+    assert line.value == c.chi_squared
+    assert f"{c.moved_most} moved by {c.largest_move:.2g} half-widths" in line.text
+    assert line.level == "ok"
+    lines = [line for s in fit_document(signals_of(tx40), consistent).sections for line in s.lines]
+    assert not any("has its own" in line for line in lines)
+    other = with_consistent(consistent, Prior(weight=10.0))
+    assert any("has its own" in line for s in fit_document(signals_of(tx40), other).sections for line in s.lines)
+    assert other.consistent.chi_squared > line.value
+
+
+def test_the_report_has_intervals_and_names_what_left_the_fits(consistent, tx40):
+    c = consistent.consistent
+    moves = c.moves.copy()
+    moves[3] = 1.7
+    far = dataclasses.replace(consistent, consistent=dataclasses.replace(c, deviations=moves * c.reach))
+    sections = {s.title: s for s in fit_document(signals_of(tx40), far, everything=True).sections}
+    standard = sections["physically consistent standard parameters"]
+    assert [column.heading for column in standard.table.columns] == [
+        "parameter",
+        "value",
+        "±95%",
+        "unit",
+        "mostly from",
+    ]
+    assert [row[2].value for row in standard.table.rows] == c.half.tolist()
+    assert f"moved by over one half-width of the fit's interval: {c.base_names[3]} (+1.7)" in standard.lines
+    of_base = sections["physically consistent base parameters"].table
+    assert [row[0] for row in of_base.rows] == list(c.base_names)
+    assert [row[2].value for row in of_base.rows] == c.base_half.tolist()
+    assert of_base.rows[3][-1].value == 1.7
+    plain = fit_document(signals_of(tx40), consistent)
+    assert not any("by over one half-width" in line for s in plain.sections for line in s.lines)
 
 
 def held_out_error(fit, observed, trained, physical) -> tuple[float, float]:
@@ -159,7 +199,7 @@ def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     best, bound = sdp(beta, C, K, physical, gamma, found.chi)
     pull = np.trace(np.linalg.solve(physical.prior, pseudo_inertia(found.chi[physical.links])), axis1=1, axis2=2).sum()
     mine = 0.5 * found.chi_squared + gamma * pull
-    gap = gamma * (4 * len(physical.links) + len(physical.combinations) + sum(map(len, physical.matrices)))
+    gap = gamma * (4 * len(physical.links) + len(physical.combinations) + MATRIX * sum(map(len, physical.matrices)))
     assert lowest(physical, found.chi) > 0
     assert best > 1.0
     assert bound - 1e-6 < mine < best + gap + 1e-6
@@ -182,15 +222,14 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
     K = np.eye(14)[[0, 9, 10, 11, 12, 13]]
     C = np.diag([1e-6, 100.0, 0.01, 0.01, 0.01, 0.01]) ** 2
     found = consistent_parameters(K @ physical.start, C, K, physical, gamma=0.5, gamma_x=0.1)
-    shares = certainty(found, C, K, physical, gamma=0.5, gamma_x=0.1)[0].share
+    shares = certainty(found, C, K, physical, gamma=0.5)[0].share
 
     def prior_cost(chi):
         P = pseudo_inertia(chi[:10])
         divergence = np.trace(np.linalg.solve(physical.prior[0], P)) - np.linalg.slogdet(P)[1]
-        logs = np.log(physical.combinations @ chi).sum() + np.linalg.slogdet(physical.matrices[0] @ chi)[1]
-        return 0.5 * divergence - 0.05 * logs
+        return 0.5 * divergence
 
-    h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(14)
+    h = 1e-4 * np.maximum(np.abs(found.chi), 0.01) * np.eye(14)[:10]
     H = np.array(
         [
             [
@@ -201,8 +240,10 @@ def test_what_comes_from_the_prior_is_what_the_recording_does_not_say():
             for a in h
         ]
     ) / (4 * np.outer(np.diag(h), np.diag(h)))
-    expected = np.diag(np.linalg.inv(H + K.T @ np.linalg.solve(C, K))) / np.diag(np.linalg.inv(H))
-    np.testing.assert_allclose(shares, expected, rtol=1e-3, atol=1e-6)
+    of_data = (K.T @ np.linalg.solve(C, K))[:10, :10]  # what tells of the link is of no other parameter
+    expected = np.diag(np.linalg.inv(H + of_data)) / np.diag(np.linalg.inv(H))
+    assert not shares[10:].any()
+    np.testing.assert_allclose(shares[:10], expected, rtol=1e-3, atol=1e-6)
     assert shares[0] < 1e-3
     assert shares[9] > 0.7
     assert (shares[1:9] > 0.2).all()
@@ -260,6 +301,34 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
 
 
+@pytest.mark.parametrize(
+    ("values", "told"),
+    [
+        ({}, None),  # as published: Fv6 below Fvm6
+        ({"Fc6": -0.5}, None),  # Coulomb friction of motor 6 makes up for it
+        ({"Fvm6": 1.5}, "viscous friction of joint_5 and joint_6 = -"),
+        ({"Fcm6": -2.5}, "Fc6 + Fcm6 = -"),
+    ],
+)
+def test_a_wrist_that_feeds_energy_is_told_by_the_verdict_and_by_the_consistent_set(values, told):
+    """Alike: where `physical` is ok, friction has not to move for `consistent`; and it ends up taking power."""
+    robot = robot_named("tx40")
+    robot = dataclasses.replace(robot, parameters={**robot.parameters, **values})
+    model = InverseModel(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in model.names])
+    base = base_parameters(model)
+    x = periodic_reference(robot, duration_s=10.0, seed=2).at(np.arange(0.0, 10.0, 2e-3))
+    tau = (model.regressor(*x) @ chi) + np.random.default_rng(0).normal(0, 0.05, x[0].shape)
+    fit = identify_ls(signals_from_arrays(x[0], tau, 500.0, robot), Overrides(torque_lag_s="none", edges="smooth"))
+    line, made = fit.trust.line("physical"), with_consistent(fit, Prior()).consistent
+    assert (line.level == "do not use") == bool(told), line.text
+    assert (told or "no friction or rotor inertia is below zero") in line.text
+    of_friction = [i for i, name in enumerate(base.names) if name[:2] in ("Fv", "Fc") and name[-1] in "56"]
+    assert (np.abs(made.moves[of_friction]).max() > 1) == bool(told)
+    assert lowest(physical_parameters(model), made.chi) > 0
+    assert made.chi_squared == fit.trust.line("consistent").value
+
+
 def test_a_heavier_prior_draws_harder():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
     expected = expected_links(fit.problem.model).links[:, 9]
@@ -294,6 +363,15 @@ def test_the_file_holds_what_a_model_is_made_of(tmp_path, capsys):
     )
     assert "robot.toml" in content["description"]
     assert [p.value for p in read_fit(out).standard_parameters] == [p["value"] for p in content["standard_parameters"]]
+    assert [p["name"] for p in c["base_parameters"]] == list(base_parameters(InverseModel(robot_named("scara"))).names)
+    moves = [abs(p["move"]) for p in c["base_parameters"]]
+    assert max(moves) == pytest.approx(c["largest_move"])
+    assert all(p["half_width"] > 0 for p in c["base_parameters"] + content["standard_parameters"])
+    for one in content["standard_parameters"]:
+        del one["half_width"]
+    del c["base_parameters"]
+    (tmp_path / "old.json").write_text(json.dumps(content))  # of an earlier version
+    assert read_fit(tmp_path / "old.json").consistent.chi2 == c["chi2"]
     assert {"standard_parameters", "consistent", "left_out"} <= set(fit_schema()["$defs"]["FitFile"]["properties"])
 
 
@@ -330,3 +408,29 @@ def test_a_fit_in_amperes_is_refused(tmp_path, capsys):
     err = capsys.readouterr().err
     assert err.count("\n") == 1
     assert "motor[0].drive_gain is missing" in err
+
+
+def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
+    session, out, free = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "free.json"
+    assert main(["fit", str(session), "--consistent", "--prior-weight", "1000", "--json", str(out)]) == 0
+    assert main(["fit", str(session), "--json", str(free)]) == 0
+    content = json.loads(out.read_text())
+    capsys.readouterr()
+    validation = tmp_path / "validation.json"
+    assert main(["validate", str(out), str(session), "--consistent", "--json", str(validation)]) == 0
+    printed, judged = capsys.readouterr().out, json.loads(validation.read_text())
+    error = content["consistent"]["relative_error_percent"]
+    assert judged["relative_error_percent"] == pytest.approx(content["relative_error_percent"], rel=1e-6)
+    assert judged["consistent_errors"][-1]["relative_error_percent"] == pytest.approx(error, rel=1e-6)
+    assert error > 1.01 * judged["relative_error_percent"]
+    assert "consistent set: relative torque error: " in printed
+    assert "relative torque error of the consistent set, %" in printed
+    between = str(0.5 * (error + judged["relative_error_percent"]))
+    assert main(["validate", str(out), str(session), "--max-error-percent", between]) == 0
+    assert main(["validate", str(out), str(session), "--consistent", "--max-error-percent", between]) == 3
+    capsys.readouterr()
+    assert main(["validate", str(free), str(session), "--consistent"]) == 1
+    err = capsys.readouterr().err
+    assert err.count("\n") == 1
+    assert str(free) in err
+    assert "fit --consistent" in err

@@ -369,6 +369,27 @@ def test_what_a_format_cannot_say_is_told_with_its_cost(tx40_model, tmp_path):
     assert of_urdf[what, "joint_5"][0] == pytest.approx(best / np.sqrt(len(dq)), rel=0.1)
 
 
+def test_a_wrist_whose_joint_has_less_friction_than_its_motors_share_is_exported_with_a_loss(tmp_path):
+    """The published TX40: Fv6 - Fvm6 is below zero, which MuJoCo takes and gains energy by; robot.toml says it as it is."""
+    robot = robot_named("tx40")
+    model = InverseModel(robot)
+    chi = np.array([robot.parameters.get(name, 0.0) for name in model.names])
+    texts, document = exported(model, chi, tmp_path)
+    found = losses(document, "out.mjcf")
+    assert {what for what, _ in found} == {
+        "friction (below zero of joint_6 alone), the nearest damping and friction in its place"
+    }
+    assert {joint for _, joint in found} == {"joint_5", "joint_6"}
+    assert max(percent for _, percent in found.values()) < 5
+    values = [float(x) for x in re.findall(r'(?:damping|frictionloss|armature)="([^"]*)"', texts["mjcf"])]
+    assert min(values) >= 0
+    assert load_robot(tmp_path / "out.toml").parameters["Fv6"] == 0.6894
+    chi[model.names.index("Fvm6")] = 1.2
+    with pytest.raises(IdentificationError) as caught:
+        mechanism_of(model, chi, "fit.json")
+    assert caught.value.key == "viscous friction of joint_5 and joint_6"
+
+
 def test_asymmetric_friction_is_replaced_by_the_mean_of_both_ways(tmp_path):
     own = (REPLAY / "scara" / "robot.toml").read_text()
     text = own.replace('type = "revolute"', 'type = "revolute"\nfriction = "asymmetric"', 1)

@@ -11,7 +11,7 @@ every gamma is a problem of its own, and the Newton decrement certifies it.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from .link_inertias import BASIS
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
+MATRIX = 100.0  # times GAMMA_X of the log det of a matrix, whose lowest eigenvalue would be lost in rounding
 CERTIFIED = 1e-6  # Newton decrement: half its square is about the distance to the optimum
 STEPS = 40  # at most; some twenty are usual
 SOFTEST, FACTOR, LEAST_FACTOR = 1e8, 100.0, 1.02  # covariances times the first lead to what cannot be reached at once
@@ -97,12 +98,13 @@ def consistent_parameters(
     root = _inverse_root(beta, covariance)
     objective = _Objective(beta, root, K, physical, gamma, gamma * gamma_x)
     chi, decrement, steps = _minimum(objective, physical.start)
-    if (
-        not decrement <= CERTIFIED
-    ):  # an estimate far from any robot draws the steps along the boundary, where they are short
-        chi, decrement, more = _along_path(
-            lambda softer: _Objective(beta, root / np.sqrt(softer), K, physical, gamma, gamma * gamma_x), physical.start
-        )
+    if not decrement <= CERTIFIED:
+        # An estimate far from any robot draws the steps along the boundary, where they are short.
+        def softened(softer: float) -> _Objective:
+            barrier = gamma * max(gamma_x, min(gamma_x * softer, 1.0))
+            return _Objective(beta, root / np.sqrt(softer), K, physical, gamma, barrier)
+
+        chi, decrement, more = _along_path(softened, physical.start)
         steps += more
     if not decrement <= CERTIFIED:
         raise IdentificationError(
@@ -122,12 +124,13 @@ def consistent_parameters(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certainty:
-    """How well values are known, by Laplace: the inverse Hessian at the optimum is taken for their covariance.
+    """How well values are known.
 
     Attributes:
-        sigma: deviations.
+        sigma: deviations by Laplace, the inverse Hessian at the optimum without the barrier of friction and rotors, which is no
+            knowledge. Of base parameters with what of their move the estimate's noise does not explain: the prior is not true.
         share: variance in parts of the one that the prior alone would leave, from 0 to 1: above a half a value comes from the
-            prior rather than from the recording. Offsets, of which nothing is expected, have 0.
+            prior rather than from the recording. Those of which nothing is expected, as offsets and friction, have 0.
     """
 
     sigma: Array
@@ -135,23 +138,19 @@ class Certainty:
 
 
 def certainty(
-    found: Consistent,
-    covariance: Array,
-    K: Array,
-    physical: PhysicalParameters,
-    *,
-    gamma: float = GAMMA,
-    gamma_x: float = GAMMA_X,
+    found: Consistent, covariance: Array, K: Array, physical: PhysicalParameters, *, gamma: float = GAMMA
 ) -> tuple[Certainty, Certainty]:
     """How well the standard parameters (p,) and the base parameters (b,) are known."""
-    objective = _Objective(found.beta, _inverse_root(found.beta, covariance), K, physical, gamma, gamma * gamma_x)
-    _, J = objective.derivatives(found.chi)
-    of_prior, both = J[len(K) :], np.concatenate([np.eye(K.shape[1]), K])
-    expected = of_prior.any(axis=0)
-    variance, alone = _variances(J, both), _variances(of_prior[:, expected], both[:, expected])
-    free = both[:, ~expected].any(axis=1)
+    b, p = K.shape
+    links = replace(physical, combinations=np.zeros((0, p)), matrices=())
+    root = _inverse_root(found.beta, covariance)
+    J = _Objective(found.beta, root, K, links, gamma, 0.0).derivatives(found.chi)[1]
+    both, expected = np.concatenate([np.eye(p), K]), J[b:].any(axis=0)
+    variance, alone = _variances(J, both), _variances(J[b:, expected], both[:, expected])
+    free, of_estimate = both[:, ~expected].any(axis=1), np.diag(covariance)
     share = np.where(free, 0.0, np.minimum(variance / np.where(free, 1.0, alone), 1.0))
-    sigma, p = np.sqrt(variance), K.shape[1]
+    moved = (found.deviations**2 - 1) * of_estimate + variance[p:]
+    sigma = np.sqrt(variance + np.r_[np.zeros(p), np.maximum(moved, 0.0)])
     return Certainty(sigma=sigma[:p], share=share[:p]), Certainty(sigma=sigma[p:], share=share[p:])
 
 
@@ -175,7 +174,7 @@ class _Objective:
         self._cones = [(physical.links, BASIS, gamma)]
         for matrix in physical.matrices:
             columns = np.flatnonzero(matrix.any(axis=(0, 1)))
-            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), gamma_x))
+            self._cones.append((columns[None], np.moveaxis(matrix[..., columns], -1, 0), MATRIX * gamma_x))
         self._pull = np.zeros(K.shape[1])  # of tr(P0⁻¹ P) by the parameters
         self._pull[physical.links] = gamma * np.einsum("lab,iba->li", np.linalg.inv(physical.prior), BASIS)
 

@@ -11,8 +11,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import GAMMA, certainty, consistent_parameters, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
+from ..passes import recorded_power
 from ..regression import torque_of_recording
-from ..trust import covariance_of_all, recorded_power
+from ..trust import covariance_of_all
 from .fit import ConsistentSet, Fit
 
 FROM_PRIOR = 0.5  # of the variance that the prior alone gives: above, the recording says less of a value than the prior
@@ -111,7 +112,6 @@ def consistent_set(
         base_from_prior=of_beta.share > FROM_PRIOR,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
         prior_weight=prior.weight,
-        prior_is_usual=prior.robot is None and prior.weight == 1.0,
         chi_squared=found.chi_squared,
         deviations=found.deviations,
         reach=known.reach,

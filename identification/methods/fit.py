@@ -142,8 +142,7 @@ class ConsistentSet:
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
         base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
-        prior, prior_weight: what was expected of the links, in words, and the weight of it; `prior_is_usual` where it is
-            that of the description, of weight 1, by which the verdict goes.
+        prior, prior_weight: what was expected of the links, in words, and the weight of it.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.
         reach: deviations in half a 95 % interval of the estimate.
@@ -161,7 +160,6 @@ class ConsistentSet:
     base_from_prior: NDArray[np.bool_]
     prior: str
     prior_weight: float
-    prior_is_usual: bool
     chi_squared: float
     deviations: Array
     reach: float

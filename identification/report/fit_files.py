@@ -75,10 +75,7 @@ class OnRecording(ResultFile, frozen=True, kw_only=True):
 
 
 class ValidationFile(OnRecording, frozen=True, kw_only=True):
-    """The JSON file of `validate`: the errors of a fit, by its file's name, on another recording.
-
-    `consistent_errors` are those of its consistent set, one per joint and, last, all joints together.
-    """
+    """The JSON file of `validate`: errors of a fit, by its file's name, and of its consistent set, that of all joints last."""
 
     fit: str
     consistent_errors: list[TorqueError] | UnsetType = UNSET

@@ -133,6 +133,9 @@ def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
     c = fit.consistent
     if c is None:
         return []
+    own = (
+        "" if fit.trust.line("consistent").value == c.chi_squared else " (the verdict's line `consistent` has its own)"
+    )
     free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
 
     def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
@@ -143,7 +146,7 @@ def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
     left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
     lines = (
         f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; prior: {c.prior}; "
-        f"weight {c.prior_weight:g}" + ("" if c.prior_is_usual else " (the verdict's line `consistent` has its own)"),
+        f"weight {c.prior_weight:g}{own}",
         f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by over one half-width of the fit's interval: {', '.join(left)}"] if left else []),

@@ -44,9 +44,8 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set; `from_prior`: the recording says less of it than the prior.
-
-    Earlier files lack `half_width`, of its 95 % interval. Base parameters have `move`, off the fit in its half-widths.
+    """A parameter of the consistent set, from the prior where the recording says less. Base parameters have `move`, in
+    half-widths of the fit; earlier files have none.
     """
 
     name: str
@@ -221,8 +220,7 @@ class StoredFit(msgspec.Struct, frozen=True):
         """The same with the values of its consistent set; a file, `place`, without one is refused."""
         robot, given = self.robot(place), {p.name: p.value for p in self.standard_parameters or ()}
         if robot is None or not given:
-            expected = "the fit again with `fit --consistent`"
-            raise IdentificationError(place=place, key="standard_parameters", value=None, expected=expected)
+            raise IdentificationError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
         base = base_parameters(model := InverseModel(robot))
         beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
         found = zip(base.names, beta, base.units, base.expressions, strict=True)

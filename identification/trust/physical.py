@@ -10,7 +10,6 @@ friction that would drive a joint at a recorded speed is no friction. A stricter
 links have positive density as well. Both, `fit --consistent` and `export` ask for the same.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -36,9 +35,8 @@ from ..model import (
     friction_power,
     physical_parameters,
     requirements,
-    shaped_states,
 )
-from ..passes import RowStates, torque_of_links
+from ..passes import friction_states, recorded_power
 from ..regression import Problem, base_name
 from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
@@ -134,9 +132,8 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
         of_part = np.array([name in part.parameters for name in estimate.names])
         for asked in requirements(idm, shaped=False):
             G = _by_base(asked.matrix, base)
-            if G is None or not (G[..., among] * of_part).any():
+            if G is None or not (G := G[..., among] * of_part).any():
                 continue
-            G = G[..., among] * of_part
             vectors = np.linalg.eigh(G @ estimate.beta)[1]
             g = np.einsum("di,ijb,dj->db", tried := np.c_[np.eye(len(G)), vectors[:, 0]].T, G, tried)
             value, half = g @ estimate.beta, _half(g, found)
@@ -149,13 +146,9 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
                 of_joint[asked.kind] = max(furthest, of_joint.get(asked.kind, furthest))
     for joint, kinds in sorted(beyond.items()):
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
-        severe = [text for far, text in kinds.values() if len(kinds) > 1 or far > SEVERE]
-        mild = [text for _, text in kinds.values() if text not in severe]
-        levels: tuple[tuple[Level, list[str]], ...] = (("do not use", severe), ("caution", mild))
-        for level, texts in levels:
-            if texts:
-                question = _question(idm.robot.joints[joint].name)
-                findings.append(_Finding(level=level, text=f"below zero: {', '.join(texts)}: {question}"))
+        severe = len(kinds) > 1 or any(far > SEVERE for far, _ in kinds.values())
+        text = f"below zero: {', '.join(text for _, text in kinds.values())}: {_question(idm.robot.joints[joint].name)}"
+        findings.append(_Finding(level="do not use" if severe else "caution", text=text))
     return findings, lowest
 
 
@@ -183,7 +176,7 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
         of_part = np.array([name in part.parameters for name in estimate.names])
         if part.states is None:
             continue
-        dq, load = _friction_states(part.problem, part.states, estimate.among(part.parameters))
+        dq, load = friction_states(part.problem, estimate.among(part.parameters), part.states)
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
@@ -192,30 +185,11 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
     findings = []
     for j, (beyond, speed, power, half) in sorted(worst.items()):
         if beyond < -1:
-            name, length, unit = robot.joints[j].name, robot.joints[j].position_unit, robot.effort_units[j]
-            text = f"friction would drive joint {name} at {speed:.3g} {length}/s: {power:.3g} ± {half:.2g} {unit} against its "
-            text += f"motion: {_question(name)}, or leave terms out"
+            joint, unit = robot.joints[j], robot.effort_units[j]
+            text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} {unit} "
+            text += f"against its motion: {_question(joint.name)}, or leave terms out"
             findings.append(_Finding(level="do not use" if beyond < -SEVERE else "caution", text=text))
     return findings
-
-
-def _friction_states(problem: Problem, states: RowStates, beta: Array) -> tuple[Array, Array]:
-    """Speeds and loads (k, n) of a recording at which friction of further terms is asked for its power."""
-    step, load = pose_step(len(states.rows)), np.abs(torque_of_links(problem, beta, states))
-    return shaped_states(problem.model, states.dq[::step], load[::step])
-
-
-def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Array) -> Array | None:
-    """What friction takes (m, p) per unit of the standard parameters at recorded speeds; None where it has no further terms.
-
-    `moved` are recordings and states in them, beta (b,) the base parameters that their links' torque goes by.
-    """
-    found = [
-        friction_power(problem.model, np.arange(problem.model.p), *_friction_states(problem, states, beta))
-        for problem, states in moved
-        if states is not None
-    ]
-    return np.concatenate(found) if found else None
 
 
 def _question(name: str) -> str:
@@ -228,8 +202,7 @@ def _inertia_findings(
     """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
     P, n = q.shape
     zero = np.zeros_like(q)
-    at_rest = idm.regressor(q, zero, zero)[:, :, columns]
-    # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta.
+    at_rest = idm.regressor(q, zero, zero)[:, :, columns]  # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
     G = np.stack(
         [idm.regressor(q, zero, zero + np.eye(n)[j])[:, :, columns] - at_rest for j in range(n)], axis=2
     )  # (P, n, n, b)
@@ -241,7 +214,7 @@ def _inertia_findings(
     directions = np.concatenate([np.tile(np.eye(n), (P, 1, 1)), vectors[:, None, :, 0]], axis=1)  # (P, n + 1, n)
     g = np.einsum("pdi,pijb,pdj->pdb", directions, G, directions)
     lowest = g @ beta
-    half = found.reach * np.sqrt(np.maximum(np.einsum("pdb,bc,pdc->pd", g, found.covariance, g), 0.0))
+    half = _half(g, found)
     with np.errstate(divide="ignore", invalid="ignore"):
         worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape)
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
@@ -298,8 +271,7 @@ def nearest_consistent(problem: Problem, beta: Array, covariance: Array, power: 
 
     `power` as `recorded_power` has it. Raises `IdentificationError` where there are none to be found.
     """
-    physical = physical_parameters(problem.model, power=power)
-    return consistent_parameters(beta, covariance, problem.base.K, physical)
+    return consistent_parameters(beta, covariance, problem.base.K, physical_parameters(problem.model, power=power))
 
 
 def consistent_test(evidence: Evidence) -> TrustLine:
@@ -313,8 +285,10 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
-    beta = estimate.among(names)
+    moved, beta = (
+        [(part.problem, part.states) for part in evidence.parts if part.parameters == names],
+        estimate.among(names),
+    )
     try:
         nearest = nearest_consistent(problem, beta, covariance[np.ix_(first, first)], recorded_power(moved, beta))
     except IdentificationError as error:
