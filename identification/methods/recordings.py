@@ -16,6 +16,7 @@ from ..estimation import Estimate, System, slices
 from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
     ALL_REDUCED,
+    HELD,
     KnownLag,
     Overrides,
     OwnParameters,
@@ -196,7 +197,7 @@ class Observed:
         settings, fs = problem.settings, problem.signals.sample_rate_hz
         rows = min(SPAN_NUMBERS // (problem.signals.robot.n * problem.base.b), int(SPAN_S * fs / settings.decimation))
         stop = min(settings.stop, settings.start + rows * settings.decimation)
-        one = observation_of(replace(problem, settings=replace(settings, stop=stop)), 1)
+        one = observation_of(replace(problem, settings=replace(settings, stop=stop)), HELD)
         left_out = tuple(self.linearised.left_out)
         return _observed(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,), left_out)
 

@@ -21,6 +21,7 @@ from .settings import (
 )
 from .system import (
     ALL_REDUCED,
+    HELD,
     Regression,
     decimated_regressor,
     is_long,

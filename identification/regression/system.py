@@ -1,5 +1,6 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -18,7 +19,7 @@ from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_bloc
 _NUMBERS_IN_MEMORY = 4_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
 _LINKS_KEPT = 12_000_000  # numbers of all links' columns before decimation, 96 MB; beyond, they are made anew
-ALL_REDUCED = 10**9  # so many recordings share the memory for rows that all are reduced
+ALL_REDUCED, HELD = 10**9, 0  # so many recordings share the memory for rows that all are reduced, or none
 _FILTERED = 1_000_000  # numbers of the series filtered at a time: their copies take no more memory than they must
 
 
@@ -82,7 +83,7 @@ def regression_of_recording(
     for at in row_blocks(problem):
         block, links = _block(problem, at, beta)
         numbers += links.series.size
-        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT // share else []
+        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT // max(1, share) else []
         if long:
             counts = fast[at.first : at.last]
             factors.add_block(np.concatenate([block.W, block.Y[:, None]], axis=1), counts)
@@ -106,7 +107,7 @@ def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) 
 
 def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
     """Whether so many decimated samples are too many to be held as rows; `share` as in `regression_of_recording`."""
-    most = min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
+    most = math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
     return rows * problem.signals.robot.n * problem.base.b > most
 
 

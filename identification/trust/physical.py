@@ -186,8 +186,8 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
     for j, (beyond, speed, power, half) in sorted(worst.items()):
         if beyond < -1:
             joint, unit = robot.joints[j], robot.effort_units[j]
-            text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} {unit} "
-            text += f"against its motion: {_question(joint.name)}, or leave terms out"
+            text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} "
+            text += f"{unit} against its motion: {_question(joint.name)}, or leave terms out"
             findings.append(_Finding(level="do not use" if beyond < -SEVERE else "caution", text=text))
     return findings
 
