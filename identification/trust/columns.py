@@ -220,7 +220,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             )
     yield from _tilts(evidence, chi, position)
     yield from _frictions(evidence, chi)
-    if n > 1 and evidence.method == "iv" and all(part.reference == "recorded" for part in evidence.parts):
+    if n > 1 and evidence.method == "iv" and all(x.simulated and x.reference == "recorded" for x in evidence.parts):
         yield from _lags(evidence)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
 from .evidence import Evidence, Lag, Part
@@ -61,6 +62,8 @@ def lags_in(
     system, Z = whitened(system, Z, system.Y - system.W @ first.beta, ORDER, tuple(lengths))
     rho = (system.Y - system.W @ first.beta) * system.used
     size = np.sqrt(np.bincount(system.joint_of_row, weights=rho**2) / np.maximum(1, system.rows))
+    if not size.max() > 0:
+        raise IdentificationError("the fit is exact")
     found = instrumental_variables(system, Z, 1 / np.maximum(size, 1e-9 * size.max()))
     w = found.weights[system.joint_of_row] * system.used
     within = intervals(found, w * (system.Y - system.W @ found.beta), len(size), tuple(lengths))
