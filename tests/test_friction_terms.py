@@ -19,13 +19,14 @@ from identification.estimation import System
 from identification.export.losses import random_states, sayable
 from identification.export.mechanism import mechanism_of
 from identification.friction import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
+from identification.methods.consistent import Prior, with_consistent
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
 from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.model.joint_terms import JointTerm
-from identification.passes import Linearised, settled_least_squares
+from identification.passes import Linearised, recorded_power, settled_least_squares
 from identification.passes.settled import told_apart
 from identification.regression import LoadFriction, system
 from identification.regression.motion import Motion
@@ -458,6 +459,12 @@ def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_no
         assert (line.level == "do not use") == told, line.text
         assert ("friction would drive joint axis at -" in line.text) == told
         assert "below zero: " not in line.text
+        # What the verdict has nothing against, the consistent set leaves as it is, and the other way round.
+        made = with_consistent(fit, Prior()).consistent
+        assert made.chi_squared == fit.trust.line("consistent").value
+        assert (np.abs(made.moves).max() > 1) == told
+        power = recorded_power([(one.problem, one.states) for one in fit.recordings], made.beta)
+        assert (power @ made.chi).min() > 0
 
 
 # --- the choice of terms

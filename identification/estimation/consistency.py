@@ -128,7 +128,7 @@ class Certainty:
 
     Attributes:
         sigma: deviations by Laplace, the inverse Hessian at the optimum without the barrier of friction and rotors, which is no
-            knowledge. Of base parameters with what of their move the estimate's noise does not explain: the prior is not true.
+            knowledge. Of base parameters with the square of their move off the estimate: no prior is the truth.
         share: variance in parts of the one that the prior alone would leave, from 0 to 1: above a half a value comes from the
             prior rather than from the recording. Those of which nothing is expected, as offsets and friction, have 0.
     """
@@ -147,10 +147,9 @@ def certainty(
     J = _Objective(found.beta, root, K, links, gamma, 0.0).derivatives(found.chi)[1]
     both, expected = np.concatenate([np.eye(p), K]), J[b:].any(axis=0)
     variance, alone = _variances(J, both), _variances(J[b:, expected], both[:, expected])
-    free, of_estimate = both[:, ~expected].any(axis=1), np.diag(covariance)
+    free = both[:, ~expected].any(axis=1)
     share = np.where(free, 0.0, np.minimum(variance / np.where(free, 1.0, alone), 1.0))
-    moved = (found.deviations**2 - 1) * of_estimate + variance[p:]
-    sigma = np.sqrt(variance + np.r_[np.zeros(p), np.maximum(moved, 0.0)])
+    sigma = np.sqrt(variance + np.r_[np.zeros(p), found.deviations**2 * np.diag(covariance)])
     return Certainty(sigma=sigma[:p], share=share[:p]), Certainty(sigma=sigma[p:], share=share[p:])
 
 

@@ -141,7 +141,7 @@ class ConsistentSet:
         chi: (p,) values: every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy.
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
-        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi.
+        base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi; their move is in it.
         prior, prior_weight: what was expected of the links, in words, and the weight of it.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.

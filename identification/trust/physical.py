@@ -29,7 +29,6 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..model import (
-    BaseParameters,
     DirectModel,
     InverseModel,
     friction_power,
@@ -118,21 +117,19 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
 
 def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[_Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
-    problem = evidence.problem
-    idm, base = problem.model, problem.base
+    idm, base = evidence.problem.model, evidence.problem.base
     among = np.array([base.names.index(base_name(name)) for name in estimate.names])
     poses = np.concatenate([part.poses for part in evidence.parts])
     findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
     findings += _driving_findings(evidence, estimate, found)
     own = any("@" in name for name in estimate.names)
-    beyond: dict[
-        int, dict[str, tuple[float, str]]
-    ] = {}  # by joint and kind: the furthest, in half-widths, and its text
+    beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
+    by_base = np.linalg.pinv(base.K)
     for part in evidence.parts if own else evidence.parts[:1]:
         of_part = np.array([name in part.parameters for name in estimate.names])
         for asked in requirements(idm, shaped=False):
-            G = _by_base(asked.matrix, base)
-            if G is None or not (G := G[..., among] * of_part).any():
+            G = asked.matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
+            if not np.allclose(G @ base.K, asked.matrix, atol=1e-9) or not (G := G[..., among] * of_part).any():
                 continue
             vectors = np.linalg.eigh(G @ estimate.beta)[1]
             g = np.einsum("di,ijb,dj->db", tried := np.c_[np.eye(len(G)), vectors[:, 0]].T, G, tried)
@@ -152,12 +149,6 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     return findings, lowest
 
 
-def _by_base(matrix: Array, base: BaseParameters) -> Array | None:
-    """The same (s, s, b) of the base parameters; None where they do not tell it, as rotors regrouped with links."""
-    G = np.asarray(matrix @ np.linalg.pinv(base.K))
-    return G if np.allclose(G @ base.K, matrix, atol=1e-9) else None
-
-
 def _half(g: Array, found: Intervals) -> Array:
     """Half-widths (k,) of g beta, of rows g (k, b)."""
     return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
@@ -169,7 +160,7 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
     No single term tells that: the root of speed may be below zero where viscous friction makes up for it. Constant offsets are
     no friction. A recording's own parameters are judged at its own speeds.
     """
-    idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.signals.robot
+    idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.model.robot
     columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
     for part in evidence.parts:
@@ -285,10 +276,8 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved, beta = (
-        [(part.problem, part.states) for part in evidence.parts if part.parameters == names],
-        estimate.among(names),
-    )
+    moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
+    beta = estimate.among(names)
     try:
         nearest = nearest_consistent(problem, beta, covariance[np.ix_(first, first)], recorded_power(moved, beta))
     except IdentificationError as error:
