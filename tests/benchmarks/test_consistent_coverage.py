@@ -4,13 +4,22 @@ Run with `pytest tests/benchmarks/test_consistent_coverage.py -s --benchmark-ena
 """
 
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from conftest import REPLAY
+from coverage_cases import ARM, controller_of
+from independent_robots import plant
+from independent_simulator import description, references, simulate
 from random_arms import random_estimate
 
 from identification.estimation import certainty, consistent_parameters, one_thread
-from identification.methods.consistent import FROM_PRIOR
+from identification.methods.consistent import FROM_PRIOR, Prior, with_consistent
+from identification.methods.idim import identify_ls
+from identification.model.inverse import InverseModel
+from identification.regression.settings import Overrides
+from identification.study.synthetic import truth
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
@@ -36,3 +45,21 @@ def test_intervals_hold_the_truth(times):
         f"\nnoise x {times:g}: {percent:.1f} % of {(~prior).sum()} intervals hold the truth; {prior.sum()} more are the prior's"
     )
     assert percent >= 90
+
+
+def test_intervals_of_an_arm_of_the_independent_simulator_hold_the_truth():
+    """Eight recordings of the TX40, white noise fed back, the estimate by least squares, links by their lengths alone."""
+    case, toml = ARM[0], REPLAY / "tx40" / "robot.toml"
+    body, controller, robot = plant(toml), controller_of(case), description(toml)
+    reference = references(body, range(8), duration_s=case.duration_s, rate_hz=controller.rate_hz)
+    runs = simulate(body, controller, reference, case.cell, seed=0)
+    known, bare = Overrides(torque_lag_s=-0.5 / controller.rate_hz), replace(robot, parameters={})
+    hit, of_fit = [], []
+    for k in range(8):
+        fit = with_consistent(identify_ls(runs.signals(bare, k), known), Prior())
+        true, c = truth(InverseModel(robot), fit.base), fit.consistent
+        hit += list((np.abs(c.beta - true) <= c.base_half)[~c.base_from_prior])
+        of_fit += list(np.abs(fit.beta - true) <= fit.intervals.half)
+    percent, fits = 100 * np.mean(hit), 100 * np.mean(of_fit)
+    print(f"\nsimulated TX40: {percent:.1f} % of {len(hit)} intervals hold the truth; of the fit's own {fits:.1f} %")
+    assert np.mean(hit) >= max(0.88, np.mean(of_fit) - 0.01)
