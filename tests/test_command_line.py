@@ -205,7 +205,7 @@ def test_the_help_of_a_fit_has_groups(capsys):
     for title, option in (
         ("inputs", "--robot"),
         ("settings of the fit", "--cutoff-hz"),
-        ("settings of --method iv", "--start"),
+        ("settings of instrumental variables", "--start"),
         ("outputs", "--rrd"),
     ):
         assert option in groups[title]

@@ -142,7 +142,7 @@ def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
     signals = load_signals(REPLAY / "tx40" / "session.mcap")
     assert text in identify_ls(signals, Overrides()).warnings
     assert ripple_warnings(signals) == (text,)
-    assert ripple_warnings(replace(signals, effort_timing="command")) == ()
+    assert ripple_warnings(replace(signals, provenance="tables")) == ()
 
 
 def test_only_a_recording_of_simulated_drives_states_their_law():

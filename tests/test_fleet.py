@@ -12,6 +12,7 @@ import pytest
 from conftest import REPLAY, robot_named
 from test_viewer import Written
 
+from acquisition.recording import read_recording
 from acquisition.robot.robot import robot_from_files
 from identification.commands.program import main
 from identification.data.signals import load_signals
@@ -21,7 +22,7 @@ from identification.fleet import rows as rows_module
 from identification.fleet.results import control_limits, drifts
 from identification.fleet.rows import FleetSettings, Row, Value
 from identification.fleet.run import found_recordings, run_fleet
-from identification.methods.idim import identify_ls
+from identification.methods.idim import identify
 from identification.regression.settings import Overrides
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, random_reference, write_signals
@@ -67,7 +68,7 @@ def fits(monkeypatch):
 
     def counted(signals, *arguments, **options):
         names.append(signals.recording)
-        return identify_ls(signals, *arguments, **options)
+        return identify(signals, *arguments, **options)
 
     monkeypatch.setattr(rows_module, "identify_ls", counted)
     return names
@@ -89,10 +90,10 @@ def written(fleet, tmp_path_factory):
 
 
 def test_a_row_is_the_fit_of_its_recording(written):
-    """The table has what `identify_ls` gives, in the order of the dates, not of the names."""
+    """The table has what `identify` gives, in the order of the dates, not of the names."""
     table = pyarrow.parquet.read_table(written / "fleet.parquet")
     rows = table.to_pylist()
-    fitted = [row for row in rows if row["status"] == "solved"]
+    fitted = [row for row in rows if row["status"] == "converged"]
     assert [row["start"] for row in fitted] == [
         datetime.fromtimestamp(BEGAN.timestamp() + k * WEEK_S, UTC) for k in range(COUNT)
     ]
@@ -104,8 +105,8 @@ def test_a_row_is_the_fit_of_its_recording(written):
     ]
     for row in fitted[::3]:
         signals = load_signals(row["file"])
-        fit = identify_ls(signals, Overrides())
-        assert (row["sha256"], row["robot"], row["method"]) == (signals.sha256, "EMPS", "wls")
+        fit = identify(signals, Overrides())
+        assert (row["sha256"], row["robot"], row["method"]) == (signals.sha256, "EMPS", "iv")
         assert row["verdict"] == fit.trust.verdict
         assert row["error_percent"] == fit.errors[-1].relative_error_percent
         assert row["moving_error_percent"] == fit.errors[-1].moving_relative_error_percent
@@ -126,7 +127,7 @@ def test_what_failed_is_a_row_with_its_reason(written):
     assert "expected an MCAP file" in rows["notes.mcap"]["reason"]
     assert rows["damaged.mcap"]["Fv1"] is None
     copies = [rows["2.mcap"], rows["2 again.mcap"]]
-    assert sorted(row["status"] for row in copies) == ["copy", "solved"]
+    assert sorted(row["status"] for row in copies) == ["converged", "copy"]
     assert all(row["sha256"] == copies[0]["sha256"] for row in copies)
 
 
@@ -228,7 +229,7 @@ def test_recordings_of_a_folder_are_fitted_together(fleet, tmp_path):
     assert first["cut"].status == "failed"
     assert "7.mcap: is cut" in first["cut"].reason
     members = tuple(load_signals(fleet / "2026" / f"{member}.mcap") for member in "43")
-    fit = identify_ls(Recordings(sources=members), Overrides())
+    fit = identify(Recordings(sources=members), Overrides())
     assert first["tuesday"].start == members[0].began
     assert first["tuesday"].error_percent == fit.errors[-1].relative_error_percent
     assert [value.value for value in first["tuesday"].parameters.values()] == fit.estimate.beta.tolist()
@@ -322,7 +323,7 @@ def test_a_mistake_of_the_program_is_a_row_too(fleet, tmp_path, monkeypatch):
     def broken(*arguments, **options):
         raise ZeroDivisionError("division by\nzero")
 
-    monkeypatch.setattr(rows_module, "identify_ls", broken)
+    monkeypatch.setattr(rows_module, "identify", broken)
     rows = run(fleet, tmp_path / "kept")
     assert {row.reason for row in rows} == {"unexpected ZeroDivisionError: division by zero"}
     assert all(row.start is not None and row.robot == "EMPS" for row in rows), "as far as it is known"
@@ -359,10 +360,11 @@ def test_the_command_by_iv_with_its_report(tmp_path, capsys):
     assert "fits that can be charted: 1; control limits need 5" in printed
     (row,) = pyarrow.parquet.read_table(out).to_pylist()
     assert (row["method"], row["status"], row["robot"]) == ("iv", "converged", "SCARA")
-    assert row["start"] == datetime(2026, 11, 22, 2, 9, 56, tzinfo=UTC), "its stamps are no dates: when it was made"
+    made = read_recording(REPLAY / "scara" / "session.mcap").metadata["created"]
+    assert row["start"] == datetime.fromisoformat(made), "its stamps are no dates: when it was made"
     assert main([*arguments, "--cutoff-hz", "20", "--workers", "1"]) == 0
     (row,) = pyarrow.parquet.read_table(out).to_pylist()
-    fit = identify_ls(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(cutoff_hz=20.0))
+    fit = identify(load_signals(REPLAY / "scara" / "session.mcap"), Overrides(cutoff_hz=20.0))
     assert row["error_percent"] == fit.errors[-1].relative_error_percent, "with the settings of the command line"
 
 

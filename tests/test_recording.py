@@ -105,6 +105,7 @@ def test_what_a_recording_says_of_itself(tmp_path: Path, robot: Robot) -> None:
         "position_unit": '["rad", "rad"]',
         "effort_unit": '["N m", "N m"]',
         "effort_provenance": "by hand",
+        "effort_timing": "not known",
         "bitrate": "500000",
     }
     assert recording.metadata["created"].endswith("+00:00")

@@ -23,12 +23,17 @@ def test_the_verdict_comes_first_and_is_of_the_rows_that_move():
     moving = fit.errors[-1].moving_relative_error_percent
     every = fit.errors[-1].relative_error_percent
     assert f"{moving:.3g}" != f"{every:.3g}", "here standing rows make a difference"
-    assert document.title == f"SCARA: IV, converged, {fit.trust.verdict}, {moving:.3g} % torque error of moving rows"
+    held, widest = fit.trust.line("held-out blocks").value, fit.widest_essential_percent
+    assert document.title == (
+        f"SCARA: IV (asked for), converged, trust; {moving:.3g} % torque error of moving rows, {held:.2g} % held out, "
+        f"essentials to ±{widest:.2g} %"
+    )
     verdict = document.sections[0]
-    assert verdict.lines[0] == "status: converged"
-    assert verdict.lines[1].startswith(f"relative torque error: {moving:.3g} % of moving rows")
-    assert verdict.lines[1].endswith(f"{every:.3g} % of all rows")
-    assert verdict.lines[2].startswith("essential (by least squares): 2 of 8 parameters")
+    assert verdict.lines[0] == "assumed: drive gains, ratios, lengths, sample rate, control law"
+    assert verdict.lines[1] == "status: converged"
+    assert verdict.lines[2].startswith(f"relative torque error: {moving:.3g} % of moving rows")
+    assert verdict.lines[2].endswith(f"{every:.3g} % of all rows")
+    assert verdict.lines[3].startswith("essential (by least squares): 2 of 8 parameters")
     assert verdict.warnings == ("a wrong gain",)
 
 

@@ -259,8 +259,8 @@ def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch
 
     def spoilt(system, Z, weights):
         calls.append(len(calls))
-        # In the loop passes 2 and 3; afterwards the same passes are solved again, on the same rows.
-        wrong = 0.0 if len(calls) in (1, 4) else 0.35 * (-1) ** len(calls)
+        # Of the loop passes 2 and 3; what is solved afterwards is right.
+        wrong = 0.35 * (-1) ** len(calls) if len(calls) in (2, 3) else 0.0
         Y = system.Y + wrong * np.roll(
             system.Y, 37
         )  # not in proportion: gains follow the inertias, so that would track as well

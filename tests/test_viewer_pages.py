@@ -485,7 +485,7 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, t
     assert err.startswith("robot-identify: ")
     assert err.count("\n") == 1
     assert out == table
-    assert json.loads((tmp_path / "fit.json").read_text())["status"] == "solved"
+    assert json.loads((tmp_path / "fit.json").read_text())["status"] == "converged"
 
 
 def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):

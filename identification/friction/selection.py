@@ -15,12 +15,12 @@ from itertools import combinations
 
 import numpy as np
 
-from acquisition.robot import FrictionTerm, Robot
+from acquisition.robot import FrictionTerm, LowSpeed, Robot, low_speed_by_method
 
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..methods import Fit, identify_ls, observe_all
+from ..methods import Fit, identify_ls, in_known_time, observe_all
 from ..passes import Linearised, alike, leave_out_untold
 from ..regression import Overrides, Problem
 from .parts import parts_of, predictable
@@ -91,7 +91,9 @@ def choose_terms(
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     robot = recordings[0].robot
-    observed = observe_all(_with_terms(recordings, frozenset(TRIED)), overrides, say)
+    observed = in_known_time(
+        observe_all(_with_terms(recordings, frozenset(TRIED)), in_rows_of_iv(robot, overrides), say)
+    )
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
@@ -120,10 +122,17 @@ def choose_terms(
 def fits_with(choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
     """Least squares of the recordings with the usual terms, and with the recommended ones."""
     before, after = (
-        identify_ls(_with_terms(choice.recordings, trial.terms), overrides)
+        identify_ls(_with_terms(choice.recordings, trial.terms), in_rows_of_iv(choice.robot, overrides))
         for trial in (choice.usual, choice.recommended)
     )
     return before, after
+
+
+def in_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
+    """The same with least squares in the rows of instrumental variables, where nothing else is asked for."""
+    stored = low_speed_by_method(robot.identification.low_speed)
+    rows = LowSpeed(ls=stored.iv, iv=stored.iv) if overrides.low_speed_percent is None else overrides.low_speed_percent
+    return replace(overrides, low_speed_percent=rows)
 
 
 def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[FrictionTerm]) -> Recordings:

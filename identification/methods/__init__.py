@@ -17,3 +17,4 @@ from .fit import (
 from .idim import identify, identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
 from .recordings import observe_all
+from .timing import in_known_time

@@ -35,7 +35,7 @@ from .fit import (
     Status,
     essential_names,
 )
-from .position_noise import position_noise_line
+from .observation import position_noise_line
 from .recordings import Observed
 
 
@@ -51,6 +51,8 @@ class Verdict:
 
 def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
+    first = observed.places()[observed.order[0]].problem()
+    alone = len(observed.observations) == 1 and not observed.linearised.load
     return Evidence(
         parts=observed.evidence,
         observed=observed.regression,
@@ -63,7 +65,7 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: t
         least_squares=ls.full,
         blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
         factors=factors_of_ls(observed),
-        position_noise=position_noise_line(observed, method, ls),
+        position_noise=position_noise_line(first, method, ls, alone=alone),
         lags=lags,
         essential=essential_names(ls.essential, ls.estimate, ls.intervals),
     )

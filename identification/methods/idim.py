@@ -40,7 +40,7 @@ from .iteration import (
     start_values,
 )
 from .recordings import Observed, observe_all
-from .timing import counted, lags_of_ls, over_all, timed
+from .timing import counted, in_known_time, lags_of_ls, over_all, timed
 from .verdict import assess_iv, assess_pass
 
 Say = Callable[[str], None]
@@ -82,7 +82,7 @@ def identify(
         the first pass gives no estimate; for an `iteration` that least squares does not have.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    observed = observe_all(signals, overrides, say)
+    observed = in_known_time(observe_all(signals, overrides, say))
     chosen, reason = (method, "asked for") if method is not None else observed.method
     if chosen == "iv":
         try:

@@ -6,17 +6,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array
-from ..data import RecordingFile, Signals
-from ..estimation import one_thread
+from ..data import ON_GRID, RecordingFile, Signals
+from ..errors import IdentificationError
+from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES
 from ..passes import RowStates, row_states
 from ..regression import (
     NOTHING,
+    FilteredMotion,
     KnownLag,
     Overrides,
     Problem,
     Regression,
     Settings,
+    base_name,
     make_problem,
     make_settings,
     regression_of_recording,
@@ -25,8 +28,15 @@ from ..regression import (
 )
 from ..replica import Place
 from ..trust import Part, TrustLine, poses_of, replay_line
+from .fit import LeastSquares, Method
 
 Say = Callable[[str], None]
+
+SPAN_S = 180.0  # of a long recording, for what needs rows
+NAME = "position noise"
+LARGEST_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is seen alone
+BIASED, BIASED_PERCENT = 1.0, 1.0  # half-widths, and percent of the value, that a bias may have
+ADVICE = "take --method iv, which needs the reference recorded"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -125,3 +135,79 @@ def retimed_at(place: Place, regression: Regression, lag_s: float) -> Regression
 def predict(place: Place, beta: Array) -> Array:
     """Decimated torque (rows, n) that beta (b,) predicts for a recording."""
     return torque_of_recording(place.problem(), beta)[1]
+
+
+def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
+    """How far noise of a recording's position has moved least squares, in half-widths.
+
+    Its own noise is added once more, and once less: simulation and extrapolation (Cook, Stefanski, Simulation-extrapolation
+    estimation in parametric measurement error models, JASA 89 (1994)). White noise of the deviation found above the low-pass is
+    added over the whole band, with both signs; the mean of the two moves is, to first order, the bias that the noise within the
+    band has caused already. Rounding and noise of an encoder are white across the cut-off. `alone`: `ls` is of this recording
+    alone, without load friction.
+    """
+    settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _not_seen(problem)
+    if reason is not None:
+        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{reason}: {ADVICE}")
+    assert settings.cutoff_hz is not None
+    stop = min(settings.stop, settings.start + round(SPAN_S * fs))
+    problem = replace(problem, settings=replace(settings, stop=stop))
+    noise = np.random.default_rng(0).standard_normal(problem.signals.q.shape) * _deviations(problem)
+    try:
+        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
+        both = [_least_squares(_with_position(problem, problem.signals.q + way * noise), method, ls) for way in (1, -1)]
+    except IdentificationError as error:
+        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{error}: {ADVICE}")
+    names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
+    among = np.array([ls.estimate.names.index(name) for name in names])
+    beta, half = plain.among(tuple(names)), ls.intervals.half[among]
+    off = np.abs(0.5 * (both[0].among(tuple(names)) + both[1].among(tuple(names))) - beta)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
+    matters = (widths > BIASED) & (percents > BIASED_PERCENT)
+    worst = int(np.argmax(np.where(matters, widths, -1.0) if matters.any() else widths))
+    value, text = (
+        float(widths[worst]),
+        f"moves {names[worst]} by {widths[worst]:.2g} half-widths ({percents[worst]:.2g} %)",
+    )
+    if matters.any():
+        text = f"{text} or more: {ADVICE}"
+        return TrustLine(
+            test=NAME, level="caution", value=value, text=text, finding="least squares biased by position noise"
+        )
+    return TrustLine(test=NAME, level="ok", value=value, text=text)
+
+
+def _not_seen(problem: Problem) -> str | None:
+    settings, signals = problem.settings, problem.signals
+    if settings.cutoff_hz is None:
+        return "without a low-pass nothing tells the noise from the motion"
+    if settings.cutoff_hz > LARGEST_CUTOFF * signals.sample_rate_hz:
+        return f"above the cut-off of {settings.cutoff_hz:g} Hz too little of the noise is seen"
+    if signals.off_grid > ON_GRID:
+        return "samples are interpolated, which takes out noise"
+    return None
+
+
+def _deviations(problem: Problem) -> Array:
+    """Deviations (n,) of white noise of the positions, by what lies above the low-pass."""
+    settings, signals = problem.settings, problem.signals
+    cutoff_hz = settings.cutoff_hz
+    assert cutoff_hz is not None
+    smooth = problem.motion.between(settings.start, settings.stop, cutoff_hz).q
+    above = np.abs(signals.q[settings.start : settings.stop] - smooth)
+    return np.asarray(1.4826 * np.median(above, axis=0) / np.sqrt(1 - 2 * cutoff_hz / signals.sample_rate_hz))
+
+
+def _with_position(problem: Problem, q: Array) -> Problem:
+    signals: Signals = replace(problem.signals, q=q)
+    return replace(problem, signals=signals, motion=FilteredMotion(signals))
+
+
+def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
+    """Least squares of the recording as `ls` was made: of its parameters, columns of load friction apart."""
+    system = regression_of_recording(problem).system
+    asked = set(map(base_name, ls.estimate.names))
+    kept = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
+    solve = ordinary_least_squares if method == "ols" else weighted_least_squares
+    return solve(system.with_columns(kept))

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -17,7 +16,6 @@ from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
     ALL_REDUCED,
     HELD,
-    KnownLag,
     Overrides,
     OwnParameters,
     Problem,
@@ -29,9 +27,8 @@ from ..regression import (
 )
 from ..replica import Bench, Lab, PassInstruments, Place
 from ..trust import Part
-from .observation import Observation, Say, observation_of, observe, predict, regression_at, retimed_at
+from .observation import SPAN_S, Observation, Say, observation_of, observe, predict, regression_at, retimed_at
 
-SPAN_S = 180.0  # of a long recording, for what needs rows
 SPAN_NUMBERS = 3_000_000  # of its W
 
 
@@ -157,26 +154,6 @@ class Observed:
         where = f" in {without[0].recording}" if len(self.observations) > 1 else ""
         return "wls", f"no reference{where}"
 
-    @cached_property
-    def lag_groups(self) -> tuple[tuple[int, ...], ...]:
-        """Places of recordings whose torques have one lag: those of one effort object, timing and rate."""
-        groups: dict[object, list[int]] = {}
-        for k, one in enumerate(self.observations):
-            signals, known = one.problem.signals, one.problem.settings.known_lag
-            key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.stated and known.value_s)
-            groups.setdefault(key, []).append(k)
-        return tuple(map(tuple, groups.values()))
-
-    @property
-    def known_lags(self) -> list[KnownLag]:
-        """What is known of the lag of each group of recordings: the mean of theirs, with the deviation of the best known."""
-        found = []
-        for group in self.lag_groups:
-            each = [self.observations[k].known_lag for k in group]
-            best = min(each, key=lambda known: known.sd_s)
-            found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
-        return found
-
     def behind_rule(self) -> "Observed | None":
         """The same recordings behind the rule's low-pass; None where all are behind it, or behind a lower one.
 
@@ -200,11 +177,6 @@ class Observed:
         one = observation_of(replace(problem, settings=replace(settings, stop=stop)), HELD)
         left_out = tuple(self.linearised.left_out)
         return _observed(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,), left_out)
-
-    def with_lags(self, values_s: Sequence[float]) -> "Observed":
-        """The same with the torques of each group of recordings corrected by another lag, s."""
-        by_place = {k: value for group, value in zip(self.lag_groups, values_s, strict=True) for k in group}
-        return self.corrected([by_place[k] for k in range(len(by_place))])
 
     def corrected(self, lags_s: Sequence[float]) -> "Observed":
         """The same with the torque of each recording corrected by another lag, s; columns of load friction are zero."""
@@ -287,7 +259,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
         one = observation_of(make_problem(signals, overrides), 1, say)
-        return _in_known_time(_observed(Recordings(sources=(signals,)), overrides, (one,), (0,)))
+        return _observed(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
     given, found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
@@ -304,12 +276,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
     )
     joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
     refuse_slow_joints(observed.regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
-    return _in_known_time(observed)
-
-
-def _in_known_time(observed: Observed) -> Observed:
-    """The recordings with their torques corrected by what is known of their lags."""
-    return observed.with_lags([known.value_s for known in observed.known_lags])
+    return observed
 
 
 def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:

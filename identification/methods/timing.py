@@ -8,6 +8,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
+from ..regression import KnownLag
 from ..replica import Lab, PassInstruments, Replica
 from ..trust import Lag, Part, combined_lag, lag_columns, lag_moves, lags_in
 from .iteration import IterationResult
@@ -54,6 +55,36 @@ class Timed:
     beginning: Along | None
 
 
+def lag_groups(observed: Observed) -> list[list[int]]:
+    """Places of recordings whose torques have one lag: those of one effort object, timing and rate."""
+    groups: dict[object, list[int]] = {}
+    for k, one in enumerate(observed.observations):
+        signals, known = one.problem.signals, one.problem.settings.known_lag
+        key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.stated and known.value_s)
+        groups.setdefault(key, []).append(k)
+    return list(groups.values())
+
+
+def known_lags(observed: Observed) -> list[KnownLag]:
+    """What is known of the lag of each group of recordings: the mean of theirs, with the deviation of the best known."""
+    found = []
+    for group in lag_groups(observed):
+        each = [observed.observations[k].known_lag for k in group]
+        best = min(each, key=lambda known: known.sd_s)
+        found.append(replace(best, value_s=float(np.mean([known.value_s for known in each]))))
+    return found
+
+
+def in_known_time(observed: Observed) -> Observed:
+    """The recordings with their torques corrected by what is known of their lags."""
+    return _with_lags(observed, [known.value_s for known in known_lags(observed)])
+
+
+def _with_lags(observed: Observed, values_s: Sequence[float]) -> Observed:
+    by_place = {k: value for group, value in zip(lag_groups(observed), values_s, strict=True) for k in group}
+    return observed.corrected([by_place[k] for k in range(len(by_place))])
+
+
 def timed(observed: Observed, result: IterationResult, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Timed:
     """The recordings corrected by the lags of their torques, which the instruments of the result find.
 
@@ -73,10 +104,10 @@ def timed(observed: Observed, result: IterationResult, solve: Solve, lab_of: Cal
     replicas = lab.replicas(beta, result.covariance)
     beginning, found = _in_time(Along(observed=span, z=z, estimate=solve(z, span), replicas=replicas), solve)
     lags = over_all(observed, result.estimate, found)
-    now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in observed.lag_groups]
+    now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
     off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
-        observed = observed.with_lags([lag.value_s for lag in lags])
+        observed = _with_lags(observed, [lag.value_s for lag in lags])
         z = lab_of(observed).instruments(result.z.beta, result.asked, weights, kept=result.z.fast)
         whole = replace(whole, observed=observed, z=z, estimate=solve(z, observed))
     return Timed(whole=whole, lags=lags, beginning=beginning)
@@ -88,7 +119,7 @@ def _in_time(along: Along, solve: Solve) -> tuple[Along, tuple[Lag, ...]]:
     `solve` gives the estimate along the same instruments.
     """
     observed, z, estimate, why = along.observed, along.z, along.estimate, _not_looked_at(along)
-    groups, known = observed.lag_groups, observed.known_lags
+    groups, known = lag_groups(observed), known_lags(observed)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
         try:
@@ -100,7 +131,7 @@ def _in_time(along: Along, solve: Solve) -> tuple[Along, tuple[Lag, ...]]:
         now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
         values = [combined_lag(prior, data, "").value_s for prior, data in zip(known, found, strict=True)]
-        observed = observed.with_lags(values)
+        observed = _with_lags(observed, values)
         estimate = solve(z, observed)
         fs = observed.problem.signals.sample_rate_hz
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
@@ -122,8 +153,8 @@ def _not_looked_at(along: Along) -> str | None:
 
 def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
     """What is known of the lags, and what they move in least squares, which cannot find them."""
-    lags = [combined_lag(known, None, "least squares cannot tell it") for known in observed.known_lags]
-    columns = lag_columns(observed.evidence, observed.lag_groups, estimate)
+    lags = [combined_lag(known, None, "least squares cannot tell it") for known in known_lags(observed)]
+    columns = lag_columns(observed.evidence, lag_groups(observed), estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
     return _told(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 
@@ -134,7 +165,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
     What a lag moves is that of the beginning.
     """
     (first,), found = of_beginning, []
-    for group, known in zip(observed.lag_groups, observed.known_lags, strict=True):
+    for group, known in zip(lag_groups(observed), known_lags(observed), strict=True):
         lag = first if observed.order[0] in group else combined_lag(known, None, "")
         moved = first.moved / max(first.sd_s, 1e-12) * lag.sd_s
         names = tuple(observed.observations[k].problem.signals.recording for k in group)
@@ -145,7 +176,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
 def _told(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
     """The lags, named, with what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
     found = []
-    for lag, group, move in zip(lags, observed.lag_groups, moves.T, strict=True):
+    for lag, group, move in zip(lags, lag_groups(observed), moves.T, strict=True):
         replayed = next((x for k in group if (x := observed.observations[k].replay_lag) is not None), None)
         delay = None
         if replayed is not None and lag.found is not None:

@@ -25,7 +25,6 @@ from .stored_fit import (
     ConsistentFile,
     Covariance,
     Doubt,
-    KnownLagFile,
     LagFile,
     LeftOut,
     RecordingOfFit,
@@ -227,12 +226,11 @@ def _lag(fit: Fit) -> LagFile | UnsetType:
     signals = fit.problem.signals
     for lag in fit.lags:
         if signals.recording in lag.recordings:
-            prior = KnownLagFile(value_s=lag.prior.value_s, half_width_s=2 * lag.prior.sd_s, source=lag.prior.source)
             return LagFile(
                 value_s=lag.value_s,
                 half_width_s=lag.half_width_s,
                 source=lag.source,
-                prior=prior,
+                prior=lag.prior,
                 effort_timing=signals.effort_timing,
                 effort_provenance=signals.provenance,
             )

@@ -16,7 +16,7 @@ from ..errors import IdentificationError
 from ..estimation import TorqueError
 from ..methods import NO_FIXED_POINT, Fit
 from ..model import BaseParameters, InverseModel, base_parameters
-from ..regression import Overrides, Settings, Span, base_name
+from ..regression import KnownLag, Overrides, Settings, Span, base_name
 from ..trust import HeldOut, Verdict
 from .comparison import Parameter, ParameterSet
 from .document import FORMAT
@@ -120,14 +120,6 @@ def recording_of_fit(
     )
 
 
-class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """What is known of a torque's lag without a fit, s."""
-
-    value_s: float
-    half_width_s: float
-    source: str
-
-
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
     """The lag of a recording's torque, s, positive where it is late, that a fit corrects and counts in its intervals.
 
@@ -137,7 +129,7 @@ class LagFile(msgspec.Struct, frozen=True, kw_only=True):
     value_s: float
     half_width_s: float
     source: str
-    prior: KnownLagFile
+    prior: KnownLag
     effort_timing: EffortTiming = "unknown"
     effort_provenance: str = ""
 

@@ -23,9 +23,8 @@ from ..estimation import (
 )
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
-from .assumed import assumed
 from .columns import added_columns_test
-from .evidence import Evidence
+from .evidence import Evidence, assumed
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import ILL_CONDITIONED, Trust, TrustLine, not_made, worst_first
@@ -241,7 +240,7 @@ def trust_in(evidence: Evidence) -> Trust:
     lines = [test(evidence) for test in (*OF_ALL, *(OF_INSTRUMENTS if evidence.method == "iv" else ()))]
     lines += [evidence.position_noise] if evidence.position_noise is not None else []
     lines += _standing(evidence)
-    return worst_first(_judged_together(lines), assumed(evidence, {line.test: line for line in lines}))
+    return worst_first(_judged_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
 
 
 def _standing(e: Evidence) -> list[TrustLine]:
