@@ -70,7 +70,7 @@ def fits(monkeypatch):
         names.append(signals.recording)
         return identify(signals, *arguments, **options)
 
-    monkeypatch.setattr(rows_module, "identify_ls", counted)
+    monkeypatch.setattr(rows_module, "identify", counted)
     return names
 
 
@@ -134,7 +134,7 @@ def test_what_failed_is_a_row_with_its_reason(written):
 def test_the_picture_has_the_values_and_their_limits(written, fleet, tmp_path):
     file = Written(written / "fleet.rrd")
     assert file.is_complete()
-    series = drifts(run(fleet, tmp_path / "kept"))
+    series = drifts(run(fleet, tmp_path / "kept", settings=FleetSettings(method="iv")))
     (drift,) = series
     chart = next(chart for chart in drift.charts if chart.name == "Fv1")
     curves = {path.rsplit("/", 1)[1]: line for path, line in file.curves.items() if "/Fv1/" in path}
@@ -229,7 +229,7 @@ def test_recordings_of_a_folder_are_fitted_together(fleet, tmp_path):
     assert first["cut"].status == "failed"
     assert "7.mcap: is cut" in first["cut"].reason
     members = tuple(load_signals(fleet / "2026" / f"{member}.mcap") for member in "43")
-    fit = identify(Recordings(sources=members), Overrides())
+    fit = identify(Recordings(sources=members), Overrides(), method="wls")
     assert first["tuesday"].start == members[0].began
     assert first["tuesday"].error_percent == fit.errors[-1].relative_error_percent
     assert [value.value for value in first["tuesday"].parameters.values()] == fit.estimate.beta.tolist()

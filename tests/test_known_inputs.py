@@ -83,7 +83,8 @@ def without(column: str) -> Signals:
 def test_with_both_the_truth_is_in_the_intervals(method):
     fit = fitted(records()[0], method)
     assert inside(fit).all()
-    assert fit.trust.verdict == "trust"
+    doubted = [x.test for x in fit.trust.lines if x.level == "caution"]
+    assert doubted == ([] if method == "iv" else ["lag"]), "least squares cannot find the lag"
     assert fit.errors[-1].moving_relative_error_percent < 2.0
     assert line(fit, "replay").figures[0].value == pytest.approx(1.0, abs=0.002)
     assert line(fit, "lag").figures[0].value == pytest.approx(-0.5, abs=0.1)
@@ -160,7 +161,8 @@ def test_columns_go_through_map_recording_and_fit(tmp_path, capsys):
     assert f"known torque, added to that of the drives and to the simulated robot: rms axis {rms:.3g} N\n" in out
     rms = np.sqrt(np.mean(signals.feedforward**2))
     assert f"feed-forward, added to the output of the simulated controller: rms axis {rms:.3g} V\n" in out
-    assert identify_ls(read, Overrides()).beta == pytest.approx(fitted(signals, "ls").beta, rel=1e-9)
+    same = identify_ls(replace(signals, effort_timing="unknown"), Overrides())
+    assert identify_ls(read, Overrides()).beta == pytest.approx(same.beta, rel=1e-9)
     assert acquire(["export", str(log), "-o", str(tmp_path / "b.csv")]) == 0
     head, row, *_ = (tmp_path / "b.csv").read_text().splitlines()
     own = "axis_position_m,axis_effort_N,axis_reference_m,axis_velocity_m_s,axis_known_torque_N,axis_feedforward_V"

@@ -18,6 +18,7 @@ from identification.estimation.system import System
 from identification.methods.fit import Fit
 from identification.methods.idim import identify, identify_ls
 from identification.methods.recordings import observe_all
+from identification.methods.timing import known_lags
 from identification.regression.motion import sampled_at
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides, known_lag
@@ -184,10 +185,10 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
 
 def test_a_replay_tells_the_lag_of_a_command():
     signals = recorded("emps", lag=3, noise=2e-5)
-    (group,) = observe_all(signals, Overrides(), lambda text: None).known_lags
+    (group,) = known_lags(observe_all(signals, Overrides(), lambda text: None))
     assert 1e3 * group.value_s == pytest.approx(2.5, abs=0.1)
     assert group.sd_s == pytest.approx(0.5e-3, rel=0.1)
-    stamped = observe_all(replace(signals, effort_timing="command"), Overrides(), lambda text: None).known_lags[0]
+    stamped = known_lags(observe_all(replace(signals, effort_timing="command"), Overrides(), lambda text: None))[0]
     assert 1 / stamped.sd_s**2 == pytest.approx(1 / group.sd_s**2 + 1 / 0.25e-3**2)
 
 

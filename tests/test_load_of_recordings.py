@@ -42,6 +42,8 @@ def scara(own: str = ""):
     offsets = "Off1 = 0.3\n" if own else ""
     terms = [[*more[:2], "offset", *more[2:]] if own else more for more in TERMS]
     robot = described("scara", terms, VALUES + offsets)
+    # The simulated mean has no lag; stated, sums by hand need not look for one.
+    robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, torque_lag_s=0.0))
     if own:
         robot = dataclasses.replace(robot, identification=msgspec.structs.replace(robot.identification, own=(own,)))
     return robot, simulated(robot, 3, 4, 5)

@@ -67,7 +67,7 @@ def test_what_is_named_is_there_and_typed(package):
 def test_a_fit_of_arrays_is_that_of_the_same_signals(signals, method):
     fit = identification.fit(signals.q, signals.effort, 1000.0, str(SCARA), method=method)
     same = identification.identify_ls(
-        replace(signals, effort_timing="unknown"), identification.Overrides(), method=method
+        replace(signals, q_ref=None, effort_timing="unknown"), identification.Overrides(), method=method
     )
     np.testing.assert_array_equal(fit.beta, same.beta)
     assert fit.method == method
@@ -169,10 +169,10 @@ def test_columns_beside_position_and_effort_are_copied_and_checked(signals):
 
 
 def test_results_say_in_a_line_what_they_are(signals, by_iv):
-    error = by_iv.errors[-1].moving_relative_error_percent
+    error, essential = by_iv.errors[-1].moving_relative_error_percent, len(by_iv.essential_names)
     assert (
         repr(by_iv)
-        == f"Fit(SCARA, arrays, iv, converged: 8 parameters, {len(by_iv.essential_names)} essential, moving error {error:.3g} %)"
+        == f"Fit(SCARA, arrays, iv, converged: 8 parameters, {essential} essential, moving error {error:.3g} %)"
     )
     assert repr(signals).endswith(": SCARA, 4001 samples of 2 joints at 1000 Hz, with reference)")
     assert repr(acquisition.load_robot(str(SCARA))) == "Robot(SCARA: 2 joints, 2 drives)"

@@ -51,7 +51,7 @@ class Verdict:
 
 def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
-    first = observed.places()[observed.order[0]].problem()
+    first = observed.places()[0].problem()
     alone = len(observed.observations) == 1 and not observed.linearised.load
     return Evidence(
         parts=observed.evidence,

@@ -170,7 +170,7 @@ class Observed:
         """The recordings as they are where rows are held; else the beginning of the first, with rows, three minutes at most."""
         if not self.regression.reduced:
             return self
-        problem = self.places()[self.order[0]].problem()
+        problem = self.places()[0].problem()
         settings, fs = problem.settings, problem.signals.sample_rate_hz
         rows = min(SPAN_NUMBERS // (problem.signals.robot.n * problem.base.b), int(SPAN_S * fs / settings.decimation))
         stop = min(settings.stop, settings.start + rows * settings.decimation)

@@ -166,7 +166,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
     """
     (first,), found = of_beginning, []
     for group, known in zip(lag_groups(observed), known_lags(observed), strict=True):
-        lag = first if observed.order[0] in group else combined_lag(known, None, "")
+        lag = first if 0 in group else combined_lag(known, None, "")
         moved = first.moved / max(first.sd_s, 1e-12) * lag.sd_s
         names = tuple(observed.observations[k].problem.signals.recording for k in group)
         found.append(replace(lag, moved=moved[: len(estimate.names)], recordings=names))
