@@ -85,7 +85,7 @@ def test_every_file_has_a_format_and_the_report_that_is_printed(fits, tmp_path, 
     robot, out = REPLAY / "scara" / "robot.toml", tmp_path / "out.json"
     study = ["study", robot, "--runs", "1", "--duration-s", "2", "--cutoffs", "5"]
     for kind, command in (
-        (FitFile, ["fit", SCARA, "--all"]),
+        (FitFile, ["fit", SCARA, "--all", "--method", "wls"]),
         (ValidationFile, ["validate", fits["iv"], SCARA]),
         (ComparisonFile, ["compare", fits["iv"], fits["wls"]]),
         (BaseFile, ["base", robot]),
