@@ -140,22 +140,10 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
 
 
 def export_csv(path: Path, out: Path) -> int:
-    """Write the joint samples of a recording as CSV.
+    """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
 
-    Parameters
-    ----------
-    path : the recording.
-    out : `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
-        objects of the drives; the unit is in the name of the column. Written whole or not at all.
-
-    Returns
-    -------
-    The number of samples.
-
-    Raises
-    ------
-    AcquisitionError
-        The recording has no samples, or a file cannot be read or written.
+    Columns: `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
+    objects of the drives; the unit is in the name of the column.
     """
     samples, robot = _samples(path)
     columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
@@ -175,25 +163,11 @@ def export_csv(path: Path, out: Path) -> int:
 
 
 def export_bag(path: Path, out: Path) -> Mapping[str, int]:
-    """Write the joint samples of a recording as a ROS 2 bag.
+    """Write the joint samples of a recording as a ROS 2 bag, a new folder; returns the number of messages by topic.
 
     All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
     differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
     or one made of the DH rows; /tf has the transform of each link from the one before, at most 100 a second.
-
-    Parameters
-    ----------
-    path : the recording.
-    out : a new folder; written whole or not at all.
-
-    Returns
-    -------
-    The number of messages by topic.
-
-    Raises
-    ------
-    AcquisitionError
-        The recording has no samples, the folder exists, or a file cannot be read or written.
     """
     samples, robot = _samples(path)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)

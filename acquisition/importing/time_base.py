@@ -95,19 +95,10 @@ def resample(
 ) -> OnGrid:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
-    Parameters
-    ----------
-    time_s : of the rows; those that repeat the row before in time and values are left out, and those whose `position` in
-        `parts` contradicts their time (`rows_in_time`).
-    rate_hz : of the grid; None: the roundest one that the rows have.
-    largest_gap_periods : longest step that is interpolated over, in median steps.
-    place : the file, for errors.
-
-    Raises
-    ------
-    AcquisitionError
-        Fewer than 4 rows, time that runs backwards, two rows of one time with different values, a longer gap; a rate at which
-        they give less than two samples, or over 100 times their own.
+    Left out are rows that repeat the row before in time and values, and those whose `position` in `parts` contradicts their
+    time (`rows_in_time`). The rate of the grid is by default the roundest one that the rows have. An `AcquisitionError` where
+    there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
+    `largest_gap_periods` median ones, or the rows give less than two samples, or over 100 times their own number.
     """
     from scipy.interpolate import CubicSpline
 

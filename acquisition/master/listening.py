@@ -95,16 +95,9 @@ def refuse_other_master(master: Master) -> None:
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Read the state (6041h) of every drive; nothing is written.
+    """Read the state (6041h) of every drive, write nothing, and return the node ids of the drives in fault.
 
-    Returns
-    -------
-    Node ids of the drives in fault.
-
-    Raises
-    ------
-    AcquisitionError
-        A drive gives torque although no master was heard, or does not answer.
+    An `AcquisitionError` where a drive gives torque although no master was heard, or does not answer.
     """
     in_fault = []
     for drive in master.bus.drives:

@@ -240,10 +240,7 @@ def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
         )
     if metadata.get("crc32") != metadata_crc(metadata):
         raise AcquisitionError(
-            place=f"{place}: metadata",
-            key="crc32",
-            value=metadata.get("crc32"),
-            expected=repr(metadata_crc(metadata)),
+            place=f"{place}: metadata", key="crc32", value=metadata.get("crc32"), expected=repr(metadata_crc(metadata))
         )
 
 

@@ -51,17 +51,7 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
 
     A drive gives no more than `saturation`, nor than its effort object can hold. Where joints are coupled, the effort of a
     motor is a sum over joints, and its limit one on that sum. Stated efforts, in N m or N, do not count where the drive gain
-    is not known.
-
-    Parameters
-    ----------
-    robot : with `[bus]` or without.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        The bus is described wrongly.
+    is not known. `place` names the description in errors.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     if robot.bus is not None:

@@ -70,12 +70,7 @@ def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
 
 
 def _drive(
-    file: DriveFile,
-    motor: Motor,
-    files: Mapping[str, bytes],
-    place: str,
-    at: str,
-    traffic: Mapping[int, Values] | None,
+    file: DriveFile, motor: Motor, files: Mapping[str, bytes], place: str, at: str, traffic: Mapping[int, Values] | None
 ) -> Drive:
     dictionary, types = None, dict(STANDARD)
     if file.dictionary is not None:

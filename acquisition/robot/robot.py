@@ -176,18 +176,10 @@ def _companion(path: Path, key: str, name: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from the files that a recording carries.
+    """Build a robot from the files that a recording carries, by name; `place` names the description in errors.
 
-    Parameters
-    ----------
-    files : content by name: `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and
-        `dictionary:<name>`; of a dry run `simulated_controller.toml`.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        With `place`, `key`, `value` and `expected`.
+    They are `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
+    `simulated_controller.toml`.
     """
     if "robot.toml" not in files:
         raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")

@@ -28,22 +28,11 @@ class _Doubts(logging.Handler):
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Frames of a log of another tool.
+    """Interface and frame, one by one, of a log of another tool: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
 
-    Parameters
-    ----------
-    path : candump (.log), Vector ASC or BLF, or PCAN TRC; the suffix decides.
-
-    Yields
-    ------
-    Interface and frame. The interface of an error frame in a candump log is None, because python-can does not give it. The
-    frame is None for CAN FD, which CANopen does not use.
-
-    Raises
-    ------
-    AcquisitionError
-        With the file, and the frame (from 1), as `place`: the log cannot be read or is damaged, a time does not fit into a
-        recording, or a frame has more than 8 bytes.
+    The interface of an error frame in a candump log is None, because python-can does not give it. The frame is None for CAN FD,
+    which CANopen does not use. An `AcquisitionError` names the file and the frame (from 1): the log cannot be read or is
+    damaged, a time does not fit into a recording, or a frame has more than 8 bytes.
     """
     import can
 

@@ -103,10 +103,7 @@ class Signals:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
                     raise IdentificationError(
-                        place=self.recording,
-                        key=f"{name}[{row}]",
-                        value=array[row].tolist(),
-                        expected="finite numbers",
+                        place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
                     )
                 array.flags.writeable = False
                 let_go(array)

@@ -146,15 +146,9 @@ def _sides(shares: Array) -> Array:
 def limits_of(
     robot: Robot, model: DirectModel | None, share: float, place: str, obstacles: Obstacles | None = None
 ) -> Limits:
-    """The limits of a robot, of which a reference may use a share.
+    """The limits of a robot, of which a reference may use a share in (0, 1], and the shapes that keep a margin.
 
-    Parameters
-    ----------
-    robot : it states position, speed and acceleration limits for each joint.
-    model : with the parameters that the torque is computed by; None where they are not known.
-    share : above 0, to 1.
-    place : the name of the description in errors.
-    obstacles : shapes that keep a margin.
+    The torque is limited where the `model`, with its parameters, is known; `place` names the description in errors.
 
     Raises
     ------

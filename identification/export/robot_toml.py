@@ -15,19 +15,11 @@ _INLINE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
 
 
 def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
-    """The description with the values of `[parameters]` replaced, or with the table added at its end.
+    """The description with the values (SI) of `[parameters]` replaced, or with the table added at its end.
 
-    Parameters
-    ----------
-    text : of robot.toml.
-    values : standard parameters by name, SI.
-    remark : a line on where they are from. It takes the place of the remarks directly above the table, which were on other
-        values.
-    urdf : another name for the URDF, in place of the one that the description has.
-
-    Raises
-    ------
-    IdentificationError : where the file is written so that the table cannot be replaced line by line.
+    The remark, on where they are from, takes the place of the remarks directly above the table, which were on other values; a
+    name in `urdf` takes the place of the URDF's. An `IdentificationError` where the file is written so that the table cannot be
+    replaced line by line.
     """
     was, written = tomllib.loads(text), {name: text_of(value) for name, value in values.items()}
     lines = text.splitlines()

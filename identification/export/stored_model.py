@@ -36,16 +36,10 @@ def distrust(stored: StoredFit, place: str) -> list[str]:
 
 
 def model_of_fit(stored: StoredFit, place: str) -> StoredModel:
-    """The robot of a fit with values for all standard parameters.
+    """The robot of a fit, which its own description describes, with values for all standard parameters.
 
-    Parameters
-    ----------
-    stored : the fit; its own description is the robot's.
-    place : its file, in errors and lines.
-
-    Raises
-    ------
-    IdentificationError : a fit in A or V, without a description or a covariance, or whose parameters no robot can have.
+    An `IdentificationError`, with the file's `place`, for a fit in A or V, without a description or a covariance, or whose
+    parameters no robot can have.
     """
     robot = stored.robot(place)
     if robot is None:

@@ -26,15 +26,6 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     Columns: `folder`, `file`, `sha256`, `start` (UTC), `robot`, `method`, `status`, `verdict`, `reason`; `error_percent`,
     `moving_error_percent`, `standing_error_percent`; per parameter its name, name_low and name_high, with the `unit` in the
     metadata of the column. What a row does not have is null.
-
-    Parameters
-    ----------
-    path : of the file.
-    rows : of the fleet.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
     """
     import pyarrow
     import pyarrow.parquet
@@ -164,12 +155,7 @@ def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Ro
 
 
 def fleet_document(rows: Sequence[Row]) -> Document:
-    """The report: a line per recording, and what is beyond its control limits.
-
-    Parameters
-    ----------
-    rows : of the fleet, in the order in which they are shown.
-    """
+    """The report: a line per recording, in the order of the rows, and what is beyond its control limits."""
     shown = tuple(
         (
             row.start.strftime("%Y-%m-%d %H:%M") if row.start else "-",

@@ -79,16 +79,7 @@ def load_parameters(base: BaseParameters) -> tuple[str, ...]:
 
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:
-    """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991).
-
-    Parameters
-    ----------
-    dynamics : the inverse dynamic model, of p standard parameters.
-
-    Returns
-    -------
-    The b base parameters: names, units, and the regrouping matrix K (b, p) of beta = K chi.
-    """
+    """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991)."""
     rng = np.random.default_rng(SEED)
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)

@@ -67,13 +67,7 @@ def regressor_gradient(
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis.
-
-    Parameters
-    ----------
-    model : the equation of motion with given parameters.
-    motion : q, dq, ddq, each (N, n).
-    """
+    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     rigid, data, n = model.rigid, model.data, q.shape[1]
     tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))

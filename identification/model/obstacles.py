@@ -69,9 +69,7 @@ class Obstacles:
     def nearest(self, q: Array, far: float) -> tuple[Array, Array, tuple[str, ...]]:
         """Of the pair nearest to each other at each of the positions q (N, n): distance, its derivatives by q, name.
 
-        Returns
-        -------
-        Distances (N,) in m, negative inside, `far` at most; derivatives (N, n), zero from `far` on; names (N,).
+        Distances (N,) are in m, negative inside, `far` at most; derivatives (N, n) are zero from `far` on.
         """
         model, data, q = self.model, self.model.createData(), np.ascontiguousarray(q)
         d, slopes, every = np.full(len(q), far), np.zeros(q.shape), self.names

@@ -65,11 +65,8 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> Expe
     """The links of `prior`, another description of the robot, or of the model's own.
 
     A link is that of the description's `[parameters]`, else of its URDF, else a plausible one: a rod from its joint to the
-    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows.
-
-    Raises
-    ------
-    IdentificationError : where `prior` has other joints, or its links do not move as those of the model.
+    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it
+    has other joints, or its links do not move as those of the model.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])

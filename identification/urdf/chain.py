@@ -69,22 +69,11 @@ def is_urdf(path: Path) -> bool:
 
 
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
-    """Read a URDF.
+    """Read a URDF, with the limits, damping and friction that it states.
 
-    Parameters
-    ----------
-    path : of the URDF.
-    names : the joints to identify, from the base outwards; none: those of the longest serial chain.
-
-    Returns
-    -------
-    The chain, with the limits, damping and friction that the URDF states.
-
-    Raises
-    ------
-    IdentificationError
-        In one line, with file, link or joint, value and what was expected: not a URDF, not one tree, joints that no chain
-        can have, two chains of the same length, numbers that are none, limits upside down, negative masses or inertias.
+    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. The
+    `IdentificationError` is one line with file, link or joint, value and what was expected: not a URDF, not one tree, joints
+    that no chain can have, two chains of one length, numbers that are none, limits upside down, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
