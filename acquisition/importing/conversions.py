@@ -129,11 +129,8 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         wanted = {robot.bus.channel if robot.bus is not None else ""}
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
-        raise AcquisitionError(
-            f"frames: {', '.join(left_out)}",
-            place=str(log),
-            expected="one interface: filter the log, or name one of them as bus.channel in robot.toml",
-        )
+        expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
+        raise AcquisitionError(f"frames: {', '.join(left_out)}", place=str(log), expected=expected)
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
@@ -204,9 +201,8 @@ def _derivative(q: Array, t_s: Array) -> Array:
 def _samples(path: Path) -> tuple[Block, Robot]:
     recording = read_recording(path)
     if recording.samples is None:
-        raise AcquisitionError(
-            "holds no joint samples", place=str(path), expected="some; `robot-acquire decode` makes them of frames"
-        )
+        expected = "some; `robot-acquire decode` makes them of frames"
+        raise AcquisitionError("holds no joint samples", place=str(path), expected=expected)
     return recording.samples, recording.robot
 
 

@@ -87,11 +87,8 @@ def refuse_other_master(master: Master) -> None:
     """Raise `AcquisitionError` where another master is heard, before anything is sent."""
     found = other_master(master)
     if found is not None:
-        raise AcquisitionError(
-            f"{found}: another master is active",
-            place="bus",
-            expected="none; `robot-acquire record --passive` records without sending. Nothing was sent",
-        )
+        expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
+        raise AcquisitionError(f"{found}: another master is active", place="bus", expected=expected)
 
 
 def refuse_enabled(master: Master) -> list[int]:
@@ -103,11 +100,9 @@ def refuse_enabled(master: Master) -> list[int]:
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
-            raise AcquisitionError(
-                f"{state.words} before the session began, and no other master is heard",
-                place=f"node {drive.node}",
-                expected="switch on disabled; `robot-acquire disable` with this robot.toml disables it",
-            )
+            problem = f"{state.words} before the session began, and no other master is heard"
+            expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+            raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
         if state is State.FAULT:
             in_fault.append(drive.node)
     return in_fault

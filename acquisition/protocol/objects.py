@@ -208,10 +208,6 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
-    raise AcquisitionError(
-        "the interpolation period of drives (60C2) cannot say it",
-        key="bus.sync_period_s",
-        value=period_s,
-        shown=f"{period_s:g}",
-        expected="up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
-    )
+    problem = "the interpolation period of drives (60C2) cannot say it"
+    expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
+    raise AcquisitionError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)

@@ -74,9 +74,8 @@ class Recorder:
         self._bus: Bus | None = None if self._by_traffic else resolve(robot, place)
         file = robot.bus
         if path.exists():
-            raise AcquisitionError(
-                "is there already", place=str(path), expected="a new name; recordings are not replaced"
-            )
+            expected = "a new name; recordings are not replaced"
+            raise AcquisitionError("is there already", place=str(path), expected=expected)
         try:
             self._writer = RecordingWriter(
                 path,

@@ -206,11 +206,8 @@ def axis_of(drive: Drive) -> int:
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
-        raise AcquisitionError(
-            f"control {drive.control} and status {drive.status}",
-            place=f"node {drive.node}",
-            expected="those of one axis, such as 6040:0 and 6041:0",
-        )
+        where, expected = f"node {drive.node}", "those of one axis, such as 6040:0 and 6041:0"
+        raise AcquisitionError(f"control {drive.control} and status {drive.status}", place=where, expected=expected)
     return axis
 
 

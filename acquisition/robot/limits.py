@@ -175,14 +175,9 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) ->
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _JUMP * neighbour:
-        raise AcquisitionError(
-            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})",
-            place=place,
-            expected="motion: a counter that wrapped, lost or foreign samples, or two recordings glued together",
-        )
+        problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
+        expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
+        raise AcquisitionError(problem, place=place, expected=expected)
     key = "speed_deg_s" if joint.type == "revolute" else "speed_m_s"
-    raise AcquisitionError(
-        f"joint {joint.name} at {speed}, {when}: {limit}",
-        place=place,
-        expected=f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml",
-    )
+    expected = f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml"
+    raise AcquisitionError(f"joint {joint.name} at {speed}, {when}: {limit}", place=place, expected=expected)

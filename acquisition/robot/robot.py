@@ -67,12 +67,8 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            raise AcquisitionError(
-                place=f"robot {self.name}",
-                key="controller.bandwidth_hz",
-                value=None,
-                expected="the bandwidth of the position loop, Hz",
-            )
+            where, expected = f"robot {self.name}", "the bandwidth of the position loop, Hz"
+            raise AcquisitionError(place=where, key="controller.bandwidth_hz", value=None, expected=expected)
         return self.controller.bandwidth_hz
 
     @property
@@ -162,9 +158,8 @@ def _refuse_idle_keys(c: Controller, place: str) -> None:
             if c.structure is not None:
                 expected = f"none, structure = {c.structure!r} has no integral"
             value = list(value) if isinstance(value, tuple) else value
-            raise AcquisitionError(
-                "does nothing", place=place, key=f"controller.{name}", value=value, expected=expected
-            )
+            key = f"controller.{name}"
+            raise AcquisitionError("does nothing", place=place, key=key, value=value, expected=expected)
 
 
 def _companion(path: Path, key: str, name: str) -> bytes:

@@ -171,11 +171,9 @@ def limits_of(
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
-            raise IdentificationError(
-                f"{name}: Coulomb friction of {friction:.4g} {unit}",
-                place=place,
-                expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
-            )
+            problem = f"{name}: Coulomb friction of {friction:.4g} {unit}"
+            expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
+            raise IdentificationError(problem, place=place, expected=expected)
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

@@ -85,11 +85,8 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
         if best is None or found[0] < best[0]:
             best = found
     if best is None:
-        raise IdentificationError(
-            f"no reference keeps the limits: {worst}",
-            place=place,
-            expected="wider limits, another --seed or --harmonics",
-        )
+        expected = "wider limits, another --seed or --harmonics"
+        raise IdentificationError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
     return best[1], best[2]
 
 

@@ -47,12 +47,9 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
         | ({"urdf": urdf} if urdf is not None else {})
     )
     if _read(made) != now:
-        raise IdentificationError(
-            "cannot be replaced line by line",
-            place="the fit's robot.toml",
-            key="[parameters]",
-            expected="a table of one line per value, under a line [parameters]",
-        )
+        problem = "cannot be replaced line by line"
+        expected = "a table of one line per value, under a line [parameters]"
+        raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
     return made
 
 

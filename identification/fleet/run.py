@@ -62,9 +62,8 @@ def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> lis
             fitted = path.parent if by_folder else path
             found.setdefault(fitted.resolve(), (folder, fitted))
     if not found:
-        raise IdentificationError(
-            "no recordings", place=", ".join(map(str, folders)), expected="files *.mcap in the folders or below them"
-        )
+        expected = "files *.mcap in the folders or below them"
+        raise IdentificationError("no recordings", place=", ".join(map(str, folders)), expected=expected)
     return list(found.values())
 
 

@@ -200,15 +200,13 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     order = list(model.names)[1:]
     if order != wanted:
         shown = ", ".join(wanted)
-        raise IdentificationError(
-            place=place, key="order of joints", value=wanted, shown=shown, expected=", ".join(order)
-        )
+        key = "order of joints"
+        raise IdentificationError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
     for said, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (said.type == "prismatic") or built.nq != 1:
-            raise IdentificationError(
-                place=f"{place}: joint {said.name!r}", key="type", value=built.shortname(), expected=said.type
-            )
+            where = f"{place}: joint {said.name!r}"
+            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=said.type)
     return model
 
 
@@ -216,9 +214,8 @@ def _free(joint: ET.Element, place: str) -> None:
     """Make a joint one that pinocchio builds: with an axis, without limits, which a model does not need."""
     axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
-        raise IdentificationError(
-            place=f"{place}: joint {joint.get('name')!r}", key="axis", value="0 0 0", expected="a direction"
-        )
+        where = f"{place}: joint {joint.get('name')!r}"
+        raise IdentificationError(place=where, key="axis", value="0 0 0", expected="a direction")
     if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # without limits it is not built

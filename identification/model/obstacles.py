@@ -252,12 +252,8 @@ def _solid(shape: ET.Element, file: Path | None, place: str) -> Any:
         return coal.Cylinder(number("radius"), number("length"))
     name = shape.get("filename", "")
     if file is None:
-        raise IdentificationError(
-            place=place,
-            key=f"collision {shape.tag}",
-            value=name or None,
-            expected="box, sphere, cylinder or a mesh with a file",
-        )
+        expected = "box, sphere, cylinder or a mesh with a file"
+        raise IdentificationError(place=place, key=f"collision {shape.tag}", value=name or None, expected=expected)
     scale = np.array([float(x) for x in shape.get("scale", "1 1 1").split()])
     try:
         mesh = coal.MeshLoader().load(str(file), scale)

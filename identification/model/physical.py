@@ -261,12 +261,8 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     """T (n, 4, 4): coordinates in the prior's link frames to those in the model's, which must be the same at all positions."""
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
-        raise IdentificationError(
-            place=f"prior {prior.robot.name}",
-            key="joints",
-            value=", ".join(j.type for j in others),
-            expected=", ".join(j.type for j in joints),
-        )
+        where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
+        raise IdentificationError(place=where, key="joints", value=", ".join(j.type for j in others), expected=expected)
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
     back = turned.transpose(0, 1, 3, 2)

@@ -125,11 +125,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """
     partners = _partners(a, b)
     if not partners:
-        raise IdentificationError(
-            "no parameter in common",
-            place=f"{a.label} and {b.label}",
-            expected="two fits of one robot, or of like robots",
-        )
+        expected = "two fits of one robot, or of like robots"
+        raise IdentificationError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
     rows = []
     for name, x in a.parameters.items():
         y = b.parameters[partners[name]] if name in partners else None
@@ -137,9 +134,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             rows.append(_alone(name, a=x))
             continue
         if x.unit != y.unit:
-            raise IdentificationError(
-                place=b.label, key=f"{name}.unit", value=y.unit, expected=f"{x.unit}, as in {a.label}"
-            )
+            expected = f"{x.unit}, as in {a.label}"
+            raise IdentificationError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         rows.append(
             Difference(

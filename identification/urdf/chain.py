@@ -102,9 +102,8 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 def _longest(tree: Tree) -> list[str]:
     free = set(movable(tree))
     if not free:
-        raise IdentificationError(
-            "no joint moves", place=tree.place, expected=f"joints of the types {', '.join(MOVABLE)}"
-        )
+        expected = f"joints of the types {', '.join(MOVABLE)}"
+        raise IdentificationError("no joint moves", place=tree.place, expected=expected)
     chains = {name: [joint for joint in tree.path(name) if joint in free] for name in free}
     most = max(map(len, chains.values()))
     last = [name for name in tree.joints if len(chains.get(name, ())) == most]
