@@ -26,11 +26,8 @@ from .extra_objects import ExtraObject
 from .robot import Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
-
 USUAL_SYNC = 0x80
-
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
-
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
 Values = Mapping[tuple[int, int], int]

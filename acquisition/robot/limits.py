@@ -21,9 +21,7 @@ FAR_FASTER = 3.0  # times the speed limit
 UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
 OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
-SPEED_WINDOW_S = (
-    0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
-)
+SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared: noise of single samples matters less
 SPEED_OFF = 0.1  # of the change of position: speeds further off are told
 WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone

@@ -39,7 +39,8 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
         before.pop()
     table = ["", f"# {remark}", "[parameters]", *(f"{name} = {text}" for name, text in written.items())]
     if urdf is not None:
-        before = [_renamed(line, urdf) for line in before]
+        quoted = '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
     made = "\n".join([*before, *table, *after]) + "\n"
     now: dict[str, Any] = (
         was
@@ -51,12 +52,6 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
         expected = "a table of one line per value, under a line [parameters]"
         raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
     return made
-
-
-def _renamed(line: str, urdf: str) -> str:
-    """The line `urdf = ...` with another name."""
-    quoted = '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line
 
 
 def _read(text: str) -> dict[str, Any] | None:

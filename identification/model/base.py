@@ -85,7 +85,9 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
     apart = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
-    present = [c for c in _order(dynamics) if norms[c] > TOLERANCE * norms.max() and c not in apart]
+    # All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it.
+    order = sorted(range(dynamics.p), key=lambda c: (not dynamics.is_link_parameter(c), c))
+    present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in apart]
     scaled = W[:, present] / norms[present]
     R = np.linalg.qr(scaled, mode="r")
     diagonal = np.abs(np.diag(R))
@@ -113,12 +115,6 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
         masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
         links=np.array([dynamics.is_link_parameter(int(c)) for c in columns]),
     )
-
-
-def _order(dynamics: InverseModel) -> list[int]:
-    """All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it."""
-    columns = range(dynamics.p)
-    return sorted(columns, key=lambda c: (not dynamics.is_link_parameter(c), c))
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:

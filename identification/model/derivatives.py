@@ -57,7 +57,9 @@ def regressor_gradient(
     for k in range(len(q)):
         state = rigid, data, q[k], dq[k], ddq[k]
         for i in range(n + 1):
-            _put(rigid, unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]])
+            each = unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
+            for link, inertia in enumerate(each):
+                rigid.inertias[link + 1] = inertia
             derivatives(*state)
             made[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
     made[:, 2] = _symmetric(made[:, 2])
@@ -95,11 +97,6 @@ def sliding_apart(
     slopes[2] += model.rotor
     slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
     return of_links[0] + model.without_sliding(dq, ddq), slopes
-
-
-def _put(rigid: pin.Model, inertias: list[pin.Inertia]) -> None:
-    for i, inertia in enumerate(inertias):
-        rigid.inertias[i + 1] = inertia
 
 
 def _symmetric(M: Array) -> Array:

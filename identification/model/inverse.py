@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from acquisition.errors import listed
-from acquisition.robot import DH, Robot
+from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -162,19 +162,15 @@ def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
     return f"{robot.effort_units[link]} s²" + {2: "/m²", 1: "/m", 0: "", -1: " m"}[below]
 
 
-def _placement(dh: DH) -> pin.SE3:
-    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
-    about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(dh.alpha_deg)), np.array([dh.d_m, 0.0, 0.0]))
-    about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(dh.theta_deg)), np.array([0.0, 0.0, dh.r_m]))
-    return about_x * about_z
-
-
 def _model_from_dh(robot: Robot) -> pin.Model:
+    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
     model, parent = pin.Model(), 0
     for joint in robot.joints:
         assert joint.dh is not None  # load_robot has seen to it
+        about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)), np.array([joint.dh.d_m, 0.0, 0.0]))
+        about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)), np.array([0.0, 0.0, joint.dh.r_m]))
         kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
-        parent = model.addJoint(parent, kind, _placement(joint.dh), joint.name)
+        parent = model.addJoint(parent, kind, about_x * about_z, joint.name)
     return model
 
 

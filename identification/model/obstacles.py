@@ -140,7 +140,10 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     IdentificationError : where a mesh cannot be read, or a shape is none of the URDF's.
     """
     robot, model = dynamics.robot, dynamics.model
-    shapes, missing = list(_capsules(dynamics)), list[str]()
+    capsules = [(0, "base", robot.base_capsule)]
+    capsules += [(j + 1, f"link of {joint.name}", joint.capsule) for j, joint in enumerate(robot.joints)]
+    shapes = [_capsule(link, name, capsule) for link, name, capsule in capsules if capsule is not None]
+    missing: list[str] = []
     if not shapes and robot.urdf is not None:
         shapes = list(_urdf_shapes(dynamics, find, missing))
     parents = (0, *dynamics.parents)
@@ -185,15 +188,6 @@ def _along(model: Any, data: Any, shape: Shape, point: Array, normal: Array) -> 
     (x, y, z), (u, v, w) = point, normal
     lever = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
     return np.asarray(normal @ J[:3] + lever @ J[3:])
-
-
-def _capsules(dynamics: InverseModel) -> Iterator[Shape]:
-    robot = dynamics.robot
-    described = [(0, "base", robot.base_capsule)]
-    described += [(j + 1, f"link of {joint.name}", joint.capsule) for j, joint in enumerate(robot.joints)]
-    for link, name, capsule in described:
-        if capsule is not None:
-            yield _capsule(link, name, capsule)
 
 
 def _capsule(link: int, name: str, capsule: Capsule) -> Shape:

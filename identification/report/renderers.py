@@ -119,12 +119,8 @@ def _markdown_section(section: Section) -> list[str]:
 
 def _markdown_table(table: Table) -> str:
     rows = [[column.heading for column in table.columns], *([cell_text(cell) for cell in row] for row in table.rows)]
-    heading, *body = [f"| {' | '.join(_cell(text) for text in row)} |" for row in rows]
+    heading, *body = ["| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows]
     return "\n".join([heading, f"|{'|'.join('--:' if c.numeric else '---' for c in table.columns)}|", *body])
-
-
-def _cell(text: str) -> str:
-    return _plain(text).replace("|", "\\|")
 
 
 def _plain(text: str) -> str:

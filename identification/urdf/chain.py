@@ -88,12 +88,13 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
             expected = "fixed, revolute, continuous or prismatic joints below a base that stands still"
             raise IdentificationError(place=at, key="type", value=kind, expected=expected)
     rigid = _bodies(tree, chain)
+    others = [name for name, joint in tree.joints.items() if name not in chain and joint.get("type") != "fixed"]
     return Chain(
         place=str(path),
         name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[:64] or "robot",
         text=text,
         joints=tuple(_joint(tree, name) for name in chain),
-        locked=tuple(_locked(tree, name) for name in tree.joints if name not in chain and _moves(tree, name)),
+        locked=tuple(_locked(tree, name) for name in others),
         rigid=tuple(tuple(rigid[name]) for name in chain),
         notes=check_inertials(tree, [link for links in rigid.values() for link in links]),
     )
@@ -120,10 +121,6 @@ def _named(tree: Tree, names: Sequence[str]) -> list[str]:
             expected = f"each once, of {listed(free)}"
             raise IdentificationError(place=tree.place, key="--joints", value=name, expected=expected)
     return list(names)
-
-
-def _moves(tree: Tree, name: str) -> bool:
-    return tree.joints[name].get("type") != "fixed"
 
 
 def _locked(tree: Tree, name: str) -> str:

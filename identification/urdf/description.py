@@ -106,7 +106,8 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
-        yield f'effort_unit = "{_effort_unit(joint)}"'
+        unit = "N" if joint.type == "prismatic" else "N m"
+        yield f'effort_unit = "{unit}"'
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
@@ -118,10 +119,6 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield "# sample_rate_hz = 1000"
     for gain in ("position_gain", "velocity_gain", "integral_gain"):
         yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
-
-
-def _effort_unit(joint: UrdfJoint) -> str:
-    return "N" if joint.type == "prismatic" else "N m"
 
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:
