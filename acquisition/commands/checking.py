@@ -29,17 +29,7 @@ class Finding:
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
-    """Check the bus, the drives and the computer for an active session. Nothing moves; objects are only read.
-
-    Returns
-    -------
-    Findings in the order of the report; a session may start where all are `ok`.
-
-    Raises
-    ------
-    AcquisitionError
-        The bus cannot be opened.
-    """
+    """Check the bus, the drives and the computer; nothing moves, objects are only read. All `ok`: a session may start."""
     handle = open_bus(bus.file, passive=False)
     link = Link(handle, passive=False)
     try:

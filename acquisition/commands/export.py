@@ -22,9 +22,8 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Write the table, the bag, or both, and print their sizes."""
     if options.output is None and options.bag is None:
-        raise AcquisitionError(
-            "nothing to write", place=str(options.recording), expected="-o OUT.csv, --bag FOLDER or both"
-        )
+        expected = "-o OUT.csv, --bag FOLDER or both"
+        raise AcquisitionError("nothing to write", place=str(options.recording), expected=expected)
     lines = []
     with Progress("exporting"):
         from ..files import refuse_clash

@@ -44,9 +44,8 @@ def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None) -> None:
     for output in (path for path in outputs if path is not None):
         for path in given:
             if _same(output, path):
-                raise AcquisitionError(
-                    f"is an input too ({path})", place=str(output), expected="another name for the output"
-                )
+                expected = "another name for the output"
+                raise AcquisitionError(f"is an input too ({path})", place=str(output), expected=expected)
         if any(_same(output, path) for path in earlier):
             raise AcquisitionError("named twice; expected a file of its own for each output", place=str(output))
         earlier.append(output)

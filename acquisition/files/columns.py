@@ -38,9 +38,8 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     except OSError as error:
         raise AcquisitionError(f"cannot be read: {error.strerror}", place=str(path)) from error
     if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
-        raise AcquisitionError(
-            "a MAT file of version 7.3 (HDF5)", place=str(path), expected="version 7; save it with -v7"
-        )
+        expected = "version 7; save it with -v7"
+        raise AcquisitionError("a MAT file of version 7.3 (HDF5)", place=str(path), expected=expected)
     if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
         values, labels = read_variables(data, columns, count, str(path))
     else:
@@ -130,9 +129,8 @@ def _place(column: str | int, names: Sequence[str] | None, count: int, place: st
             raise AcquisitionError(f"column {column}", place=place, expected=f"a number from 1 to {count}")
         return column - 1
     if names is None:
-        raise AcquisitionError(
-            f"column {column!r}: no header line names it; expected numbers from 1 to {count}", place=place
-        )
+        problem = f"column {column!r}: no header line names it; expected numbers from 1 to {count}"
+        raise AcquisitionError(problem, place=place)
     if names.count(column) != 1:
         found = "is not there" if column not in names else f"is there {names.count(column)} times"
         raise AcquisitionError(f"column {column!r} {found}", place=place, expected=f"one of {listed(names)}")

@@ -54,11 +54,9 @@ def read_variables(data: bytes, names: Sequence[str | int], count: int, place: s
         raise AcquisitionError(label, place=place, expected=f"variables of one length, {count} columns in all")
     for part in parts:
         if part.values.shape == (rows, rows) and not part.upright:
-            raise AcquisitionError(
-                "rows and columns cannot be told apart",
-                place=f"{place}: {part.label}",
-                expected=f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are",
-            )
+            problem = "rows and columns cannot be told apart"
+            expected = f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are"
+            raise AcquisitionError(problem, place=f"{place}: {part.label}", expected=expected)
     turned = [part.values if len(part.values) == rows else part.values.T for part in parts]
     labels = [
         part.name if columns.shape[1] == 1 else f"{part.name}(:,{k + 1})"
@@ -77,9 +75,8 @@ def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
             warnings.simplefilter("ignore")  # about variables that are not read
             found: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names)))
     except Exception as error:  # on a damaged file scipy's reader raises errors of any kind
-        raise AcquisitionError(
-            f"not a MAT file that can be read: {error or type(error).__name__}", place=place
-        ) from error
+        problem = f"not a MAT file that can be read: {error or type(error).__name__}"
+        raise AcquisitionError(problem, place=place) from error
     return found
 
 
@@ -91,9 +88,8 @@ def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
         if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
             return None
         if value.size != 1:
-            raise AcquisitionError(
-                f"variable {at!r} is an array of {value.size} structs", place=place, expected="one struct"
-            )
+            problem = f"variable {at!r} is an array of {value.size} structs"
+            raise AcquisitionError(problem, place=place, expected="one struct")
         value, at = value[field].flat[0], f"{at}.{field}"
     return value
 
@@ -105,9 +101,8 @@ def _part(value: Any, match: re.Match[str], place: str) -> _Part:
         kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         if isinstance(value, np.ndarray) and value.dtype.names:
             kind = f"a struct or object with the fields {listed(value.dtype.names)}"
-        raise AcquisitionError(
-            f"variable {name!r} is {kind}", place=place, expected="a vector or matrix of real numbers"
-        )
+        expected = "a vector or matrix of real numbers"
+        raise AcquisitionError(f"variable {name!r} is {kind}", place=place, expected=expected)
     matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
     matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
     if match["rows"] is None:
@@ -118,9 +113,8 @@ def _part(value: Any, match: re.Match[str], place: str) -> _Part:
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
     if not 1 <= low <= high <= most:
-        raise AcquisitionError(
-            f"variable {name!r}: the matrix is {_size(matrix)}", place=place, expected=f"1 to {most}"
-        )
+        problem = f"variable {name!r}: the matrix is {_size(matrix)}"
+        raise AcquisitionError(problem, place=place, expected=f"1 to {most}")
     part = matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T
     return _Part(name=name, values=part, upright=True)
 

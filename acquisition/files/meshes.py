@@ -42,13 +42,9 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
         try:
             size += file.stat().st_size
             if size > LARGEST_MESHES:
-                raise AcquisitionError(
-                    f"{size} bytes with those before it",
-                    place=place,
-                    key="urdf: mesh",
-                    value=name,
-                    expected=f"{LARGEST_MESHES} at most; leave out urdf_meshes",
-                )
+                problem = f"{size} bytes with those before it"
+                expected = f"{LARGEST_MESHES} at most; leave out urdf_meshes"
+                raise AcquisitionError(problem, place=place, key="urdf: mesh", value=name, expected=expected)
             meshes[name] = file.read_bytes()
         except OSError as error:
             problem = f"cannot be read: {error.strerror}"

@@ -35,12 +35,7 @@ class Element:
 
 
 def parse_xml(source: bytes, place: str) -> Element:
-    """The root of a document in UTF-8.
-
-    Raises
-    ------
-    AcquisitionError : where it is not XML; `place` names it.
-    """
+    """The root of a document in UTF-8; an `AcquisitionError` that names `place` where it is not XML."""
     parser = expat.ParserCreate("utf-8")
     roots: list[Element] = []
     above: list[Element] = []

@@ -129,33 +129,18 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         wanted = {robot.bus.channel if robot.bus is not None else ""}
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
-        raise AcquisitionError(
-            f"frames: {', '.join(left_out)}",
-            place=str(log),
-            expected="one interface: filter the log, or name one of them as bus.channel in robot.toml",
-        )
+        expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
+        raise AcquisitionError(f"frames: {', '.join(left_out)}", place=str(log), expected=expected)
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
 def export_csv(path: Path, out: Path) -> int:
-    """Write the joint samples of a recording as CSV.
+    """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
 
-    Parameters
-    ----------
-    path : the recording.
-    out : `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
-        objects of the drives; the unit is in the name of the column. Written whole or not at all.
-
-    Returns
-    -------
-    The number of samples.
-
-    Raises
-    ------
-    AcquisitionError
-        The recording has no samples, or a file cannot be read or written.
+    Columns: `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
+    objects of the drives; the unit is in the name of the column.
     """
     samples, robot = _samples(path)
     columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
@@ -175,25 +160,11 @@ def export_csv(path: Path, out: Path) -> int:
 
 
 def export_bag(path: Path, out: Path) -> Mapping[str, int]:
-    """Write the joint samples of a recording as a ROS 2 bag.
+    """Write the joint samples of a recording as a ROS 2 bag, a new folder; returns the number of messages by topic.
 
     All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
     differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
     or one made of the DH rows; /tf has the transform of each link from the one before, at most 100 a second.
-
-    Parameters
-    ----------
-    path : the recording.
-    out : a new folder; written whole or not at all.
-
-    Returns
-    -------
-    The number of messages by topic.
-
-    Raises
-    ------
-    AcquisitionError
-        The recording has no samples, the folder exists, or a file cannot be read or written.
     """
     samples, robot = _samples(path)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
@@ -230,9 +201,8 @@ def _derivative(q: Array, t_s: Array) -> Array:
 def _samples(path: Path) -> tuple[Block, Robot]:
     recording = read_recording(path)
     if recording.samples is None:
-        raise AcquisitionError(
-            "holds no joint samples", place=str(path), expected="some; `robot-acquire decode` makes them of frames"
-        )
+        expected = "some; `robot-acquire decode` makes them of frames"
+        raise AcquisitionError("holds no joint samples", place=str(path), expected=expected)
     return recording.samples, recording.robot
 
 

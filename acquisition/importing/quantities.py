@@ -71,9 +71,8 @@ class Source:
             expected = "the drive gains in robot.toml, which make them N m or N"
             raise AcquisitionError(problem, place=self.place, key=key, expected=expected)
         if quantity.side == "motor":
-            raise AcquisitionError(
-                place=self.place, key=f"{key}.side", value="motor", expected="'joint', where it acts"
-            )
+            expected = "'joint', where it acts"
+            raise AcquisitionError(place=self.place, key=f"{key}.side", value="motor", expected=expected)
         found = tuple(unit for unit, _ in units)
         if found != robot.effort_units:
             problem, expected = f"gives {one(found)}", f"{one(robot.effort_units)}, as joints take"
@@ -150,9 +149,8 @@ def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: st
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
         problem = f"gives {one(found)} at the {side}"
-        raise AcquisitionError(
-            problem, place=place, key=f"{key}.unit", expected=f"{one(expected[side])} as robot.toml says"
-        )
+        wanted = f"{one(expected[side])} as robot.toml says"
+        raise AcquisitionError(problem, place=place, key=f"{key}.unit", expected=wanted)
     return side
 
 

@@ -57,7 +57,8 @@ def write_samples(found: Samples, out: Path) -> Imported:
     robot, parts = found.robot, found.parts
     t_s = (found.stamps - found.stamps[0]) * np.float64(1e-9)
     warnings = check_recorded_positions(robot, t_s, parts["position"], found.place)
-    doubts = [*found.doubts, *_effort_doubts(robot, parts["effort"])]
+    dead = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
+    doubts = [*found.doubts, *([f"the effort of {', '.join(dead)} is zero throughout"] if dead else [])]
     if "velocity" in parts:
         doubts += check_recorded_velocities(robot, parts["position"], parts["velocity"], found.rate_hz, found.place)
     rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
@@ -88,9 +89,3 @@ def write_samples(found: Samples, out: Path) -> Imported:
         times="" if found.report is None else found.report.text,
         warnings=(*warnings, *doubts),
     )
-
-
-def _effort_doubts(robot: Robot, effort: Array) -> list[str]:
-    """Warnings about joints whose effort is zero throughout."""
-    dead = [joint.name for joint, column in zip(robot.joints, effort.T, strict=True) if not column.any()]
-    return [f"the effort of {', '.join(dead)} is zero throughout"] if dead else []

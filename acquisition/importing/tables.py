@@ -121,11 +121,7 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
         timed = OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
     else:
         timed = resample(
-            time_s,
-            parts,
-            rate_hz=time.resample_hz,
-            largest_gap_periods=time.largest_gap_periods,
-            place=where,
+            time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=time.largest_gap_periods, place=where
         )
     given = table_map.sample_rate_hz
     if given is not None and abs(given / timed.rate_hz - 1) > 1e-3:

@@ -95,19 +95,10 @@ def resample(
 ) -> OnGrid:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
-    Parameters
-    ----------
-    time_s : of the rows; those that repeat the row before in time and values are left out, and those whose `position` in
-        `parts` contradicts their time (`rows_in_time`).
-    rate_hz : of the grid; None: the roundest one that the rows have.
-    largest_gap_periods : longest step that is interpolated over, in median steps.
-    place : the file, for errors.
-
-    Raises
-    ------
-    AcquisitionError
-        Fewer than 4 rows, time that runs backwards, two rows of one time with different values, a longer gap; a rate at which
-        they give less than two samples, or over 100 times their own.
+    Left out are rows that repeat the row before in time and values, and those whose `position` in `parts` contradicts their
+    time (`rows_in_time`). The rate of the grid is by default the roundest one that the rows have. An `AcquisitionError` where
+    there are fewer than 4 rows, time runs backwards, two rows of one time have different values, a step is longer than
+    `largest_gap_periods` median ones, or the rows give less than two samples, or over 100 times their own number.
     """
     from scipy.interpolate import CubicSpline
 
@@ -130,12 +121,8 @@ def resample(
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > FINEST:
-        raise AcquisitionError(
-            place=place,
-            key="resample_hz",
-            value=rate_hz,
-            expected=f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s",
-        )
+        expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
+        raise AcquisitionError(place=place, key="resample_hz", value=rate_hz, expected=expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
@@ -159,12 +146,9 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> t
         differ = (x[same + 1] != x[same]).any(axis=1)
         if differ.any():
             row = int(same[np.argmax(differ)])
-            raise AcquisitionError(
-                f"{name} differs from the row before at the same time, {time_s[row]:.9g} s",
-                place=place,
-                key=f"row {row + 2}",
-                expected="one row for each time; time.ticks names a counter where stamps are too coarse",
-            )
+            problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
+            expected = "one row for each time; time.ticks names a counter where stamps are too coarse"
+            raise AcquisitionError(problem, place=place, key=f"row {row + 2}", expected=expected)
     keep = np.concatenate([[True], steps > 0])
     return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
 
@@ -217,9 +201,8 @@ def uniform_rate_hz(time_s: Array, place: str) -> float:
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        raise AcquisitionError(
-            found, place=place, key=f"row {row + 2}", expected="a later time; time.resample_hz leaves out doubled rows"
-        )
+        expected = "a later time; time.resample_hz leaves out doubled rows"
+        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
     if bad.any():

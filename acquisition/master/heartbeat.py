@@ -51,11 +51,8 @@ class MasterHeartbeat:
     def request(self) -> list[str]:
         """Write this master to the consumer heartbeat times (1016h) of every drive; heartbeats are sent with SYNC from now on.
 
-        A drive supervises the master from the first heartbeat on (CiA 301).
-
-        Returns
-        -------
-        One line for each drive that does not supervise this master, with the reason.
+        A drive supervises the master from the first heartbeat on (CiA 301). Returns a line, with the reason, for each drive
+        that does not supervise this master.
         """
         refused = []
         for drive in self._master.bus.drives:
@@ -76,13 +73,9 @@ class MasterHeartbeat:
         return refused
 
     def release(self, disabled: list[int]) -> list[str]:
-        """Restore 1016h of the nodes in `disabled`, then end the heartbeat.
+        """Restore 1016h of the nodes in `disabled`, then end the heartbeat; a line for each node that refuses the old value.
 
         The other drives still supervise this master: they stop when the heartbeat ends.
-
-        Returns
-        -------
-        One line for each node that refuses the old value.
         """
         refused = []
         for node in disabled:

@@ -58,13 +58,8 @@ def refuse_unhomed(master: Master) -> None:
     """Raise `AcquisitionError` where a drive reports that it is not homed."""
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
         if homed(master, drive, file) is False:
-            raise AcquisitionError(
-                "not set",
-                place=f"node {drive.node} ({drive.name})",
-                key="homed",
-                value=file.homed,
-                expected="a homed drive before motion",
-            )
+            where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
+            raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
 
 
 def confirm_positions(robot: Robot, master: Master, confirm: Confirm) -> list[str]:

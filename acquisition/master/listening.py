@@ -87,34 +87,22 @@ def refuse_other_master(master: Master) -> None:
     """Raise `AcquisitionError` where another master is heard, before anything is sent."""
     found = other_master(master)
     if found is not None:
-        raise AcquisitionError(
-            f"{found}: another master is active",
-            place="bus",
-            expected="none; `robot-acquire record --passive` records without sending. Nothing was sent",
-        )
+        expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
+        raise AcquisitionError(f"{found}: another master is active", place="bus", expected=expected)
 
 
 def refuse_enabled(master: Master) -> list[int]:
-    """Read the state (6041h) of every drive; nothing is written.
+    """Read the state (6041h) of every drive, write nothing, and return the node ids of the drives in fault.
 
-    Returns
-    -------
-    Node ids of the drives in fault.
-
-    Raises
-    ------
-    AcquisitionError
-        A drive gives torque although no master was heard, or does not answer.
+    An `AcquisitionError` where a drive gives torque although no master was heard, or does not answer.
     """
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
         if state not in DISABLED:
-            raise AcquisitionError(
-                f"{state.words} before the session began, and no other master is heard",
-                place=f"node {drive.node}",
-                expected="switch on disabled; `robot-acquire disable` with this robot.toml disables it",
-            )
+            problem = f"{state.words} before the session began, and no other master is heard"
+            expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+            raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
         if state is State.FAULT:
             in_fault.append(drive.node)
     return in_fault

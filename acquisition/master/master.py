@@ -218,9 +218,8 @@ class Master:
                 return answer
             frame = self.link.receive(until_ns)
             if frame is None:
-                raise AcquisitionError(
-                    f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?", place=place
-                )
+                problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+                raise AcquisitionError(problem, place=place)
             self.dispatch(frame)
 
     def configure(self) -> None:
@@ -259,12 +258,9 @@ class Master:
                 until_ns = self.link.now_ns() + 500_000_000
                 while (shown := self.read(drive.node, display)) != mode:
                     if self.link.now_ns() > until_ns:
-                        raise AcquisitionError(
-                            place=f"node {drive.node}",
-                            key=f"mode of operation ({display:04X}:0)",
-                            value=shown,
-                            expected=f"{int(mode)} ({mode.name.lower().replace('_', ' ')})",
-                        )
+                        key = f"mode of operation ({display:04X}:0)"
+                        expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
+                        raise AcquisitionError(place=f"node {drive.node}", key=key, value=shown, expected=expected)
                     self.wait(self.link.now_ns() + 10_000_000)
 
     def differences(self) -> list[str]:

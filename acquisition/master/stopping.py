@@ -82,20 +82,12 @@ class _Stopping:
 
 
 def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
-    """Stop and disable every drive of `master`.
+    """Stop and disable every drive of `master`; returns the node ids of those that did not confirm.
 
-    All drives get the quick stop at once, by PDO and by SDO, while SYNC continues. Voltage is switched off for each drive at
-    its measured standstill, at once where its speed does not fall within 50 ms, and at the latest after v/a + 0.5 s. Then
-    each drive's statusword (6041h) is read for up to a second, until it shows switch on disabled or fault (CiA 402).
-
-    Parameters
-    ----------
-    master : over a link that may send; PDOs are used where they are configured.
-    after_sync : called after every SYNC; an `AcquisitionError` from it is ignored.
-
-    Returns
-    -------
-    Node ids of the drives that did not confirm; empty where all are disabled.
+    All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC continues. Voltage is switched off
+    for each drive at its measured standstill, at once where its speed does not fall within 50 ms, and at the latest after
+    v/a + 0.5 s. Then each drive's statusword (6041h) is read for up to a second, until it shows switch on disabled or fault
+    (CiA 402). `after_sync` is called after every SYNC; an `AcquisitionError` from it is ignored.
     """
     now_ns = master.link.now_ns()
     drives = [_Stopping(watch=watch, since_ns=now_ns) for watch in master.nodes]
@@ -133,14 +125,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
 def stop_drives(bus: Bus) -> list[int]:
     """Open the bus, stop and disable every drive (`safe_stop`), then set every node to PRE-OPERATIONAL.
 
-    Returns
-    -------
-    Node ids of the drives that did not confirm that they are disabled.
-
-    Raises
-    ------
-    AcquisitionError
-        The bus cannot be opened.
+    Returns the node ids of the drives that did not confirm that they are disabled.
     """
     link = open_link(bus.file, passive=False)
     try:

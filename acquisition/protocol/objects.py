@@ -43,23 +43,13 @@ class ObjectEntry:
 
 
 EMERGENCY, HEARTBEAT = 0x80, 0x700  # CAN identifiers of CiA 301, plus the node id
-
 CONTROLWORD, STATUSWORD = 0x6040, 0x6041
-
 MODE_OF_OPERATION, MODE_DISPLAY = 0x6060, 0x6061
-
 CONSUMER_HEARTBEAT, HEARTBEAT_TIME = 0x1016, 0x1017  # of CiA 301
-
-ABORT_CONNECTION = (
-    0x6007  # what a drive does when it loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
-)
-
+ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 2 disable voltage, 3 quick stop
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
-
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME, QUICK_STOP_DECELERATION = 0x6065, 0x6066, 0x6085
-
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
-
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
 
 # Entries whose type CiA 402 (or 301) fixes.
@@ -115,32 +105,14 @@ class EffortObject:
 
 
 EFFORT_OBJECTS = {
-    (e.entry.index, e.entry.sub): e
-    for e in (
-        EffortObject(
-            entry=ObjectEntry(index=0x6074, sub=0, type="I16"),
-            rule="per mille of rated torque",
-            meaning="torque demand, the reference of the current loop (CiA 402)",
-        ),
-        EffortObject(
-            entry=ObjectEntry(index=0x6077, sub=0, type="I16"),
-            rule="per mille of rated torque",
-            meaning="torque actual value (CiA 402)",
-        ),
-        EffortObject(
-            entry=ObjectEntry(index=0x6078, sub=0, type="I16"),
-            rule="per mille of rated current",
-            meaning="current actual value (CiA 402)",
-        ),
-        EffortObject(
-            entry=ObjectEntry(index=0x30D0, sub=0, type="I32"), rule="mA", meaning="current demand value (maxon EPOS4)"
-        ),
-        EffortObject(
-            entry=ObjectEntry(index=0x2031, sub=0, type="I16"), rule="mA", meaning="current demand value (maxon EPOS2)"
-        ),
-        EffortObject(
-            entry=ObjectEntry(index=0x221E, sub=0, type="I16"), rule="0.01 A", meaning="commanded current (Copley)"
-        ),
+    (index, 0): EffortObject(entry=ObjectEntry(index=index, sub=0, type=kind), rule=rule, meaning=meaning)
+    for index, kind, rule, meaning in (
+        (0x6074, "I16", "per mille of rated torque", "torque demand, the reference of the current loop (CiA 402)"),
+        (0x6077, "I16", "per mille of rated torque", "torque actual value (CiA 402)"),
+        (0x6078, "I16", "per mille of rated current", "current actual value (CiA 402)"),
+        (0x30D0, "I32", "mA", "current demand value (maxon EPOS4)"),
+        (0x2031, "I16", "mA", "current demand value (maxon EPOS2)"),
+        (0x221E, "I16", "0.01 A", "commanded current (Copley)"),
     )
 }
 
@@ -208,10 +180,6 @@ def interpolation_period(period_s: float) -> tuple[int, int]:
         count = period_s / 10.0**unit
         if round(count) in range(1, 256) and abs(count - round(count)) < 1e-6 * count:
             return round(count), unit
-    raise AcquisitionError(
-        "the interpolation period of drives (60C2) cannot say it",
-        key="bus.sync_period_s",
-        value=period_s,
-        shown=f"{period_s:g}",
-        expected="up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs",
-    )
+    problem = "the interpolation period of drives (60C2) cannot say it"
+    expected = "up to 255 times 1 ms, 0.1 ms, 10 µs or 1 µs"
+    raise AcquisitionError(problem, key="bus.sync_period_s", value=period_s, shown=f"{period_s:g}", expected=expected)

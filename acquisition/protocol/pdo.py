@@ -100,9 +100,8 @@ def pdos_of(
             kind = types.get(key, f"U{word & 0xFF}")
             if kind not in ("I8", "I16", "I32", "U8", "U16", "U32") or int(kind[1:]) != word & 0xFF:
                 problem = f"{key[0]:04X}:{key[1]} of {word & 0xFF} bits"
-                raise AcquisitionError(
-                    f"{direction} {number}: {problem}", place=place, expected="whole bytes of its own type"
-                )
+                expected = "whole bytes of its own type"
+                raise AcquisitionError(f"{direction} {number}: {problem}", place=place, expected=expected)
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)

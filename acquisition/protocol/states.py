@@ -70,10 +70,7 @@ TRANSITIONS: dict[tuple[State, Command], State] = {
 }
 
 # Transitions that a drive makes without a command (1 and 14); 13 leads from any state to FAULT_REACTION_ACTIVE.
-AUTOMATIC: dict[State, State] = {
-    _S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED,
-    _S.FAULT_REACTION_ACTIVE: _S.FAULT,
-}
+AUTOMATIC: dict[State, State] = {_S.NOT_READY_TO_SWITCH_ON: _S.SWITCH_ON_DISABLED, _S.FAULT_REACTION_ACTIVE: _S.FAULT}
 
 # No torque in these: the power stage is off, or has nothing to follow.
 DISABLED = frozenset(State) - {_S.OPERATION_ENABLED, _S.QUICK_STOP_ACTIVE, _S.FAULT_REACTION_ACTIVE}

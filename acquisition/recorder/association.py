@@ -54,13 +54,8 @@ class Answers:
 def sync_steps(syncs: Block, times: Ints, drives: list[Ints], before: Ints, frames: Block) -> Ints:
     """Periods from each SYNC frame to the next: 1, or more where SYNCs were not recorded. One more entry for the last.
 
-    Parameters
-    ----------
-    syncs : (k,) the SYNC frames; a counter in them (object 1019h) tells how many are missing.
-    times : (k,) their times, ns.
-    drives : rows of each PDO in `frames`.
-    before : (len(frames),) SYNC frames up to and with each frame.
-    frames : all frames.
+    A counter in the SYNC frames (object 1019h) tells how many are missing. `drives` has the rows of each PDO in `frames`, all
+    frames, and `before` the number of SYNC frames up to and with each of them.
     """
     steps = np.ones(len(times), np.int64)
     if (syncs["length"] >= 1).all():

@@ -94,20 +94,17 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str) -> Decoded:
     is_sync = traffic.ids == bus.file.sync_can_id
     sync_rows = np.flatnonzero(is_sync)
     if len(sync_rows) < 2:
-        raise AcquisitionError(
-            f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames", place=place, expected="many"
-        )
+        problem = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
+        raise AcquisitionError(problem, place=place, expected="many")
     before = np.cumsum(is_sync)
     carriers = _carriers(bus)
     rows, shorts = {}, {}
     for pdo in carriers:
         rows[pdo.can_id], shorts[pdo.can_id] = traffic.of(pdo)
         if not len(rows[pdo.can_id]):
-            raise AcquisitionError(
-                f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]})",
-                place=place,
-                expected="the drive's answers to SYNC; is it mapped and started?",
-            )
+            problem = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({carriers[pdo]})"
+            expected = "the drive's answers to SYNC; is it mapped and started?"
+            raise AcquisitionError(problem, place=place, expected=expected)
     syncs, times = frames[sync_rows], frames["time_ns"][sync_rows]
     steps = sync_steps(syncs, times, list(rows.values()), before, frames)
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])

@@ -38,12 +38,7 @@ class Role(Enum):
 
 
 def run(
-    connection: Connection,
-    path: Path,
-    files: Mapping[str, bytes],
-    place: str,
-    role: Role,
-    watched: Connection | None,
+    connection: Connection, path: Path, files: Mapping[str, bytes], place: str, role: Role, watched: Connection | None
 ) -> None:
     """The recorder's process. Signals such as Ctrl-C are ignored here; the session ends it, or its death does."""
     for number in (*STOPPING, signal.SIGTSTP):  # Ctrl-Z halts the session: its dead man must go on
@@ -87,11 +82,7 @@ def _master_ids(robot: Robot, place: str) -> Ints:
 
 
 def _record(
-    connection: Connection,
-    recorder: Recorder,
-    receiver: Receiver | None,
-    ours: Ints,
-    dead_man: DeadMan | None,
+    connection: Connection, recorder: Recorder, receiver: Receiver | None, ours: Ints, dead_man: DeadMan | None
 ) -> Recorded | None:
     """Record until the session asks to stop, or has died and its drives are stopped."""
     thread = threading.Thread(target=receiver.run, daemon=True) if receiver is not None else None

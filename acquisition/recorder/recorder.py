@@ -4,7 +4,7 @@ Where time is simulated a `Recorder` works in the session's own process; else `p
 """
 
 import shutil
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -53,14 +53,6 @@ class Recorded:
     no_samples: str = ""
 
 
-@dataclass(kw_only=True)
-class _Watch:
-    """Values of the live line, updated with each block."""
-
-    recent: list[Block] = field(default_factory=list)
-    status: Status = field(default_factory=Status)
-
-
 class Recorder:
     """Writes the recording `path`. The file is open from the start, and what is flushed survives a kill.
 
@@ -74,9 +66,8 @@ class Recorder:
         self._bus: Bus | None = None if self._by_traffic else resolve(robot, place)
         file = robot.bus
         if path.exists():
-            raise AcquisitionError(
-                "is there already", place=str(path), expected="a new name; recordings are not replaced"
-            )
+            expected = "a new name; recordings are not replaced"
+            raise AcquisitionError("is there already", place=str(path), expected=expected)
         try:
             self._writer = RecordingWriter(
                 path,
@@ -98,7 +89,8 @@ class Recorder:
         except OSError as error:
             raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
-        self._watch = _Watch()
+        self._recent: list[Block] = []  # since the last status
+        self._status = Status()
         self.granted: dict[str, float] = {}  # counters of what does not change, for every line of `/health`
         self._flushed_ns: int | None = None
 
@@ -106,7 +98,7 @@ class Recorder:
         """Frames in the order in which they were received."""
         if len(block):
             self._writer.frames(self.channel, block)
-            self._watch.recent.append(block)
+            self._recent.append(block)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Something that happened; on the disk at once when it is no mere phase."""
@@ -121,10 +113,9 @@ class Recorder:
         elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
         if 0 <= elapsed_s < FLUSH_S and not now:
             return None
-        recent = np.concatenate(self._watch.recent) if self._watch.recent else np.zeros(0, FRAME)
-        self._watch.recent = []
-        status = self._summed_up(recent, elapsed_s, drops)
-        self._watch.status = status
+        recent = np.concatenate(self._recent) if self._recent else np.zeros(0, FRAME)
+        self._recent = []
+        self._status = status = self._summed_up(recent, elapsed_s, drops)
         counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
         self._writer.health(stamp_ns, self.granted | counters | {"duplicate": status.duplicate, "short": status.short})
         self._writer.flush()
@@ -132,7 +123,7 @@ class Recorder:
         return status
 
     def _summed_up(self, recent: Block, elapsed_s: float, drops: int) -> Status:
-        was = self._watch.status
+        was = self._status
         low, high, counted = was.lowest, was.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
         decoded = self._decoded(recent)
         if decoded is not None:

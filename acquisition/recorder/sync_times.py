@@ -37,15 +37,9 @@ class SyncTimes:
 
 
 def sync_times(times: Ints, index_of: Ints, grid: int, *, ours: bool, nominal_ns: int) -> SyncTimes:
-    """Times of all SYNCs of the grid from those of the recorded ones.
+    """Times of all `grid` SYNCs from those of the recorded ones, ns, and their index on the grid.
 
-    Parameters
-    ----------
-    times : (k,) time of each recorded SYNC, ns.
-    index_of : (k,) its index on the grid.
-    grid : SYNCs in all, those included that were not recorded.
-    ours : whether we sent them.
-    nominal_ns : period of the description; of two estimates of the period the one nearer to it is used.
+    `ours`: we sent them. Of two estimates of the period the one nearer to the nominal one is used.
     """
     index = index_of.astype(np.float64)
     times, set_back = _without_set_back(times, index_of)

@@ -135,13 +135,11 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
-        raise AcquisitionError(
-            f"holds no metadata record 'recording'{note}", place=place, expected="a recording of robot-acquire"
-        )
+        expected = "a recording of robot-acquire"
+        raise AcquisitionError(f"holds no metadata record 'recording'{note}", place=place, expected=expected)
     if "robot.toml" not in attachments:
-        raise AcquisitionError(
-            f"holds no robot.toml{note}", place=place, expected="the robot's description as an attachment"
-        )
+        expected = "the robot's description as an attachment"
+        raise AcquisitionError(f"holds no robot.toml{note}", place=place, expected=expected)
     robot = robot_from_files(attachments, f"{place}: robot.toml")
     if metadata.get("effort_unit") != json.dumps(robot.effort_units):
         expected = json.dumps(robot.effort_units)
@@ -204,9 +202,8 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block
     else:
         raise AcquisitionError(f"layout {blocks.layout[:200]!r}", place=place, expected=str(known[-1].descr))
     if any(end % dtype.itemsize for end in blocks.ends):
-        raise AcquisitionError(
-            f"{len(blocks.data)} bytes", place=place, expected=f"blocks of whole rows of {dtype.itemsize} bytes"
-        )
+        expected = f"blocks of whole rows of {dtype.itemsize} bytes"
+        raise AcquisitionError(f"{len(blocks.data)} bytes", place=place, expected=expected)
     rows = np.frombuffer(blocks.data.whole(), dtype)
     rows.flags.writeable = False
     return rows
@@ -232,19 +229,11 @@ def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
         raise AcquisitionError(place=place, key="schema_version", value=text, expected="a whole number from 1")
     if int(text) > SCHEMA_VERSION:
-        raise AcquisitionError(
-            place=place,
-            key="schema_version",
-            value=int(text),
-            expected=f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file",
-        )
+        expected = f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
+        raise AcquisitionError(place=place, key="schema_version", value=int(text), expected=expected)
     if metadata.get("crc32") != metadata_crc(metadata):
-        raise AcquisitionError(
-            place=f"{place}: metadata",
-            key="crc32",
-            value=metadata.get("crc32"),
-            expected=repr(metadata_crc(metadata)),
-        )
+        expected = repr(metadata_crc(metadata))
+        raise AcquisitionError(place=f"{place}: metadata", key="crc32", value=metadata.get("crc32"), expected=expected)
 
 
 def _rate(metadata: Mapping[str, str], place: str) -> float:

@@ -10,21 +10,9 @@ from .writer import RecordingWriter
 
 
 def recover(cut_path: Path, out_path: Path) -> Recording:
-    """Write a whole recording from one without its end.
+    """Write a whole recording of everything before the cut of one without its end; returns what was read.
 
-    Parameters
-    ----------
-    cut_path : the recording that was cut.
-    out_path : a whole one with everything before the cut.
-
-    Returns
-    -------
-    What was read before the cut.
-
-    Raises
-    ------
-    AcquisitionError
-        As `read_recording`; also if the file is not cut, or `out_path` cannot be written.
+    An `AcquisitionError` as of `read_recording`; also if the file is not cut, or `out_path` cannot be written.
     """
     recording = read_recording(cut_path)
     if not recording.cut:

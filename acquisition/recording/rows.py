@@ -66,24 +66,17 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
-            raise AcquisitionError(
-                place=f"{place}: row {first + row + 1}",
-                key="stamp_ns",
-                value=int(stamps[row]),
-                expected=f"growing stamps from 0 to {LARGEST_STAMP_NS}",
-            )
+            where = f"{place}: row {first + row + 1}"
+            expected = f"growing stamps from 0 to {LARGEST_STAMP_NS}"
+            raise AcquisitionError(place=where, key="stamp_ns", value=int(stamps[row]), expected=expected)
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
                 value = rows[field][row, joint]
-                raise AcquisitionError(
-                    place=f"{place}: row {first + row + 1}",
-                    key=f"{field} of joint {joint + 1}",
-                    value=float(value),
-                    expected="a finite number",
-                )
+                where, key = f"{place}: row {first + row + 1}", f"{field} of joint {joint + 1}"
+                raise AcquisitionError(place=where, key=key, value=float(value), expected="a finite number")
         let_go(samples)
 
 
@@ -92,8 +85,5 @@ def check_frames(frames: Block, place: str) -> None:
     bad = (frames["length"] > 8) | (frames["time_ns"] < 0)
     if bad.any():
         row = int(np.argmax(bad))
-        raise AcquisitionError(
-            f"length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}",
-            place=f"{place}: row {row + 1}",
-            expected="8 bytes at most and a time from 0",
-        )
+        problem = f"length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}"
+        raise AcquisitionError(problem, place=f"{place}: row {row + 1}", expected="8 bytes at most and a time from 0")

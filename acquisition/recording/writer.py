@@ -56,9 +56,8 @@ class RecordingWriter:
         if block.dtype not in sample_layouts(self._robot):
             raise AcquisitionError(f"rows of {block.dtype}", place=place, expected=f"sample_dtype of {n} joints")
         if self._layout not in (None, block.dtype):
-            raise AcquisitionError(
-                f"rows of {block.dtype}", place=place, expected=f"{self._layout} as in the block before"
-            )
+            expected = f"{self._layout} as in the block before"
+            raise AcquisitionError(f"rows of {block.dtype}", place=place, expected=expected)
         if len(block) == 0:
             return
         check_samples(block, self._last_stamp_ns, place)
@@ -75,9 +74,8 @@ class RecordingWriter:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
         if not FRAMES_TOPIC.fullmatch(topic):
-            raise AcquisitionError(
-                f"CAN channel {channel!r}", place=self._place, expected="letters, digits and _ . - only"
-            )
+            expected = "letters, digits and _ . - only"
+            raise AcquisitionError(f"CAN channel {channel!r}", place=self._place, expected=expected)
         if block.dtype != FRAME:
             raise AcquisitionError(f"rows of {block.dtype}", place=f"{self._place}: {topic}", expected=str(FRAME))
         if len(block):
@@ -121,9 +119,8 @@ class RecordingWriter:
 
     def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
         if stamp_ns < 0:
-            raise AcquisitionError(
-                place=f"{self._place}: {topic}", key="stamp_ns", value=stamp_ns, expected="a time from 0"
-            )
+            where = f"{self._place}: {topic}"
+            raise AcquisitionError(place=where, key="stamp_ns", value=stamp_ns, expected="a time from 0")
         channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 

@@ -16,19 +16,12 @@ from .bus import BusFile, check_bus
 from .toml import Name, Positive, TomlTable
 
 Rows = Annotated[int, msgspec.Meta(ge=0)]
-
 Share = Annotated[float, msgspec.Meta(ge=0, lt=100)]
-
 Lag = Annotated[float, msgspec.Meta(gt=-1, lt=1)]
-
 Edges = Literal["smooth", "matlab"]
-
 EffortUnit = Literal["A", "V", "N m", "N"]
-
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
-
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
-
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 

@@ -26,11 +26,8 @@ from .extra_objects import ExtraObject
 from .robot import Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
-
 USUAL_SYNC = 0x80
-
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
-
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
 Values = Mapping[tuple[int, int], int]
@@ -206,11 +203,8 @@ def axis_of(drive: Drive) -> int:
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
-        raise AcquisitionError(
-            f"control {drive.control} and status {drive.status}",
-            place=f"node {drive.node}",
-            expected="those of one axis, such as 6040:0 and 6041:0",
-        )
+        where, expected = f"node {drive.node}", "those of one axis, such as 6040:0 and 6041:0"
+        raise AcquisitionError(f"control {drive.control} and status {drive.status}", place=where, expected=expected)
     return axis
 
 

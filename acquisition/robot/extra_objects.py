@@ -73,12 +73,8 @@ def extra_object(
     rule = RULES[known.rule]
     rated = getattr(file, rule.rated) if rule.rated else 1.0
     if rated is None:
-        raise AcquisitionError(
-            place=place,
-            key=f"{key}.{rule.rated}",
-            value=None,
-            expected=f"the rated value that {entry} multiplies, or a scale and a unit for it in extra",
-        )
+        expected = f"the rated value that {entry} multiplies, or a scale and a unit for it in extra"
+        raise AcquisitionError(place=place, key=f"{key}.{rule.rated}", value=None, expected=expected)
     return ExtraObject(entry=entry, column=column, scale=(file.effort_sign or file.sign) * rule.factor * rated)
 
 

@@ -21,9 +21,7 @@ FAR_FASTER = 3.0  # times the speed limit
 UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot's joint is faster, stated or not
 OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
-SPEED_WINDOW_S = (
-    0.05  # positions and speeds are compared over windows of this length: noise of single samples matters less
-)
+SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared: noise of single samples matters less
 SPEED_OFF = 0.1  # of the change of position: speeds further off are told
 WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
@@ -51,17 +49,7 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
 
     A drive gives no more than `saturation`, nor than its effort object can hold. Where joints are coupled, the effort of a
     motor is a sum over joints, and its limit one on that sum. Stated efforts, in N m or N, do not count where the drive gain
-    is not known.
-
-    Parameters
-    ----------
-    robot : with `[bus]` or without.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        The bus is described wrongly.
+    is not known. `place` names the description in errors.
     """
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     if robot.bus is not None:
@@ -185,14 +173,9 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) ->
         return [f"joint {joint.name} at {speed}, {when}: {limit}"]
     neighbour = max(step[k - 1] if k else 0.0, step[k + 1] if k + 1 < len(step) else 0.0)
     if step[k] > _JUMP * neighbour:
-        raise AcquisitionError(
-            f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})",
-            place=place,
-            expected="motion: a counter that wrapped, lost or foreign samples, or two recordings glued together",
-        )
+        problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
+        expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
+        raise AcquisitionError(problem, place=place, expected=expected)
     key = "speed_deg_s" if joint.type == "revolute" else "speed_m_s"
-    raise AcquisitionError(
-        f"joint {joint.name} at {speed}, {when}: {limit}",
-        place=place,
-        expected=f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml",
-    )
+    expected = f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml"
+    raise AcquisitionError(f"joint {joint.name} at {speed}, {when}: {limit}", place=place, expected=expected)

@@ -70,12 +70,7 @@ def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
 
 
 def _drive(
-    file: DriveFile,
-    motor: Motor,
-    files: Mapping[str, bytes],
-    place: str,
-    at: str,
-    traffic: Mapping[int, Values] | None,
+    file: DriveFile, motor: Motor, files: Mapping[str, bytes], place: str, at: str, traffic: Mapping[int, Values] | None
 ) -> Drive:
     dictionary, types = None, dict(STANDARD)
     if file.dictionary is not None:
@@ -143,9 +138,8 @@ def _drive(
     )
     for needed in (position, effort.entry, *(extra.entry for extra in extras)):
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
-            raise AcquisitionError(
-                f"{at}.mapping: no PDO from the drive carries {needed}", place=place, expected=f"one ({file.mapping})"
-            )
+            problem = f"{at}.mapping: no PDO from the drive carries {needed}"
+            raise AcquisitionError(problem, place=place, expected=f"one ({file.mapping})")
     return drive
 
 
@@ -198,13 +192,8 @@ def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, place:
         expected = f"the rated value that {name!r} multiplies"
         raise AcquisitionError(place=place, key=f"{at}.{rule.rated}", value=None, expected=expected)
     if rule.unit != motor.recorded_unit:
-        raise AcquisitionError(
-            f"gives {rule.unit}",
-            place=place,
-            key=f"{at}.{word}_rule",
-            value=name,
-            expected=f"{motor.recorded_unit} as motor {motor.name!r} says",
-        )
+        key, expected = f"{at}.{word}_rule", f"{motor.recorded_unit} as motor {motor.name!r} says"
+        raise AcquisitionError(f"gives {rule.unit}", place=place, key=key, value=name, expected=expected)
     meaning = known.meaning if known is not None and known.entry.type == entry.type else "as described"
     stands_in = "" if word == "reference" else ", the actual value standing in for the reference"
     times = f" x {rated:g} ({rule.rated})" if rule.rated else ""

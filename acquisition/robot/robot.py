@@ -67,12 +67,8 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            raise AcquisitionError(
-                place=f"robot {self.name}",
-                key="controller.bandwidth_hz",
-                value=None,
-                expected="the bandwidth of the position loop, Hz",
-            )
+            where, expected = f"robot {self.name}", "the bandwidth of the position loop, Hz"
+            raise AcquisitionError(place=where, key="controller.bandwidth_hz", value=None, expected=expected)
         return self.controller.bandwidth_hz
 
     @property
@@ -162,9 +158,8 @@ def _refuse_idle_keys(c: Controller, place: str) -> None:
             if c.structure is not None:
                 expected = f"none, structure = {c.structure!r} has no integral"
             value = list(value) if isinstance(value, tuple) else value
-            raise AcquisitionError(
-                "does nothing", place=place, key=f"controller.{name}", value=value, expected=expected
-            )
+            key = f"controller.{name}"
+            raise AcquisitionError("does nothing", place=place, key=key, value=value, expected=expected)
 
 
 def _companion(path: Path, key: str, name: str) -> bytes:
@@ -176,18 +171,10 @@ def _companion(path: Path, key: str, name: str) -> bytes:
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
-    """Build a robot from the files that a recording carries.
+    """Build a robot from the files that a recording carries, by name; `place` names the description in errors.
 
-    Parameters
-    ----------
-    files : content by name: `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and
-        `dictionary:<name>`; of a dry run `simulated_controller.toml`.
-    place : the name of the description in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        With `place`, `key`, `value` and `expected`.
+    They are `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
+    `simulated_controller.toml`.
     """
     if "robot.toml" not in files:
         raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")

@@ -47,9 +47,8 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
             problem, expected = "", message.removeprefix("Expected ")
         value = _value_at(data, path)
         found = {} if value is None or isinstance(value, dict | list) else {"value": value}
-        raise AcquisitionError(
-            problem, place=place, key=path.lstrip(".") or "top level", expected=expected, **found
-        ) from error
+        key = path.lstrip(".") or "top level"
+        raise AcquisitionError(problem, place=place, key=key, expected=expected, **found) from error
 
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:

@@ -63,9 +63,8 @@ def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointSta
     except Exception as error:  # readers and SQLite meet damage with whatever their parts raise
         after = f" after {parts.count} messages" if parts is not None and parts.count else ""
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(
-            f"cannot be read{after}: {problem[:200]}", place=str(path), expected="a ROS 2 bag: a folder, .mcap or .db3"
-        ) from error
+        expected = "a ROS 2 bag: a folder, .mcap or .db3"
+        raise AcquisitionError(f"cannot be read{after}: {problem[:200]}", place=str(path), expected=expected) from error
     return parts.states()
 
 
@@ -116,11 +115,9 @@ class _Parts:
             strict=True,
         ):
             if len(found) not in (0, len(source[1])) or (kind == "position" and not len(found)):
-                raise AcquisitionError(
-                    f"{len(found)} values of {kind}",
-                    place=f"{self._place}: message {self.count}",
-                    expected=f"{len(source[1])}, one for each name",
-                )
+                problem = f"{len(found)} values of {kind}"
+                expected = f"{len(source[1])}, one for each name"
+                raise AcquisitionError(problem, place=f"{self._place}: message {self.count}", expected=expected)
             if len(found):
                 values.append(found[places])
 
@@ -131,18 +128,14 @@ class _Parts:
         if len(missing) == len(self._joints) and self._joints:
             return None
         if missing:
-            raise AcquisitionError(
-                f"joints {listed(missing)} missing among {listed(names)}",
-                place=f"{self._place}: message {self.count}",
-                expected="all joints of robot.toml in each message, by the names that it gives them",
-            )
+            problem = f"joints {listed(missing)} missing among {listed(names)}"
+            expected = "all joints of robot.toml in each message, by the names that it gives them"
+            raise AcquisitionError(problem, place=f"{self._place}: message {self.count}", expected=expected)
         if self._source is not None:
             apart = f"frame {source[0]!r} after {self._source[0]!r}" if source[1] == self._source[1] else "other names"
-            raise AcquisitionError(
-                f"messages of several publishers: {apart}",
-                place=f"{self._place}: message {self.count}",
-                expected="one publisher; record the topic of the arm's own driver",
-            )
+            problem = f"messages of several publishers: {apart}"
+            expected = "one publisher; record the topic of the arm's own driver"
+            raise AcquisitionError(problem, place=f"{self._place}: message {self.count}", expected=expected)
         self._source = source
         return [names.index(joint) for joint in self._joints]
 
@@ -151,35 +144,25 @@ class _Parts:
         if not self._stamps:
             names = sorted({name for _, names in self._places for name in names})
             found = f"has {listed(names)}" if names else "has no messages"
-            raise AcquisitionError(
-                found, place=self._place, expected=f"the joints {listed(self._joints)} of robot.toml"
-            )
+            expected = f"the joints {listed(self._joints)} of robot.toml"
+            raise AcquisitionError(found, place=self._place, expected=expected)
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
         if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
             row = 1 + int(np.argmin(stamps[1:] != 0))
-            raise AcquisitionError(
-                "a header without a stamp",
-                place=f"{self._place}: state {row + 1}",
-                expected="stamps in all headers or in none",
-            )
+            where = f"{self._place}: state {row + 1}"
+            raise AcquisitionError("a header without a stamp", place=where, expected="stamps in all headers or in none")
         for kind, values in zip(("velocity", "effort"), self._values[1:], strict=True):
             if len(values) not in (0, count):
-                raise AcquisitionError(
-                    f"{kind} in {len(values)} of {count} messages",
-                    place=self._place,
-                    expected=f"{kind} in all or in none",
-                )
+                problem = f"{kind} in {len(values)} of {count} messages"
+                raise AcquisitionError(problem, place=self._place, expected=f"{kind} in all or in none")
         position, velocity, effort = (np.array(values, dtype=np.float64) if values else None for values in self._values)
         assert position is not None
         if not np.isfinite(position).all():
             row, joint = np.argwhere(~np.isfinite(position))[0]
-            raise AcquisitionError(
-                place=f"{self._place}: state {row + 1}",
-                key=f"position of joint {self._joints[joint]}",
-                value=float(position[row, joint]),
-                expected="a finite number",
-            )
+            where = f"{self._place}: state {row + 1}"
+            key = f"position of joint {self._joints[joint]}"
+            raise AcquisitionError(place=where, key=key, value=float(position[row, joint]), expected="a finite number")
         return JointStates(
             stamps_ns=np.array(self._received, dtype=np.int64) if received else stamps,
             received=received,

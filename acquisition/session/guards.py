@@ -98,15 +98,15 @@ def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:
 
 def joint_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
     """Limits of position, speed, following error, and of motion while drives are enabled."""
-    q = motion.measured[-1]
+    q, file = motion.measured[-1], master.bus.file
     dq = None
     if len(motion.measured) > SPEED_SYNCS:
-        dq = (q - motion.measured[-1 - SPEED_SYNCS]) / (SPEED_SYNCS * master.bus.file.sync_period_s)
+        dq = (q - motion.measured[-1 - SPEED_SYNCS]) / (SPEED_SYNCS * file.sync_period_s)
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         if not low <= q[i] <= high:
             return _beyond(joint, "position", q[i], joint.position_unit, f"{low:.4g} to {high:.4g}")
-        largest = _enable_motion(master, joint)
+        largest = float(np.radians(file.enable_motion_deg)) if joint.type == "revolute" else file.enable_motion_m
         if motion.enabling and motion.start is not None and abs(q[i] - motion.start[i]) > largest:
             moved = q[i] - motion.start[i]
             return _beyond(
@@ -126,9 +126,3 @@ def _beyond(joint: Joint, key: str, value: float, unit: str, expected: str) -> A
     return AcquisitionError(
         place=joint.name, key=key, value=float(value), shown=f"{value:.4g} {unit}", expected=expected
     )
-
-
-def _enable_motion(master: Master, joint: Joint) -> float:
-    """Largest motion of a joint while drives are enabled, rad or m."""
-    file = master.bus.file
-    return float(np.radians(file.enable_motion_deg) if joint.type == "revolute" else file.enable_motion_m)

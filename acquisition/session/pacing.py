@@ -48,9 +48,8 @@ class Pace:
             patience_ns = self._latest_ns if in_motion else ABSENT_PERIODS * self._period_ns
             if not self._master.wait_for_sync(self.next_ns + patience_ns):
                 waited = f"{patience_ns / self._period_ns:.3g} periods"
-                raise AcquisitionError(
-                    f"no SYNC in {waited}", place="bus", expected="the other producer's; or sync_producer = 'recorder'"
-                )
+                expected = "the other producer's; or sync_producer = 'recorder'"
+                raise AcquisitionError(f"no SYNC in {waited}", place="bus", expected=expected)
             self._refuse_late(in_motion)
             self.next_ns = self._link.now_ns()
         self._master.wait(self.next_ns + round(ANSWER_SHARE * self._period_ns), for_answers=True)
@@ -59,10 +58,8 @@ class Pace:
     def _refuse_late(self, in_motion: bool) -> None:
         late_ns = self._link.now_ns() - self.next_ns
         if in_motion and late_ns > self._latest_ns:
-            raise AcquisitionError(
-                f"SYNC {late_ns * 1e-9:.3g} s late in motion",
-                expected=f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped",
-            )
+            expected = f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
+            raise AcquisitionError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
 
 
 class Clock:

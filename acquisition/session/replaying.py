@@ -41,12 +41,9 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     if not speed > 0:
         raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
     if file.interface not in WITHOUT_HARDWARE and not onto_bus:
-        raise AcquisitionError(
-            "hardware may be on this bus",
-            key="--interface",
-            value=file.interface,
-            expected=f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}",
-        )
+        problem = "hardware may be on this bus"
+        expected = f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}"
+        raise AcquisitionError(problem, key="--interface", value=file.interface, expected=expected)
     recording = read_recording(path)
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
@@ -58,11 +55,8 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
         listen_s = max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s)
         for frame in listen(link, listen_s, lambda: bool(stop.reason)):
             service = service_of(frame, recording.robot.bus.sync_can_id)
-            raise AcquisitionError(
-                f"{service} is heard",
-                place=f"{file.interface} {file.channel}",
-                expected="a silent bus; nothing was sent",
-            )
+            expected = "a silent bus; nothing was sent"
+            raise AcquisitionError(f"{service} is heard", place=f"{file.interface} {file.channel}", expected=expected)
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
             wait_s = start_s + at_s - time.monotonic()

@@ -35,17 +35,8 @@ QUICK_STOP_STAYS = range(5, 9)
 class SimulatedDrives:
     """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
-    Parameters
-    ----------
-    robot, bus : the description, and its drives as resolved.
-    mechanism : what the drives move, and their control loops; by default `mechanism_of` the description.
-    faults : what goes wrong, with which node, at which SYNC.
-    supervised : False: the drives notice neither a lost SYNC nor a lost master (no 1016h, and 6007h is 0).
-
-    Raises
-    ------
-    AcquisitionError
-        The description's `[parameters]` cannot be simulated.
+    They move `mechanism` (default: `mechanism_of` the description). `faults` says what goes wrong, with which node, at which
+    SYNC. Drives that are not `supervised` notice neither a lost SYNC nor a lost master (no 1016h, and 6007h is 0).
     """
 
     def __init__(

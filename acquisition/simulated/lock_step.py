@@ -30,17 +30,10 @@ class DryRun:
 
 
 def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
-    """Put simulated drives on an in-process `virtual` bus, in lock-step with the link of a session.
+    """Put simulated drives, not booted yet, on an in-process `virtual` bus, in lock-step with the link of a session.
 
-    Parameters
-    ----------
-    drives : not booted yet.
-    tap : called with every frame that the session's link sends or receives.
-
-    Returns
-    -------
-    The session's link and the drives. Time is simulated: it advances only when the link waits, and every run with the same
-    drives gives the same frames.
+    Time is simulated: it advances only when the link waits, and every run with the same drives gives the same frames. `tap`
+    is called with every frame that the session's link sends or receives.
     """
     file = msgspec.structs.replace(drives.bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
     other_end = Link(open_bus(file, passive=False), passive=False)

@@ -33,14 +33,7 @@ class Mechanism:
 def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
     """The mechanism of a description: the robot of its `[parameters]`, or independent joints without them.
 
-    Returns
-    -------
     Independent joints, with a warning, also where no installed package offers the robot's dynamics.
-
-    Raises
-    ------
-    AcquisitionError
-        The `[parameters]` cannot be simulated, or the entry point cannot be loaded.
     """
     if not robot.parameters:
         return _stand_in(robot, bus, "robot.toml has no [parameters]")

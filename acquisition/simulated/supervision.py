@@ -3,9 +3,7 @@
 from ..protocol import ABORT_CONNECTION, CONSUMER_HEARTBEAT, DISABLED, State
 from .node import Sent, SimulatedNode
 
-SYNC_LOST_NS = (
-    100_000_000  # an enabled drive without SYNC for this time goes into fault, as real drives are configured to do
-)
+SYNC_LOST_NS = 100_000_000  # an enabled drive without SYNC for so long goes into fault, as real drives are set to do
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
 # 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault signal) is handled below.

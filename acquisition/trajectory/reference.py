@@ -132,9 +132,8 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
             problem = f"{length_s:.6g} s from first to last{slower}"
-            raise AcquisitionError(
-                problem, place=f"{path}: time_s", expected=f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
-            )
+            expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
+            raise AcquisitionError(problem, place=f"{path}: time_s", expected=expected)
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
@@ -168,11 +167,8 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
-                raise AcquisitionError(
-                    f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}",
-                    place=place,
-                    expected="one in robot.toml before anything moves",
-                )
+                problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
+                raise AcquisitionError(problem, place=place, expected="one in robot.toml before anything moves")
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
         dq = np.diff(at_rest, axis=0) / period_s

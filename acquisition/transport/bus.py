@@ -37,21 +37,9 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """Open the bus of a description.
+    """Open the bus of a description as python-can does, with a receive queue of `QUEUE_BYTES` where the kernel grants it.
 
-    Parameters
-    ----------
-    file : `[bus]` of robot.toml: interface, channel, bitrate.
-    passive : the bus object cannot send, and an slcan adapter does not even acknowledge.
-
-    Returns
-    -------
-    python-can's bus object, with a receive queue of `QUEUE_BYTES` where the kernel grants it.
-
-    Raises
-    ------
-    AcquisitionError
-        It cannot be opened.
+    A `passive` bus object cannot send, and an slcan adapter does not even acknowledge.
     """
     import can
 

@@ -28,29 +28,17 @@ class _Doubts(logging.Handler):
 
 
 def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
-    """Frames of a log of another tool.
+    """Interface and frame, one by one, of a log of another tool: candump (.log), Vector ASC or BLF, PCAN TRC, by the suffix.
 
-    Parameters
-    ----------
-    path : candump (.log), Vector ASC or BLF, or PCAN TRC; the suffix decides.
-
-    Yields
-    ------
-    Interface and frame. The interface of an error frame in a candump log is None, because python-can does not give it. The
-    frame is None for CAN FD, which CANopen does not use.
-
-    Raises
-    ------
-    AcquisitionError
-        With the file, and the frame (from 1), as `place`: the log cannot be read or is damaged, a time does not fit into a
-        recording, or a frame has more than 8 bytes.
+    The interface of an error frame in a candump log is None, because python-can does not give it. The frame is None for CAN FD,
+    which CANopen does not use. An `AcquisitionError` names the file and the frame (from 1): the log cannot be read or is
+    damaged, a time does not fit into a recording, or a frame has more than 8 bytes.
     """
     import can
 
     if path.suffix.lower() not in SUFFIXES:
-        raise AcquisitionError(
-            f"suffix {path.suffix!r}", place=str(path), expected=".log (candump), .asc, .blf or .trc"
-        )
+        expected = ".log (candump), .asc, .blf or .trc"
+        raise AcquisitionError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
     count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _Doubts()
     logger = logging.getLogger("can.io.trc")
     logger.addHandler(doubts)
@@ -70,9 +58,8 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
                 if len(message.data) > LARGEST_PAYLOAD:
                     where = f"{path}: frame {count} (0x{message.arbitration_id:03X})"
                     problem = f"{len(message.data)} bytes"
-                    raise AcquisitionError(
-                        problem, place=where, expected=f"{LARGEST_PAYLOAD} at most, as of classic CAN"
-                    )
+                    expected = f"{LARGEST_PAYLOAD} at most, as of classic CAN"
+                    raise AcquisitionError(problem, place=where, expected=expected)
                 yield interface, frame_of(message)
         if doubts.first is not None:
             raise AcquisitionError(f"damaged: {doubts.first[:200]}", place=str(path))
@@ -92,6 +79,5 @@ def _refuse_version(path: Path) -> None:
         found = re.search(rb"(?m)^;\$FILEVERSION=([^\s]*)", file.read(4096))
     version = found[1].decode(errors="replace") if found else "1.0"
     if version not in _TRC_VERSIONS:
-        raise AcquisitionError(
-            f"version {version} of PCAN's format", place=str(path), expected=f"one of {', '.join(_TRC_VERSIONS)}"
-        )
+        expected = f"one of {', '.join(_TRC_VERSIONS)}"
+        raise AcquisitionError(f"version {version} of PCAN's format", place=str(path), expected=expected)

@@ -32,9 +32,8 @@ def run(options: argparse.Namespace) -> None:
     out: Path | None = options.out
     refuse_outputs([options.robot], out)
     if out is not None and out.exists():
-        raise IdentificationError(
-            "is there already", place=str(out), expected="a new name; descriptions are not replaced"
-        )
+        expected = "a new name; descriptions are not replaced"
+        raise IdentificationError("is there already", place=str(out), expected=expected)
     chain = chain_of(options)
     folder = Path.cwd() if out is None else out.absolute().parent
     text = describe(chain, os.path.relpath(options.robot.absolute(), folder))

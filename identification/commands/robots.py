@@ -50,16 +50,10 @@ def add_urdf_options(parser: argparse.ArgumentParser) -> None:
 
 
 def robot_of(options: argparse.Namespace, needs: Sequence[str] = ()) -> "Robot":
-    """The described robot.
+    """The robot that the options of `add_robot` describe.
 
-    Parameters
-    ----------
-    options : of `add_robot`.
-    needs : what a URDF or its options must state: `MOTION`, or other names of `identification.urdf.OPTIONS`.
-
-    Raises
-    ------
-    AcquisitionError, IdentificationError : one line; for what a URDF does not say, it names joint and option.
+    `needs`: what a URDF or its options must state: `MOTION`, or other names of `identification.urdf.OPTIONS`. The error for
+    what a URDF does not say names joint and option.
     """
     from acquisition.robot import load_robot
 

@@ -22,25 +22,16 @@ def check_one_robot(recordings: Sequence[Signals]) -> None:
     first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
     for other in recordings[1:]:
         if other.sha256 and other.sha256 in seen:
-            raise IdentificationError(
-                f"holds the same as {seen[other.sha256]}", place=other.recording, expected="each recording once"
-            )
+            problem = f"holds the same as {seen[other.sha256]}"
+            raise IdentificationError(problem, place=other.recording, expected="each recording once")
         seen[other.sha256] = other.recording
         if other.robot.n != first.robot.n:
-            raise IdentificationError(
-                place=other.recording,
-                key="joints",
-                value=other.robot.n,
-                expected=f"{first.robot.n}, as in {first.recording}",
-            )
+            expected = f"{first.robot.n}, as in {first.recording}"
+            raise IdentificationError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
         for key, value, wanted in _compared(other.robot, first.robot):
             if value != wanted:
-                raise IdentificationError(
-                    place=other.recording,
-                    key=key,
-                    value=value,
-                    expected=f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot",
-                )
+                expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
+                raise IdentificationError(place=other.recording, key=key, value=value, expected=expected)
 
 
 def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:

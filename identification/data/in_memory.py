@@ -70,9 +70,8 @@ def signals_from_arrays(
     arrays |= {name: _copied(name, array, robot.n) for name, array in given.items() if array is not None}
     for name, array in arrays.items():
         if array.shape != arrays["q"].shape:
-            raise IdentificationError(
-                place=NAME, key=f"{name}.shape", value=array.shape, expected=f"{arrays['q'].shape}, as q has"
-            )
+            expected = f"{arrays['q'].shape}, as q has"
+            raise IdentificationError(place=NAME, key=f"{name}.shape", value=array.shape, expected=expected)
     digest = hashlib.sha256()
     for name, array in arrays.items():
         digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())

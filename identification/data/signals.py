@@ -83,30 +83,22 @@ class Signals:
         for name, part in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
-                raise IdentificationError(
-                    place=self.recording, key=f"{name}.shape", value=part.shape, expected=str(shape)
-                )
+                key = f"{name}.shape"
+                raise IdentificationError(place=self.recording, key=key, value=part.shape, expected=str(shape))
         if n != self.robot.n:
-            raise IdentificationError(
-                place=self.recording, key="joints recorded", value=n, expected=f"{self.robot.n}, as the robot has"
-            )
+            expected = f"{self.robot.n}, as the robot has"
+            raise IdentificationError(place=self.recording, key="joints recorded", value=n, expected=expected)
         if self.known_torque is not None and not self.robot.gain_known:
             units = " and ".join(sorted(set(self.robot.effort_units)))
-            raise IdentificationError(
-                f"cannot be added to efforts in {units}",
-                place=self.recording,
-                key="known_torque",
-                expected=f"the drive gains of robot {self.robot.name}",
-            )
+            problem = f"cannot be added to efforts in {units}"
+            expected = f"the drive gains of robot {self.robot.name}"
+            raise IdentificationError(problem, place=self.recording, key="known_torque", expected=expected)
         for name, array in parts.items():
             if array is not None:
                 if not np.isfinite(array).all():
                     row = int(np.argwhere(~np.isfinite(array))[0, 0])
                     raise IdentificationError(
-                        place=self.recording,
-                        key=f"{name}[{row}]",
-                        value=array[row].tolist(),
-                        expected="finite numbers",
+                        place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
                     )
                 array.flags.writeable = False
                 let_go(array)
@@ -149,18 +141,12 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     path = Path(path)
     recording = read_recording(path)
     if recording.cut:
-        raise IdentificationError(
-            "is cut",
-            place=str(path),
-            expected=f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds",
-        )
+        expected = f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
+        raise IdentificationError("is cut", place=str(path), expected=expected)
     samples = recording.samples
     if samples is None or len(samples) == 0:
-        raise IdentificationError(
-            "holds no joint samples",
-            place=str(path),
-            expected="the channel /samples (`robot-acquire decode` makes it from frames)",
-        )
+        expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
+        raise IdentificationError("holds no joint samples", place=str(path), expected=expected)
     stamps = field_of(samples, "stamp_ns")
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     q, effort = (_at(grid, stamps, field_of(samples, name)) for name in ("position", "effort"))
@@ -207,12 +193,8 @@ def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
     ):
         for (name, before), now in zip(old, new, strict=True):
             if before != now:
-                raise IdentificationError(
-                    place=str(path),
-                    key=f"unit of {kind} {name} in robot {robot.name}",
-                    value=now,
-                    expected=f"{before}, as recorded",
-                )
+                key = f"unit of {kind} {name} in robot {robot.name}"
+                raise IdentificationError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
 
 
 def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:

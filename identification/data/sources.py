@@ -37,12 +37,7 @@ class RecordingFile:
         return self.content is not None or Path(self.path).exists()
 
     def with_content(self) -> "RecordingFile":
-        """The same with the file's content, to be sent to where the path does not lead to it.
-
-        Raises
-        ------
-        IdentificationError : where this process cannot read it either.
-        """
+        """The same with the file's content, to be sent to where the path does not lead to it."""
         try:
             return replace(self, content=Path(self.path).read_bytes())
         except OSError as error:

@@ -10,13 +10,7 @@ from .limits import FAR_M, KINDS
 
 
 def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) -> Document:
-    """What a reference is expected to give, and what it takes.
-
-    Parameters
-    ----------
-    excitation : as `excite` gives it.
-    warnings : further ones.
-    """
+    """What a reference is expected to give, and what it takes, with further warnings."""
     e, s = excitation, excitation.settings
     smaller = e.plain / e.sigma
     known = e.beta is not None

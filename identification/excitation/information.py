@@ -91,6 +91,5 @@ def _inverse(M: Array) -> Array:
     try:
         return np.asarray(cho_solve(cho_factor(scaled), np.eye(len(M))) * d[:, None] * d)
     except (np.linalg.LinAlgError, ValueError) as error:
-        raise IdentificationError(
-            "no reference within the limits excites all parameters", expected="wider limits, or fewer terms of friction"
-        ) from error
+        expected = "wider limits, or fewer terms of friction"
+        raise IdentificationError("no reference within the limits excites all parameters", expected=expected) from error

@@ -139,12 +139,8 @@ def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence
         own = problem.base if beta is not None else problem.base.without(load_parameters(problem.base))
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
-            raise IdentificationError(
-                place=signals.recording,
-                key="robot",
-                value=signals.robot.name,
-                expected="a recording of the described robot: its base parameters are others",
-            )
+            expected = "a recording of the described robot: its base parameters are others"
+            raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
         W, _ = regression_of_recording(replace(problem, base=own), beta=beta).system.weighted(1 / noise)
         M += W.T @ W
     return M

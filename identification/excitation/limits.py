@@ -146,15 +146,9 @@ def _sides(shares: Array) -> Array:
 def limits_of(
     robot: Robot, model: DirectModel | None, share: float, place: str, obstacles: Obstacles | None = None
 ) -> Limits:
-    """The limits of a robot, of which a reference may use a share.
+    """The limits of a robot, of which a reference may use a share in (0, 1], and the shapes that keep a margin.
 
-    Parameters
-    ----------
-    robot : it states position, speed and acceleration limits for each joint.
-    model : with the parameters that the torque is computed by; None where they are not known.
-    share : above 0, to 1.
-    place : the name of the description in errors.
-    obstacles : shapes that keep a margin.
+    The torque is limited where the `model`, with its parameters, is known; `place` names the description in errors.
 
     Raises
     ------
@@ -177,11 +171,9 @@ def limits_of(
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
-            raise IdentificationError(
-                f"{name}: Coulomb friction of {friction:.4g} {unit}",
-                place=place,
-                expected=f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}",
-            )
+            problem = f"{name}: Coulomb friction of {friction:.4g} {unit}"
+            expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
+            raise IdentificationError(problem, place=place, expected=expected)
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

@@ -72,14 +72,9 @@ class GivenLoad:
 def given_load(
     friction: LoadFriction, model: DirectModel | None, beta: Array | None, motions: Sequence[Motion], creep: Array
 ) -> GivenLoad | None:
-    """Load friction with the torque of the links of given parameters; None where there is none, or no parameters.
+    """Load friction with the torque of the links of given parameters (b,); None where there is none, or no parameters.
 
-    Parameters
-    ----------
-    friction : which joints have it.
-    model, beta : the equation of motion with the parameters (b,).
-    motions : along which the size of the links' torque is usual.
-    creep : (n,) speeds below which the sign of a speed is rounded.
+    The size of the links' torque is usual along `motions`; below the speeds `creep` (n,) the sign of a speed is rounded.
     """
     if model is None or beta is None or not friction:
         return None

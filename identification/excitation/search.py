@@ -60,17 +60,7 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
     """Coefficients (n, K) of the best of several searches that keeps the limits between samples too, and deviations (b,).
 
     The best has the least criterion; one that makes no deviation larger than `WORST` times the plain one goes before others.
-
-    Parameters
-    ----------
-    problem : the criterion and the limits.
-    seed : of the random references that they start from.
-    place : the name of the description in errors.
-    say : called with a line of text as a search goes on.
-
-    Raises
-    ------
-    IdentificationError : where no search keeps the limits.
+    `say` is called with a line of text as a search goes on; an `IdentificationError` where no search keeps the limits.
     """
     best: tuple[tuple[bool, float], Array, Array] | None = None
     worst = ""
@@ -95,11 +85,8 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
         if best is None or found[0] < best[0]:
             best = found
     if best is None:
-        raise IdentificationError(
-            f"no reference keeps the limits: {worst}",
-            place=place,
-            expected="wider limits, another --seed or --harmonics",
-        )
+        expected = "wider limits, another --seed or --harmonics"
+        raise IdentificationError(f"no reference keeps the limits: {worst}", place=place, expected=expected)
     return best[1], best[2]
 
 
@@ -138,11 +125,7 @@ def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
 def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
     """Coefficients x (n, K) of least criterion; limits are kept between the samples too, or as nearly as can be.
 
-    Parameters
-    ----------
-    problem : the criterion and the limits.
-    start : (n, K) coefficients to start from, which keep the limits.
-    say : called with the criterion after each iteration.
+    `start` keeps the limits; `say` is called with the criterion after each iteration.
     """
     search, limits, between = _Search(problem, say), problem.limits, FINER * problem.samples
     if not limits.checks_distance:
@@ -224,18 +207,10 @@ def _peaks(used: Array) -> NDArray[np.intp]:
 def shrunk(
     x: Array, series: Series, limits: Limits, samples: int, towards: Array | None = None, share: float = 1.0
 ) -> tuple[Array, float]:
-    """A series moved towards another until it keeps all limits at so many samples of a period.
+    """A series moved towards another until it keeps a share of all limits at so many samples of a period.
 
-    Parameters
-    ----------
-    x : (n, K) its coefficients.
-    series, limits, samples : what they are of, what is kept, and at how many samples.
-    towards : (n, K) the other; None for rest at its own position at the ends.
-    share : of the limits that is kept.
-
-    Returns
-    -------
-    Coefficients x (n, K), and the largest share used of a limit: above `share` where the other leaves it too.
+    `towards` is by default rest at its own position at the ends. Returns coefficients (n, K), and the largest share used of a
+    limit: above `share` where the other leaves it too.
     """
     basis, still = series.basis(samples), x.copy()
     still[:, 1:] = 0.0

@@ -40,12 +40,7 @@ class Exported:
     document: Document
 
     def write(self) -> None:
-        """Write all files; if one of them cannot be written, none is begun under its own name.
-
-        Raises
-        ------
-        AcquisitionError : where a file cannot be written.
-        """
+        """Write all files; if one of them cannot be written, none is begun under its own name."""
         with ExitStack() as stack:
             for path, text in self.texts.items():
                 stack.enter_context(atomic_write(path)).write_text(text, encoding="utf-8")

@@ -64,18 +64,10 @@ def _regressor(m: Mechanism, q: Array, dq: Array, ddq: Array) -> Array:
 
 
 def sayable(m: Mechanism, states: States, *, rotors: bool, couplings: bool) -> tuple[Mechanism, tuple[Loss, ...]]:
-    """The mechanism as a format can say it, and what is lost.
+    """The mechanism as a format with or without rotors (armatures) and couplings of motors can say it, and what is lost.
 
-    Parameters
-    ----------
-    m, states : the mechanism, and where to look at its torques.
-    rotors : whether the format has armatures.
-    couplings : whether it has motors that turn with several joints.
-
-    Returns
-    -------
-    Damping and friction loss are refitted at joints where some friction has no place; armatures and couplings are left out
-    where the format has none; offsets always.
+    Damping and friction loss are refitted, at the states, at joints where some friction has no place; armatures and couplings
+    are left out where the format has none; offsets always.
     """
     from scipy.optimize import nnls
 

@@ -104,12 +104,9 @@ def _refuse_impossible(m: Mechanism, place: str) -> None:
     joints = [joint.name for joint in m.model.robot.joints]
     for j, link in enumerate(m.links):
         if not is_a_body(link, LEAST):
-            raise IdentificationError(
-                "no body of positive density has these inertias",
-                place=place,
-                key=f"link {j + 1}, of joint {joints[j]}",
-                expected="the fit again with --consistent",
-            )
+            problem = "no body of positive density has these inertias"
+            key = f"link {j + 1}, of joint {joints[j]}"
+            raise IdentificationError(problem, place=place, key=key, expected="the fit again with --consistent")
     for asked in requirements(m.model, shaped=False):
         lowest = float(np.linalg.eigvalsh(asked.matrix @ m.chi)[0])
         if lowest < -LEAST:

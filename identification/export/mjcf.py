@@ -32,11 +32,7 @@ def mjcf_text(m: Mechanism) -> str:
         carriers[j + 1] = body
         mass, com, inertia = about_com(m.links[j])
         ET.SubElement(
-            body,
-            "inertial",
-            pos=text_of(*com),
-            mass=text_of(mass),
-            fullinertia=text_of(*inertia[list(INERTIA)]),
+            body, "inertial", pos=text_of(*com), mass=text_of(mass), fullinertia=text_of(*inertia[list(INERTIA)])
         )
         moved: dict[str, str] = {
             "name": joint.name,

@@ -15,19 +15,11 @@ _INLINE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
 
 
 def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
-    """The description with the values of `[parameters]` replaced, or with the table added at its end.
+    """The description with the values (SI) of `[parameters]` replaced, or with the table added at its end.
 
-    Parameters
-    ----------
-    text : of robot.toml.
-    values : standard parameters by name, SI.
-    remark : a line on where they are from. It takes the place of the remarks directly above the table, which were on other
-        values.
-    urdf : another name for the URDF, in place of the one that the description has.
-
-    Raises
-    ------
-    IdentificationError : where the file is written so that the table cannot be replaced line by line.
+    The remark, on where they are from, takes the place of the remarks directly above the table, which were on other values; a
+    name in `urdf` takes the place of the URDF's. An `IdentificationError` where the file is written so that the table cannot be
+    replaced line by line.
     """
     was, written = tomllib.loads(text), {name: text_of(value) for name, value in values.items()}
     lines = text.splitlines()
@@ -47,7 +39,8 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
         before.pop()
     table = ["", f"# {remark}", "[parameters]", *(f"{name} = {text}" for name, text in written.items())]
     if urdf is not None:
-        before = [_renamed(line, urdf) for line in before]
+        quoted = '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
     made = "\n".join([*before, *table, *after]) + "\n"
     now: dict[str, Any] = (
         was
@@ -55,19 +48,10 @@ def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: s
         | ({"urdf": urdf} if urdf is not None else {})
     )
     if _read(made) != now:
-        raise IdentificationError(
-            "cannot be replaced line by line",
-            place="the fit's robot.toml",
-            key="[parameters]",
-            expected="a table of one line per value, under a line [parameters]",
-        )
+        problem = "cannot be replaced line by line"
+        expected = "a table of one line per value, under a line [parameters]"
+        raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
     return made
-
-
-def _renamed(line: str, urdf: str) -> str:
-    """The line `urdf = ...` with another name."""
-    quoted = '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
-    return f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line
 
 
 def _read(text: str) -> dict[str, Any] | None:

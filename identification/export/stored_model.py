@@ -36,22 +36,15 @@ def distrust(stored: StoredFit, place: str) -> list[str]:
 
 
 def model_of_fit(stored: StoredFit, place: str) -> StoredModel:
-    """The robot of a fit with values for all standard parameters.
+    """The robot of a fit, which its own description describes, with values for all standard parameters.
 
-    Parameters
-    ----------
-    stored : the fit; its own description is the robot's.
-    place : its file, in errors and lines.
-
-    Raises
-    ------
-    IdentificationError : a fit in A or V, without a description or a covariance, or whose parameters no robot can have.
+    An `IdentificationError`, with the file's `place`, for a fit in A or V, without a description or a covariance, or whose
+    parameters no robot can have.
     """
     robot = stored.robot(place)
     if robot is None:
-        raise IdentificationError(
-            place=place, key="description", value=None, expected="a fit as `robot-identify fit --json` writes it"
-        )
+        expected = "a fit as `robot-identify fit --json` writes it"
+        raise IdentificationError(place=place, key="description", value=None, expected=expected)
     refuse_unknown_gain(robot)
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
@@ -67,9 +60,8 @@ def _standard(stored: StoredFit, model: InverseModel, place: str) -> Array:
     expected = list(zip(model.names, model.units, strict=True))
     if found != expected:
         other = next((f"{a[0]} in {a[1]}" for a in found if a not in expected), None)
-        raise IdentificationError(
-            place=place, key="standard_parameters", value=other, expected=f"those of the description: {len(expected)}"
-        )
+        wanted = f"those of the description: {len(expected)}"
+        raise IdentificationError(place=place, key="standard_parameters", value=other, expected=wanted)
     return np.array([p.value for p in given])
 
 
@@ -87,23 +79,15 @@ def _made_consistent(stored: StoredFit, model: InverseModel, place: str) -> tupl
     base = base_parameters(model)
     beta = stored.beta(base, place)
     if stored.covariance is UNSET:
-        raise IdentificationError(
-            "the fit is not consistent, and cannot be made so without it",
-            place=place,
-            key="covariance",
-            value=None,
-            expected="a fit of this version, best with --consistent",
-        )
+        problem = "the fit is not consistent, and cannot be made so without it"
+        expected = "a fit of this version, best with --consistent"
+        raise IdentificationError(problem, place=place, key="covariance", value=None, expected=expected)
     names, values = stored.covariance.names, np.array(stored.covariance.values)
     own = [name for name in names if name not in base.names]
     if own:
-        raise IdentificationError(
-            "of single recordings: the fit is not consistent, and cannot be made so with them",
-            place=place,
-            key="covariance",
-            value=", ".join(own[:5]),
-            expected="the fit again with --consistent",
-        )
+        problem = "of single recordings: the fit is not consistent, and cannot be made so with them"
+        expected = "the fit again with --consistent"
+        raise IdentificationError(problem, place=place, key="covariance", value=", ".join(own[:5]), expected=expected)
     left_out = {p.name: p.sigma for p in stored.left_out or ()}
     missing = [name for name in base.names if name not in names and name not in left_out]
     if missing or values.shape != (len(names), len(names)):

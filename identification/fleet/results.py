@@ -26,15 +26,6 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     Columns: `folder`, `file`, `sha256`, `start` (UTC), `robot`, `method`, `status`, `verdict`, `reason`; `error_percent`,
     `moving_error_percent`, `standing_error_percent`; per parameter its name, name_low and name_high, with the `unit` in the
     metadata of the column. What a row does not have is null.
-
-    Parameters
-    ----------
-    path : of the file.
-    rows : of the fleet.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
     """
     import pyarrow
     import pyarrow.parquet
@@ -123,27 +114,14 @@ def drifts(rows: Sequence[Row]) -> list[Drift]:
         fits.sort(key=lambda fit: (fit[0], fit[1].file))
         t_s = np.array([(start - fits[0][0]).total_seconds() for start, _ in fits])
         charted = tuple(row for _, row in fits)
-        charts = [_error_chart(t_s, charted), *_parameter_charts(t_s, charted)]
+        errors = {k: row.moving_error_percent for k, row in enumerate(charted) if row.moving_error_percent is not None}
+        without_ends = {k: Value(value=x, low=np.nan, high=np.nan, unit="%") for k, x in errors.items()}
+        charts = [_chart(ERROR, without_ends, t_s, charted)]
+        for name in dict.fromkeys(name for row in charted for name in row.parameters):
+            values = {k: row.parameters[name] for k, row in enumerate(charted) if name in row.parameters}
+            charts.append(_chart(name, values, t_s, charted))
         found.append(Drift(name=f"{robot}, {folder}", rows=charted, charts=tuple(charts)))
     return found
-
-
-def _error_chart(t_s: Array, rows: Sequence[Row]) -> Chart:
-    unknown = float("nan")
-    values = {
-        k: Value(value=row.moving_error_percent, low=unknown, high=unknown, unit="%")
-        for k, row in enumerate(rows)
-        if row.moving_error_percent is not None
-    }
-    return _chart(ERROR, values, t_s, rows)
-
-
-def _parameter_charts(t_s: Array, rows: Sequence[Row]) -> list[Chart]:
-    names = dict.fromkeys(name for row in rows for name in row.parameters)
-    return [
-        _chart(name, {k: row.parameters[name] for k, row in enumerate(rows) if name in row.parameters}, t_s, rows)
-        for name in names
-    ]
 
 
 def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Row]) -> Chart:
@@ -164,12 +142,7 @@ def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Ro
 
 
 def fleet_document(rows: Sequence[Row]) -> Document:
-    """The report: a line per recording, and what is beyond its control limits.
-
-    Parameters
-    ----------
-    rows : of the fleet, in the order in which they are shown.
-    """
+    """The report: a line per recording, in the order of the rows, and what is beyond its control limits."""
     shown = tuple(
         (
             row.start.strftime("%Y-%m-%d %H:%M") if row.start else "-",

@@ -107,9 +107,8 @@ def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Ro
         began = [signals.began for signals in loaded if signals.began is not None]
         row = msgspec.structs.replace(row, robot=loaded[0].robot.name, start=min(began, default=None))
         if digest_of([signals.sha256 for signals in loaded]) != row.sha256:
-            raise IdentificationError(
-                "has changed since the run began", place=row.file, expected="a finished recording"
-            )
+            expected = "a finished recording"
+            raise IdentificationError("has changed since the run began", place=row.file, expected=expected)
         given = loaded[0] if len(loaded) == 1 else Recordings(sources=loaded)
         return _fitted(row, identify(given, settings.overrides, method=settings.method))
     except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:

@@ -49,20 +49,10 @@ class Kept:
 
 
 def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> list[tuple[Path, Path]]:
-    """What is fitted, by name, with the one of `folders` that it was first found under.
+    """Every `*.mcap` under the folders, by name, with the one of `folders` that it was first found under.
 
-    Parameters
-    ----------
-    folders : of a fleet.
-    by_folder : recordings that lie in one folder make one fit.
-
-    Returns
-    -------
-    Every `*.mcap` under the folders, or every folder that has some.
-
-    Raises
-    ------
-    IdentificationError : where one is not a folder, or none holds a recording.
+    `by_folder`: every folder that has some, for recordings that lie in one folder then make one fit. An `IdentificationError`
+    where one is not a folder, or none holds a recording.
     """
     found: dict[Path, tuple[Path, Path]] = {}
     for folder in folders:
@@ -72,9 +62,8 @@ def found_recordings(folders: Sequence[Path], *, by_folder: bool = False) -> lis
             fitted = path.parent if by_folder else path
             found.setdefault(fitted.resolve(), (folder, fitted))
     if not found:
-        raise IdentificationError(
-            "no recordings", place=", ".join(map(str, folders)), expected="files *.mcap in the folders or below them"
-        )
+        expected = "files *.mcap in the folders or below them"
+        raise IdentificationError("no recordings", place=", ".join(map(str, folders)), expected=expected)
     return list(found.values())
 
 

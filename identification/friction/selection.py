@@ -63,13 +63,9 @@ class TermChoice:
         return {joint.name: terms for joint, terms in zip(self.robot.joints, lists, strict=True)}
 
 
-def _silent(text: str) -> None:
-    pass
-
-
 @one_thread
 def choose_terms(
-    signals: Signals | Recordings, overrides: Overrides, *, say: Callable[[str], None] = _silent
+    signals: Signals | Recordings, overrides: Overrides, *, say: Callable[[str], None] = lambda text: None
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
@@ -188,8 +184,9 @@ def _joint_by_joint(trials: Trials, everything: Trial, level: float, say: Callab
     while True:
         pruned = trials.of(_kept(trials, now, level))
         now = pruned if pruned.score <= now.score or not now.significant(level) else now
-        going = sorted(_places(now.terms), key=lambda place: _size(trials, now, *place))
-        for j, term in going:
+        # The size of a term is its value in deviations, the larger where it has two parameters.
+        sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
+        for j, term in sorted(sizes, key=sizes.__getitem__):
             say(f"set {len(trials.done) + 1}: without {term} at joint {j + 1}")
             narrower = trials.of(_changed(now.terms, j, now.terms[j] - {term}))
             if narrower.score <= now.score:
@@ -217,8 +214,3 @@ def _kept(trials: Trials, trial: Trial, level: float) -> TermSet:
 def _sure(trials: Trials, trial: Trial, j: int, term: FrictionTerm, level: float) -> bool:
     """Whether the interval of a parameter of the term excludes 0."""
     return any(trial.excludes_zero(name, level) for name in trials.parameters[j, term])
-
-
-def _size(trials: Trials, trial: Trial, j: int, term: FrictionTerm) -> float:
-    """The term's value in deviations, the larger where it has two parameters."""
-    return max(abs(trial.t[name]) for name in trials.parameters[j, term])

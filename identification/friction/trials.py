@@ -204,9 +204,8 @@ def _factor(system: System, weights: Array) -> System:
     W, Y = system.weighted(weights)
     counted = int(system.rows.sum())
     if counted <= W.shape[1]:
-        raise IdentificationError(
-            key="rows outside a part", value=counted, expected=f"more than {W.shape[1]} parameters"
-        )
+        expected = f"more than {W.shape[1]} parameters"
+        raise IdentificationError(key="rows outside a part", value=counted, expected=expected)
     R = np.asarray(np.linalg.qr(np.c_[W, Y], mode="r"))
     zeros = np.zeros(len(R), dtype=np.intp)
     return System(

@@ -41,13 +41,9 @@ def write_friction(path: Path, terms: Lists, files: Mapping[str, bytes]) -> None
     except AcquisitionError:
         found = {}
     if found != terms:
-        raise IdentificationError(
-            "its lines of friction cannot be replaced",
-            place=str(path),
-            key="[[joint]]",
-            value=None,
-            expected="a table of its own for each joint, a key a line; copy the printed lines",
-        )
+        problem = "its lines of friction cannot be replaced"
+        expected = "a table of its own for each joint, a key a line; copy the printed lines"
+        raise IdentificationError(problem, place=str(path), key="[[joint]]", value=None, expected=expected)
     with atomic_write(path) as partial:
         partial.write_text(written, encoding="utf-8")
 

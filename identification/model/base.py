@@ -79,22 +79,15 @@ def load_parameters(base: BaseParameters) -> tuple[str, ...]:
 
 
 def base_parameters(dynamics: InverseModel) -> BaseParameters:
-    """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991).
-
-    Parameters
-    ----------
-    dynamics : the inverse dynamic model, of p standard parameters.
-
-    Returns
-    -------
-    The b base parameters: names, units, and the regrouping matrix K (b, p) of beta = K chi.
-    """
+    """Find the base parameters of a robot from its regressor at seeded random states, by QR (Gautier1991)."""
     rng = np.random.default_rng(SEED)
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
     apart = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
-    present = [c for c in _order(dynamics) if norms[c] > TOLERANCE * norms.max() and c not in apart]
+    # All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it.
+    order = sorted(range(dynamics.p), key=lambda c: (not dynamics.is_link_parameter(c), c))
+    present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in apart]
     scaled = W[:, present] / norms[present]
     R = np.linalg.qr(scaled, mode="r")
     diagonal = np.abs(np.diag(R))
@@ -122,12 +115,6 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
         masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
         links=np.array([dynamics.is_link_parameter(int(c)) for c in columns]),
     )
-
-
-def _order(dynamics: InverseModel) -> list[int]:
-    """All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it."""
-    columns = range(dynamics.p)
-    return sorted(columns, key=lambda c: (not dynamics.is_link_parameter(c), c))
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:

@@ -57,7 +57,9 @@ def regressor_gradient(
     for k in range(len(q)):
         state = rigid, data, q[k], dq[k], ddq[k]
         for i in range(n + 1):
-            _put(rigid, unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]])
+            each = unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
+            for link, inertia in enumerate(each):
+                rigid.inertias[link + 1] = inertia
             derivatives(*state)
             made[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
     made[:, 2] = _symmetric(made[:, 2])
@@ -67,13 +69,7 @@ def regressor_gradient(
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis.
-
-    Parameters
-    ----------
-    model : the equation of motion with given parameters.
-    motion : q, dq, ddq, each (N, n).
-    """
+    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     rigid, data, n = model.rigid, model.data, q.shape[1]
     tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
@@ -101,11 +97,6 @@ def sliding_apart(
     slopes[2] += model.rotor
     slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
     return of_links[0] + model.without_sliding(dq, ddq), slopes
-
-
-def _put(rigid: pin.Model, inertias: list[pin.Inertia]) -> None:
-    for i, inertia in enumerate(inertias):
-        rigid.inertias[i + 1] = inertia
 
 
 def _symmetric(M: Array) -> Array:

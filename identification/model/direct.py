@@ -128,11 +128,8 @@ class DirectModel:
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     """The equation of motion (1) of a robot; pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
 
-    Parameters
-    ----------
-    dynamics : the inverse dynamic model.
-    chi : (p,) its standard parameters, SI. Load friction goes by the torque of the links of chi: with those of
-        `BaseParameters.standard_parameters`, rotor inertias that are regrouped with links' parameters are in it.
+    Load friction goes by the torque of the links of chi (p,), SI: with those of `BaseParameters.standard_parameters`, rotor
+    inertias that are regrouped with links' parameters are in it.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))

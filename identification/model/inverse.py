@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from acquisition.errors import listed
-from acquisition.robot import DH, Robot
+from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -162,19 +162,15 @@ def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
     return f"{robot.effort_units[link]} s²" + {2: "/m²", 1: "/m", 0: "", -1: " m"}[below]
 
 
-def _placement(dh: DH) -> pin.SE3:
-    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
-    about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(dh.alpha_deg)), np.array([dh.d_m, 0.0, 0.0]))
-    about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(dh.theta_deg)), np.array([0.0, 0.0, dh.r_m]))
-    return about_x * about_z
-
-
 def _model_from_dh(robot: Robot) -> pin.Model:
+    """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
     model, parent = pin.Model(), 0
     for joint in robot.joints:
         assert joint.dh is not None  # load_robot has seen to it
+        about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)), np.array([joint.dh.d_m, 0.0, 0.0]))
+        about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)), np.array([0.0, 0.0, joint.dh.r_m]))
         kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
-        parent = model.addJoint(parent, kind, _placement(joint.dh), joint.name)
+        parent = model.addJoint(parent, kind, about_x * about_z, joint.name)
     return model
 
 
@@ -200,15 +196,13 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
     order = list(model.names)[1:]
     if order != wanted:
         shown = ", ".join(wanted)
-        raise IdentificationError(
-            place=place, key="order of joints", value=wanted, shown=shown, expected=", ".join(order)
-        )
+        key = "order of joints"
+        raise IdentificationError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
     for said, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
         if prismatic != (said.type == "prismatic") or built.nq != 1:
-            raise IdentificationError(
-                place=f"{place}: joint {said.name!r}", key="type", value=built.shortname(), expected=said.type
-            )
+            where = f"{place}: joint {said.name!r}"
+            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=said.type)
     return model
 
 
@@ -216,9 +210,8 @@ def _free(joint: ET.Element, place: str) -> None:
     """Make a joint one that pinocchio builds: with an axis, without limits, which a model does not need."""
     axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
-        raise IdentificationError(
-            place=f"{place}: joint {joint.get('name')!r}", key="axis", value="0 0 0", expected="a direction"
-        )
+        where = f"{place}: joint {joint.get('name')!r}"
+        raise IdentificationError(place=where, key="axis", value="0 0 0", expected="a direction")
     if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
         joint.set("type", "revolute")
     if joint.get("type") in ("revolute", "prismatic"):  # without limits it is not built

@@ -69,9 +69,7 @@ class Obstacles:
     def nearest(self, q: Array, far: float) -> tuple[Array, Array, tuple[str, ...]]:
         """Of the pair nearest to each other at each of the positions q (N, n): distance, its derivatives by q, name.
 
-        Returns
-        -------
-        Distances (N,) in m, negative inside, `far` at most; derivatives (N, n), zero from `far` on; names (N,).
+        Distances (N,) are in m, negative inside, `far` at most; derivatives (N, n) are zero from `far` on.
         """
         model, data, q = self.model, self.model.createData(), np.ascontiguousarray(q)
         d, slopes, every = np.full(len(q), far), np.zeros(q.shape), self.names
@@ -142,7 +140,10 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
     IdentificationError : where a mesh cannot be read, or a shape is none of the URDF's.
     """
     robot, model = dynamics.robot, dynamics.model
-    shapes, missing = list(_capsules(dynamics)), list[str]()
+    capsules = [(0, "base", robot.base_capsule)]
+    capsules += [(j + 1, f"link of {joint.name}", joint.capsule) for j, joint in enumerate(robot.joints)]
+    shapes = [_capsule(link, name, capsule) for link, name, capsule in capsules if capsule is not None]
+    missing: list[str] = []
     if not shapes and robot.urdf is not None:
         shapes = list(_urdf_shapes(dynamics, find, missing))
     parents = (0, *dynamics.parents)
@@ -187,15 +188,6 @@ def _along(model: Any, data: Any, shape: Shape, point: Array, normal: Array) -> 
     (x, y, z), (u, v, w) = point, normal
     lever = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
     return np.asarray(normal @ J[:3] + lever @ J[3:])
-
-
-def _capsules(dynamics: InverseModel) -> Iterator[Shape]:
-    robot = dynamics.robot
-    described = [(0, "base", robot.base_capsule)]
-    described += [(j + 1, f"link of {joint.name}", joint.capsule) for j, joint in enumerate(robot.joints)]
-    for link, name, capsule in described:
-        if capsule is not None:
-            yield _capsule(link, name, capsule)
 
 
 def _capsule(link: int, name: str, capsule: Capsule) -> Shape:
@@ -254,12 +246,8 @@ def _solid(shape: ET.Element, file: Path | None, place: str) -> Any:
         return coal.Cylinder(number("radius"), number("length"))
     name = shape.get("filename", "")
     if file is None:
-        raise IdentificationError(
-            place=place,
-            key=f"collision {shape.tag}",
-            value=name or None,
-            expected="box, sphere, cylinder or a mesh with a file",
-        )
+        expected = "box, sphere, cylinder or a mesh with a file"
+        raise IdentificationError(place=place, key=f"collision {shape.tag}", value=name or None, expected=expected)
     scale = np.array([float(x) for x in shape.get("scale", "1 1 1").split()])
     try:
         mesh = coal.MeshLoader().load(str(file), scale)

@@ -65,11 +65,8 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> Expe
     """The links of `prior`, another description of the robot, or of the model's own.
 
     A link is that of the description's `[parameters]`, else of its URDF, else a plausible one: a rod from its joint to the
-    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows.
-
-    Raises
-    ------
-    IdentificationError : where `prior` has other joints, or its links do not move as those of the model.
+    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it
+    has other joints, or its links do not move as those of the model.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
@@ -264,12 +261,8 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     """T (n, 4, 4): coordinates in the prior's link frames to those in the model's, which must be the same at all positions."""
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
-        raise IdentificationError(
-            place=f"prior {prior.robot.name}",
-            key="joints",
-            value=", ".join(j.type for j in others),
-            expected=", ".join(j.type for j in joints),
-        )
+        where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
+        raise IdentificationError(place=where, key="joints", value=", ".join(j.type for j in others), expected=expected)
     q = np.random.default_rng(SEED).uniform(-1.0, 1.0, size=(POSES, idm.robot.n))
     (at, turned), (at_prior, turned_prior) = idm.placements(q), prior.placements(q)
     back = turned.transpose(0, 1, 3, 2)

@@ -120,19 +120,13 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
     """Two sets of parameters, one by one: those of `a` first, then those that only `b` has.
 
     Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
-    what its parameters stand for, those of the same name.
-
-    Raises
-    ------
-    IdentificationError : where the two have nothing in common, or a parameter in different units.
+    what its parameters stand for, those of the same name. An `IdentificationError` where the two have nothing in common, or a
+    parameter in different units.
     """
     partners = _partners(a, b)
     if not partners:
-        raise IdentificationError(
-            "no parameter in common",
-            place=f"{a.label} and {b.label}",
-            expected="two fits of one robot, or of like robots",
-        )
+        expected = "two fits of one robot, or of like robots"
+        raise IdentificationError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
     rows = []
     for name, x in a.parameters.items():
         y = b.parameters[partners[name]] if name in partners else None
@@ -140,9 +134,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             rows.append(_alone(name, a=x))
             continue
         if x.unit != y.unit:
-            raise IdentificationError(
-                place=b.label, key=f"{name}.unit", value=y.unit, expected=f"{x.unit}, as in {a.label}"
-            )
+            expected = f"{x.unit}, as in {a.label}"
+            raise IdentificationError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
         rows.append(
             Difference(
@@ -218,12 +211,7 @@ def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, .
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
-    """Two sets of parameters side by side, as a section, each with half its 95 % interval.
-
-    Raises
-    ------
-    IdentificationError : as `differences` does.
-    """
+    """Two sets of parameters side by side, as a section, each with half its 95 % interval."""
     rows = differences(a, b)
     numbers = (a.label, "±95%", b.label, "±95%", "off by", "%", "in sigma")
     return Section(

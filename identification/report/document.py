@@ -147,12 +147,7 @@ def _section_json(section: Section) -> SectionFile:
 
 
 def write_json(path: Path, content: ResultFile) -> None:
-    """Write a result as a JSON file, whole or not at all.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
-    """
+    """Write a result as a JSON file, whole or not at all."""
     text = json.dumps(msgspec.to_builtins(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_write(path) as partial:
         partial.write_text(text, encoding="utf-8")

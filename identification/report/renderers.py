@@ -118,16 +118,9 @@ def _markdown_section(section: Section) -> list[str]:
 
 
 def _markdown_table(table: Table) -> str:
-    rows = [
-        [column.heading for column in table.columns],
-        *([cell_text(cell) for cell in row] for row in table.rows),
-    ]
-    heading, *body = [f"| {' | '.join(_cell(text) for text in row)} |" for row in rows]
+    rows = [[column.heading for column in table.columns], *([cell_text(cell) for cell in row] for row in table.rows)]
+    heading, *body = ["| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows]
     return "\n".join([heading, f"|{'|'.join('--:' if c.numeric else '---' for c in table.columns)}|", *body])
-
-
-def _cell(text: str) -> str:
-    return _plain(text).replace("|", "\\|")
 
 
 def _plain(text: str) -> str:
@@ -175,13 +168,7 @@ def check_report_file(path: Path) -> None:
 
 
 def write_report(path: Path, document: Document) -> None:
-    """Write a report to a file, whole or not at all, in the format that the file's ending names.
-
-    Raises
-    ------
-    IdentificationError : where no renderer is for that ending.
-    AcquisitionError : where the file cannot be written.
-    """
+    """Write a report to a file, whole or not at all, in the format that the file's ending names."""
     check_report_file(path)
     with atomic_write(path) as partial:
         partial.write_text(RENDERERS[path.suffix](document), encoding="utf-8")

@@ -104,12 +104,9 @@ def recorded_loop(robot: Robot) -> ControlLaw:
     needed += ["integral_gain"] if c.structure in ("cascade_p_pi", "pid") else []
     missing = [key for key in needed if getattr(c, key) is None]
     if missing:
-        raise IdentificationError(
-            place=f"robot {robot.name}",
-            key=f"controller: {', '.join(missing)}",
-            value=None,
-            expected=f"all of {', '.join(needed)}, or none of them: then a PD of the stated bandwidth_hz stands in",
-        )
+        where = f"robot {robot.name}"
+        expected = f"all of {', '.join(needed)}, or none of them: then a PD of the stated bandwidth_hz stands in"
+        raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
     assert c.position_gain is not None
     assert c.velocity_gain is not None
     assert c.sample_rate_hz is not None

@@ -64,13 +64,8 @@ class RigidBodyPlant:
 def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
     """The plant of `robot-acquire record --dry-run`: the rigid robot of the description's `[parameters]`.
 
-    Returns
-    -------
-    The robot at rest in the middle of its ranges, and loops of its drives for its inertias.
-
-    Raises
-    ------
-    AcquisitionError : where the parameters are not of this robot, or no motion is possible with them.
+    The robot is at rest in the middle of its ranges; the loops of its drives are for its inertias. An `AcquisitionError` where
+    the parameters are not of this robot, or no motion is possible with them.
     """
     try:
         dynamics = InverseModel(robot)

@@ -161,12 +161,7 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     except IdentificationError as error:
         return replace(run, reason=str(error))
     run = replace(
-        run,
-        error_ls=off(ls),
-        error_tuned_ls=off(tuned),
-        beta_ls=ls.beta,
-        sigma_ls=ls.estimate.sigma,
-        ls=judged(ls),
+        run, error_ls=off(ls), error_tuned_ls=off(tuned), beta_ls=ls.beta, sigma_ls=ls.estimate.sigma, ls=judged(ls)
     )
     try:
         iv = identify_iv(signals, overrides, Iteration(inertias=drawn.start * J))

@@ -59,6 +59,7 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
         here = [r for r in runs if r.cutoff == cutoff]
         settled = [r for r in here if r.status == "converged"]
+        false = [r for r in settled if not (r.positive and r.error_iv <= FALSE_ERROR * r.error_tuned_ls)]
         solved = [r for r in here if np.isfinite(r.error_ls)]
         for method, used in (("wls", solved), ("iv", settled)):
             kind = "ls" if method == "wls" else "iv"
@@ -77,7 +78,7 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                     worst_error_percent=float(100 * errors.max()),
                     converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
                     mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
-                    false_percent=100 * sum(map(_false, here)) / len(here) if method == "iv" else None,
+                    false_percent=100 * len(false) / len(here) if method == "iv" else None,
                     coverage_percent=_coverage([getattr(r, kind) for r in used], true),
                     half_over_spread=_half_over_spread([getattr(r, kind) for r in used], spread),
                     verdicts=len(every),
@@ -93,11 +94,6 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
 def _stacked(runs: Sequence[Run], name: str, true: Array) -> Array:
     """An attribute of all runs (runs, ...); a row of NaN where there are no runs."""
     return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
-
-
-def _false(run: Run) -> bool:
-    """Whether a run is called converged and should not be."""
-    return run.status == "converged" and not (run.positive and run.error_iv <= FALSE_ERROR * run.error_tuned_ls)
 
 
 def false_trust(judged: Judged, true: Array) -> bool:

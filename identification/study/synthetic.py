@@ -11,12 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.files import atomic_write
-from acquisition.recording import (
-    OPTIONAL,
-    Header,
-    RecordingWriter,
-    sample_dtype,
-)
+from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import FourierReference, fourier_reference
 

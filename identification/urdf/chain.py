@@ -69,22 +69,11 @@ def is_urdf(path: Path) -> bool:
 
 
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
-    """Read a URDF.
+    """Read a URDF, with the limits, damping and friction that it states.
 
-    Parameters
-    ----------
-    path : of the URDF.
-    names : the joints to identify, from the base outwards; none: those of the longest serial chain.
-
-    Returns
-    -------
-    The chain, with the limits, damping and friction that the URDF states.
-
-    Raises
-    ------
-    IdentificationError
-        In one line, with file, link or joint, value and what was expected: not a URDF, not one tree, joints that no chain
-        can have, two chains of the same length, numbers that are none, limits upside down, negative masses or inertias.
+    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. The
+    `IdentificationError` is one line with file, link or joint, value and what was expected: not a URDF, not one tree, joints
+    that no chain can have, two chains of one length, numbers that are none, limits upside down, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
@@ -99,12 +88,13 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
             expected = "fixed, revolute, continuous or prismatic joints below a base that stands still"
             raise IdentificationError(place=at, key="type", value=kind, expected=expected)
     rigid = _bodies(tree, chain)
+    others = [name for name, joint in tree.joints.items() if name not in chain and joint.get("type") != "fixed"]
     return Chain(
         place=str(path),
         name="".join(c if c.isascii() and (c.isalnum() or c in "_.- ") else "_" for c in tree.name)[:64] or "robot",
         text=text,
         joints=tuple(_joint(tree, name) for name in chain),
-        locked=tuple(_locked(tree, name) for name in tree.joints if name not in chain and _moves(tree, name)),
+        locked=tuple(_locked(tree, name) for name in others),
         rigid=tuple(tuple(rigid[name]) for name in chain),
         notes=check_inertials(tree, [link for links in rigid.values() for link in links]),
     )
@@ -113,9 +103,8 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
 def _longest(tree: Tree) -> list[str]:
     free = set(movable(tree))
     if not free:
-        raise IdentificationError(
-            "no joint moves", place=tree.place, expected=f"joints of the types {', '.join(MOVABLE)}"
-        )
+        expected = f"joints of the types {', '.join(MOVABLE)}"
+        raise IdentificationError("no joint moves", place=tree.place, expected=expected)
     chains = {name: [joint for joint in tree.path(name) if joint in free] for name in free}
     most = max(map(len, chains.values()))
     last = [name for name in tree.joints if len(chains.get(name, ())) == most]
@@ -132,10 +121,6 @@ def _named(tree: Tree, names: Sequence[str]) -> list[str]:
             expected = f"each once, of {listed(free)}"
             raise IdentificationError(place=tree.place, key="--joints", value=name, expected=expected)
     return list(names)
-
-
-def _moves(tree: Tree, name: str) -> bool:
-    return tree.joints[name].get("type") != "fixed"
 
 
 def _locked(tree: Tree, name: str) -> str:

@@ -24,16 +24,9 @@ _ROUNDING = 1e-14  # kg m² and smaller: what the sums of a lumped link leave of
 
 
 def described_robot(chain: Chain, needs: Sequence[str] = ()) -> Robot:
-    """The robot of the description that `init` writes, with its URDF.
+    """The robot of the description that `init` writes, with its URDF and what options state.
 
-    Parameters
-    ----------
-    chain : of the URDF, with what options state.
-    needs : what must be stated: names of `OPTIONS`.
-
-    Raises
-    ------
-    IdentificationError : names the joint, what is missing, and the option.
+    Where one of `needs`, names of `OPTIONS`, is not stated, an `IdentificationError` names the joint and the option.
     """
     if (error := missing(chain, needs)) is not None:
         raise error
@@ -43,19 +36,9 @@ def described_robot(chain: Chain, needs: Sequence[str] = ()) -> Robot:
 def describe(chain: Chain, urdf: str) -> str:
     """The text of the robot.toml of a chain: a comment says `FILL IN` wherever the URDF and the options state nothing.
 
-    Parameters
-    ----------
-    chain : of the URDF.
-    urdf : its path from the folder of robot.toml.
-
-    Returns
-    -------
-    Text that loads as it stands. `[parameters]` has the links' inertials, links that are fixed or locked lumped into the
-    link that carries them, in the frames of `InverseModel`; damping as Fv and friction as Fc.
-
-    Raises
-    ------
-    IdentificationError : for a URDF that does not load, and for joints that move no mass.
+    It loads as it stands. `urdf` is the path from its folder. `[parameters]` has the links' inertials, links that are fixed or
+    locked lumped into the link that carries them, in the frames of `InverseModel`; damping as Fv and friction as Fc. An
+    `IdentificationError` for a URDF that does not load, and for joints that move no mass.
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
@@ -123,7 +106,8 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
-        yield f'effort_unit = "{_effort_unit(joint)}"'
+        unit = "N" if joint.type == "prismatic" else "N m"
+        yield f'effort_unit = "{unit}"'
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
@@ -135,10 +119,6 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     yield "# sample_rate_hz = 1000"
     for gain in ("position_gain", "velocity_gain", "integral_gain"):
         yield f"# {gain} = [{', '.join(['...'] * len(chain.joints))}]"
-
-
-def _effort_unit(joint: UrdfJoint) -> str:
-    return "N" if joint.type == "prismatic" else "N m"
 
 
 def _parameters(chain: Chain, robot: Robot) -> Iterator[str]:

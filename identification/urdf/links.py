@@ -33,9 +33,8 @@ def check_inertials(tree: Tree, links: Sequence[str]) -> tuple[str, ...]:
         slack, shown = ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
         if moments[0] < -slack:
             expected = "none below zero, kg m²"
-            raise IdentificationError(
-                place=at, key="principal moments", value=moments.tolist(), shown=shown, expected=expected
-            )
+            key = "principal moments"
+            raise IdentificationError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
         if moments[2] > moments[0] + moments[1] + slack:
             notes.append(f"link {link}: principal moments {shown} kg m²: no body has one above the sum of the others")
     return tuple(notes)

@@ -51,12 +51,9 @@ def missing(chain: Chain, needs: Sequence[str]) -> IdentificationError | None:
     for key in (key for key in QUANTITIES if key in needs):
         for joint in chain.joints:
             if getattr(joint, key) is None:
-                return IdentificationError(
-                    place=f"{chain.place}: joint {joint.name!r}",
-                    key=key.replace("_", " "),
-                    value=None,
-                    expected=f"{OPTIONS[key]} ({_UNITS[key].format(joint.unit)}), one value or one per joint",
-                )
+                where = f"{chain.place}: joint {joint.name!r}"
+                expected = f"{OPTIONS[key]} ({_UNITS[key].format(joint.unit)}), one value or one per joint"
+                return IdentificationError(place=where, key=key.replace("_", " "), value=None, expected=expected)
     if "bandwidth_hz" in needs and chain.bandwidth_hz is None:
         expected = f"{OPTIONS['bandwidth_hz']}, of the position loops"
         place = f"{chain.place}: joint {chain.joints[0].name!r} and all others"

@@ -54,13 +54,11 @@ def read_tree(text: bytes, place: str) -> Tree:
         raise IdentificationError(f"is not XML: {error}", place=place, expected="a URDF") from error
     if robot.tag != "robot":
         shown = f"<{robot.tag}>"
-        raise IdentificationError(
-            place=place, key="its root", value=robot.tag, shown=shown, expected="<robot>, of a URDF"
-        )
+        expected = "<robot>, of a URDF"
+        raise IdentificationError(place=place, key="its root", value=robot.tag, shown=shown, expected=expected)
     if any("xacro" in str(element.tag) for element in robot.iter()):
-        raise IdentificationError(
-            "has xacro elements", place=place, expected="a URDF: xacro FILE > robot.urdf makes it"
-        )
+        expected = "a URDF: xacro FILE > robot.urdf makes it"
+        raise IdentificationError("has xacro elements", place=place, expected=expected)
     links = _by_name(robot, "link", place)
     joints = _by_name(robot, "joint", place)
     above: dict[str, str] = {}
@@ -72,9 +70,8 @@ def read_tree(text: bytes, place: str) -> Tree:
         for tag in ("parent", "child"):
             link = end(joint, tag)
             if link not in links:
-                raise IdentificationError(
-                    place=at, key=tag, value=link, expected=f"one of the links {listed([*links])}"
-                )
+                expected = f"one of the links {listed([*links])}"
+                raise IdentificationError(place=at, key=tag, value=link, expected=expected)
         child = str(end(joint, "child"))
         if child in above:
             expected = f"one joint above each link; {above[child]!r} is above this one too"
@@ -95,9 +92,8 @@ def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
         name = element.get("name")
         if not name or name in found:
             expected = "a name" if not name else "a name not used before"
-            raise IdentificationError(
-                place=f"{place}: {tag} {i + 1}", key="name", value=name or None, expected=expected
-            )
+            where = f"{place}: {tag} {i + 1}"
+            raise IdentificationError(place=where, key="name", value=name or None, expected=expected)
         found[name] = element
     if not found:
         raise IdentificationError(f"has no {tag}", place=place, expected="links, and joints between them")

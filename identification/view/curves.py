@@ -15,9 +15,7 @@ from ..regression import FilteredMotion, Motion, Settings, predicted_torque
 from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
-MODEL_PER_CUTOFF = (
-    20.0  # instants per period of the cut-off at which long filtered curves are drawn: straight to the eye
-)
+MODEL_PER_CUTOFF = 20.0  # instants per period of the cut-off of long filtered curves drawn: straight to the eye
 DROWNED = 3.0  # a raw derivative whose peak is this many times the filtered one's is off until asked for
 _POSITION_COLORS = {"reference": REFERENCE, "simulated": SIMULATED}
 _BLOCK = 200_000  # samples at a time, so that a long recording is not held in every form at once

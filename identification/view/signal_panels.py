@@ -142,10 +142,7 @@ def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
 
 
 def _log_log(
-    path: tuple[str, ...],
-    title: str,
-    curves: Sequence[tuple[str, Array, Array]],
-    marks: Sequence[tuple[float, str]],
+    path: tuple[str, ...], title: str, curves: Sequence[tuple[str, Array, Array]], marks: Sequence[tuple[float, str]]
 ) -> Drawing:
     """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
     sheet, (left, top, right, bottom) = Sheet(), (70.0, 20.0, 880.0, 510.0)

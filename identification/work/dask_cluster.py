@@ -26,18 +26,14 @@ def cluster(address: str) -> Iterator[Work]:
     try:
         from distributed import Client, KilledWorker
     except ImportError as error:
-        raise IdentificationError(
-            "Dask distributed is not installed", key="--cluster", value=address, expected=EXTRA
-        ) from error
+        problem = "Dask distributed is not installed"
+        raise IdentificationError(problem, key="--cluster", value=address, expected=EXTRA) from error
     try:
         client = Client(address, timeout=PATIENCE_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
-        raise IdentificationError(
-            f"no scheduler answers: {error}",
-            key="--cluster",
-            value=address,
-            expected="the address that `dask scheduler` prints, such as tcp://host:8786",
-        ) from error
+        problem = f"no scheduler answers: {error}"
+        expected = "the address that `dask scheduler` prints, such as tcp://host:8786"
+        raise IdentificationError(problem, key="--cluster", value=address, expected=expected) from error
     try:
         _check_workers(client, address)
         yield Pool(lambda: client.get_executor(pure=False, retries=2), (KilledWorker, CancelledError))
@@ -53,18 +49,13 @@ def versions() -> dict[str, str]:
 def _check_workers(client: Any, address: str) -> None:
     here, found = versions(), client.run(versions, on_error="return")
     if not found:
-        raise IdentificationError(
-            "the scheduler has no worker", key="--cluster", value=address, expected="`dask worker` started on it"
-        )
+        expected = "`dask worker` started on it"
+        raise IdentificationError("the scheduler has no worker", key="--cluster", value=address, expected=expected)
     for worker, there in sorted(found.items()):
         if isinstance(there, BaseException):
-            raise IdentificationError(
-                f"cannot run this package: {there}",
-                place=f"worker {worker}",
-                expected=f"robot-idim {here['robot-idim']}",
-            )
+            expected = f"robot-idim {here['robot-idim']}"
+            raise IdentificationError(f"cannot run this package: {there}", place=f"worker {worker}", expected=expected)
         for name, wanted in here.items():
             if there[name] != wanted:
-                raise IdentificationError(
-                    place=f"worker {worker}", key=name, value=there[name], expected=f"{wanted}, as here"
-                )
+                expected = f"{wanted}, as here"
+                raise IdentificationError(place=f"worker {worker}", key=name, value=there[name], expected=expected)

@@ -68,10 +68,8 @@ class Pool:
             while not self._is_done(futures[k]):
                 lost += 1
                 if lost > LOST_WORKERS:
-                    raise IdentificationError(
-                        f"workers ended {lost} times before task {k + 1} of {len(tasks)} was done: out of memory?",
-                        expected="fewer --workers, or a larger --decimate",
-                    )
+                    problem = f"workers ended {lost} times before task {k + 1} of {len(tasks)} was done: out of memory?"
+                    raise IdentificationError(problem, expected="fewer --workers, or a larger --decimate")
                 self._renew(function, tasks, futures, k)
             result = futures[k].result()
             futures[k] = Future()  # its result is not held twice
