@@ -53,6 +53,25 @@ def test_fit_prints_a_table_and_writes_json(capsys, tmp_path):
     assert f"{fit['parameters'][0]['value']:.8f}"[:5] in out
 
 
+@pytest.mark.parametrize("name", ["scara", "tx40", "emps"])
+def test_the_same_description_beside_a_recording_prints_the_same_bytes(name, capsys):
+    session, robot = REPLAY / name / "session.mcap", REPLAY / name / "robot.toml"
+    assert run(capsys, "fit", session) == run(capsys, "fit", session, "--robot", robot)
+
+
+def test_a_verdict_that_is_asked_for_is_in_the_exit_status(capsys, tmp_path):
+    status, _, err = run(capsys, "fit", SESSION, "--require", "trust")
+    assert (status, err) == (0, "")
+    status, out, err = run(
+        capsys, "fit", SESSION, "--method", "wls", "--require", "trust", "--json", tmp_path / "a.json"
+    )
+    assert (status, err.count("\n")) == (3, 1)
+    assert err.startswith("robot-identify: not to be trusted: ")
+    assert "caution: lag" in out
+    assert json.loads((tmp_path / "a.json").read_text())["verdict"] == "caution"
+    assert run(capsys, "fit", SESSION, "--method", "wls")[0] == 0
+
+
 def test_options_change_the_fit(capsys, tmp_path):
     for name, options in {
         "none.json": ["--cutoff-hz", "none", "--decimate", 20, "--method", "ols", "--all-samples"],

@@ -12,7 +12,14 @@ from numpy.typing import NDArray
 
 from acquisition.files import field_of, let_go
 from acquisition.recording import OPTIONAL, Recording, read_recording
-from acquisition.robot import EffortTiming, ExtraColumn, Robot, extra_columns
+from acquisition.robot import (
+    SIMULATED_CONTROLLER,
+    EffortTiming,
+    ExtraColumn,
+    Robot,
+    extra_columns,
+    robot_from_files,
+)
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -153,6 +160,9 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     fields = samples.dtype.names or ()
     reference = _at(grid, stamps, field_of(samples, "reference")) if "reference" in fields else None
     optional = {name: _at(grid, stamps, field_of(samples, name)) for name in OPTIONAL if name in fields}
+    law = recording.robot.files.get(SIMULATED_CONTROLLER)
+    if robot is not None and law is not None:  # that of the drives in this recording, whoever describes the robot
+        robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
     if robot is not None and robot.n == recording.robot.n:
         # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
         was = recording.robot

@@ -13,6 +13,7 @@ from ..passes import RowStates
 from ..regression import Decimation, KnownLag, Motion, Problem, Regression
 from .lines import Assumed, TrustLine
 
+LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
 SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
 
 
@@ -285,6 +286,13 @@ def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assu
         )
     if evidence.lags and evidence.lags[0].prior.stated:
         yield Assumed(what="lag", value=f"{evidence.lags[0].value_s:g} s", why="stated by torque_lag_s")
+    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / signals.sample_rate_hz
+    if duration_s > LONG_S:
+        yield Assumed(
+            what="filters",
+            value=f"{duration_s:.0f} s of motion",
+            why="intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
+        )
     if evidence.method != "iv":
         yield Assumed(
             what="white encoder noise",
