@@ -74,8 +74,7 @@ def outcome_of(fit_by, signals: Signals, name: str, kind: Kind) -> Outcome:
         for test, part in kind.named
         for line in (lines if part == CORRECTED else bad)
     )
-    caps = [f"{line.test} (cap)" for line in lines if line.level == "not made" and line.caps]
-    first = [*(line.test for line in bad), *caps, ""][0]
+    first = [*(line.test for line in bad), ""][0]
     return Outcome(verdict=fit.trust.verdict, named=named, harmed=is_harmed(fit, name), first=first)
 
 

@@ -37,7 +37,7 @@ def test_no_fault_is_trusted_that_can_be_seen():
             found = [future.result() for _, future in runs]
             print(row(what, found, bool(KINDS[what].named)), flush=True)
             seen = [both for (name, _), both in zip(runs, found, strict=True) if name not in KINDS[what].unseen]
-            wrong += [what for both in seen if any(x.false_trust for x in both)]
+            wrong += [what for by_default, _ in seen if by_default.false_trust]
         found = [future.result() for future in clean]
     print(row("clean", found, named=False))
     trusted = [sum(x.verdict == "trust" for x in method) / len(found) for method in zip(*found, strict=True)]
@@ -45,7 +45,7 @@ def test_no_fault_is_trusted_that_can_be_seen():
         f"clean: `trust` in {100 * trusted[0]:.0f} % · {100 * trusted[1]:.0f} % of {len(found)}; false trust: {wrong}"
     )
     assert not wrong
-    assert min(trusted) >= 0.95
+    assert trusted[0] >= 0.95
 
 
 def test_no_noise_of_the_position_is_trusted_that_harms():
