@@ -34,6 +34,8 @@ Say = Callable[[str], None]
 
 SPAN_S = 180.0  # of a long recording, for what needs rows
 NAME = "position noise"
+CORRELATIONS = np.linspace(0.0, 0.95, 39)  # of the noise from sample to sample that are tried
+BANDS = 12  # of frequencies above the low-pass, by which they are judged
 LARGEST_CUTOFF = 0.3  # of the sample rate: above it too little of the noise is seen alone
 BIASED, BIASED_PERCENT = 1.0, 1.0  # half-widths, and percent of the value, that a bias may have
 ADVICE = "take --method iv, which needs the reference recorded"
@@ -141,10 +143,9 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     """How far noise of a recording's position has moved least squares, in half-widths.
 
     Its own noise is added once more, and once less: simulation and extrapolation (Cook, Stefanski, Simulation-extrapolation
-    estimation in parametric measurement error models, JASA 89 (1994)). White noise of the deviation found above the low-pass is
+    estimation in parametric measurement error models, JASA 89 (1994)). Noise of the spectrum found above the low-pass is
     added over the whole band, with both signs; the mean of the two moves is, to first order, the bias that the noise within the
-    band has caused already. Rounding and noise of an encoder are white across the cut-off. `alone`: `ls` is of this recording
-    alone, without load friction.
+    band has caused already. `alone`: `ls` is of this recording alone, without load friction.
     """
     settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _not_seen(problem)
     if reason is not None:
@@ -152,7 +153,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     assert settings.cutoff_hz is not None
     stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
-    noise = np.random.default_rng(0).standard_normal(problem.signals.q.shape) * _deviations(problem)
+    noise = _noise_like(problem)
     try:
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
         both = [_least_squares(_with_position(problem, problem.signals.q + way * noise), method, ls) for way in (1, -1)]
@@ -189,14 +190,28 @@ def _not_seen(problem: Problem) -> str | None:
     return None
 
 
-def _deviations(problem: Problem) -> Array:
-    """Deviations (n,) of white noise of the positions, by what lies above the low-pass."""
-    settings, signals = problem.settings, problem.signals
-    cutoff_hz = settings.cutoff_hz
-    assert cutoff_hz is not None
-    smooth = problem.motion.between(settings.start, settings.stop, cutoff_hz).q
-    above = np.abs(signals.q[settings.start : settings.stop] - smooth)
-    return np.asarray(1.4826 * np.median(above, axis=0) / np.sqrt(1 - 2 * cutoff_hz / signals.sample_rate_hz))
+def _noise_like(problem: Problem) -> Array:
+    """Noise (N, n) of the spectrum that positions have well above low-pass and motion: white, or the AR(1) that fits it.
+
+    Of rounding and of most encoders that is white. Noise that falls with frequency is larger below the low-pass than above.
+    """
+    settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
+    q = problem.signals.q
+    used = q[settings.start : settings.stop]
+    above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
+    window = np.hanning(len(used))[:, None]
+    power = np.abs(np.fft.rfft(above * window, axis=0)) ** 2 / np.sum(window**2)
+    cosine = np.cos(2 * np.pi * np.fft.rfftfreq(len(used)))
+    seen = np.flatnonzero(np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8))
+    bands = np.array_split(seen, BANDS)
+    level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)  # of an exponential distribution
+    shapes = np.array([[1 / np.mean(1 - 2 * phi * cosine[band] + phi**2) for band in bands] for phi in CORRELATIONS])
+    off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]  # (correlations, bands, n)
+    best = off.std(axis=1).argmin(axis=0)
+    size = np.exp(0.5 * off.mean(axis=1)[best, np.arange(q.shape[1])])
+    white = np.fft.rfft(rng.standard_normal(q.shape), axis=0)
+    turns = np.exp(-2j * np.pi * np.fft.rfftfreq(len(q)))[:, None]
+    return np.asarray(np.fft.irfft(white * size / (1 - CORRELATIONS[best] * turns), len(q), axis=0))
 
 
 def _with_position(problem: Problem, q: Array) -> Problem:

@@ -295,7 +295,7 @@ def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assu
         )
     if evidence.method != "iv":
         yield Assumed(
-            what="white encoder noise",
-            value="above and below the low-pass",
-            why="least squares is biased by noise of the position, and the line position noise takes it for white",
+            what="encoder noise",
+            value="below the low-pass as above",
+            why="least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
         )
