@@ -381,6 +381,13 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     assert (high.level, "350 Hz" in high.text) == ("cannot tell", True)
 
 
+def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
+    """AR(0.9) from sample to sample: the noise above the low-pass is a small part of the noise below."""
+    cell = replace(COARSE, encoder_noise=1e-5, encoder_correlation=0.9)
+    fit, _ = examined("wls", "emps", cell)
+    assert fit.trust.line("position noise").level == "caution"
+
+
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
     """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
     told = [
