@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import ON_GRID, RecordingFile, Signals
@@ -12,6 +13,7 @@ from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_
 from ..model import SHAPES
 from ..passes import RowStates, row_states
 from ..regression import (
+    HELD,
     NOTHING,
     FilteredMotion,
     KnownLag,
@@ -22,6 +24,7 @@ from ..regression import (
     base_name,
     make_problem,
     make_settings,
+    measured_fast_rows,
     regression_of_recording,
     retimed,
     torque_of_recording,
@@ -153,10 +156,13 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     assert settings.cutoff_hz is not None
     stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
-    noise = _noise_like(problem)
+    noise, (fast, _) = _noise_like(problem), measured_fast_rows(problem)  # the rows stay the same
     try:
-        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls)
-        both = [_least_squares(_with_position(problem, problem.signals.q + way * noise), method, ls) for way in (1, -1)]
+        plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls, fast)
+        both = [
+            _least_squares(_with_position(problem, problem.signals.q + way * noise), method, ls, fast)
+            for way in (1, -1)
+        ]
     except IdentificationError as error:
         return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
@@ -219,9 +225,9 @@ def _with_position(problem: Problem, q: Array) -> Problem:
     return replace(problem, signals=signals, motion=FilteredMotion(signals))
 
 
-def _least_squares(problem: Problem, method: Method, ls: LeastSquares) -> Estimate:
+def _least_squares(problem: Problem, method: Method, ls: LeastSquares, fast: NDArray[np.bool_]) -> Estimate:
     """Least squares of the recording as `ls` was made: of its parameters, columns of load friction apart."""
-    system = regression_of_recording(problem).system
+    system = regression_of_recording(problem, share=HELD).system.with_rows(fast.T.reshape(-1).astype(float))
     asked = set(map(base_name, ls.estimate.names))
     kept = np.array([k for k, name in enumerate(system.names) if name in asked and system.W[:, k].any()])
     solve = ordinary_least_squares if method == "ols" else weighted_least_squares

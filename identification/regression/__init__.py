@@ -2,7 +2,7 @@
 
 from .filtering import Decimation, forward_backward_3db_hz
 from .load import LinkSeries, LoadFriction, load_friction
-from .low_speed import fast_rows, lowest_nearby, measured_slip, refuse_slow_joints
+from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, measured_slip, refuse_slow_joints
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .own import OwnParameters, base_name, own_parameters
 from .problem import Problem, RowBlock, make_problem, motion_blocks, row_blocks
