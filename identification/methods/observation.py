@@ -159,10 +159,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     noise, (fast, _) = _noise_like(problem), measured_fast_rows(problem)  # the rows stay the same
     try:
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls, fast)
-        both = [
-            _least_squares(_with_position(problem, problem.signals.q + way * noise), method, ls, fast)
-            for way in (1, -1)
-        ]
+        both = [_least_squares(_with_noise(problem, way * noise), method, ls, fast) for way in (1, -1)]
     except IdentificationError as error:
         return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
@@ -202,14 +199,14 @@ def _noise_like(problem: Problem) -> Array:
     Of rounding and of most encoders that is white. Noise that falls with frequency is larger below the low-pass than above.
     """
     settings, fs, rng = problem.settings, problem.signals.sample_rate_hz, np.random.default_rng(0)
-    q = problem.signals.q
+    q = problem.signals.q[: settings.stop + round(fs)]  # of a long recording no more than is looked at
     used = q[settings.start : settings.stop]
     above = used - problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q
     window = np.hanning(len(used))[:, None]
     power = np.abs(np.fft.rfft(above * window, axis=0)) ** 2 / np.sum(window**2)
     cosine = np.cos(2 * np.pi * np.fft.rfftfreq(len(used)))
     seen = np.flatnonzero(np.fft.rfftfreq(len(used), 1 / fs) > max(1.5 * (settings.cutoff_hz or 0.0), fs / 8))
-    bands = np.array_split(seen, BANDS)
+    bands = [band for band in np.array_split(seen, BANDS) if len(band)]
     level = np.array([np.median(power[band], axis=0) for band in bands]) / np.log(2)  # of an exponential distribution
     shapes = np.array([[1 / np.mean(1 - 2 * phi * cosine[band] + phi**2) for band in bands] for phi in CORRELATIONS])
     off = np.log(np.maximum(level, 1e-300))[None] - np.log(shapes)[:, :, None]  # (correlations, bands, n)
@@ -220,7 +217,9 @@ def _noise_like(problem: Problem) -> Array:
     return np.asarray(np.fft.irfft(white * size / (1 - CORRELATIONS[best] * turns), len(q), axis=0))
 
 
-def _with_position(problem: Problem, q: Array) -> Problem:
+def _with_noise(problem: Problem, noise: Array) -> Problem:
+    q = np.array(problem.signals.q)
+    q[: len(noise)] += noise
     signals: Signals = replace(problem.signals, q=q)
     return replace(problem, signals=signals, motion=FilteredMotion(signals))
 
