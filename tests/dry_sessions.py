@@ -63,6 +63,20 @@ class SyncOfAnother(Through):
         return frame
 
 
+class SlowAnswers(SimulatedDrives):
+    """Drives that answer an SDO request 60 to 100 ms late, once they are operational."""
+
+    asked = 0
+
+    def receive(self, now_ns, can_id, data):
+        sent = super().receive(now_ns, can_id, data)
+        late = [frame for frame in sent if 0x580 < frame[0] < 0x600 and self.nodes[frame[0] - 0x581].operational]
+        self.asked += len(late)
+        due_ns = now_ns + 60_000_000 + self.asked * 7_000_000 % 40_000_000
+        self._late += [(due_ns, *frame) for frame in late]
+        return [frame for frame in sent if frame not in late]
+
+
 @dataclass(frozen=True, kw_only=True)
 class DrySession:
     outcome: Outcome | None
@@ -87,6 +101,8 @@ def dry_session(
     through: Callable[..., Through] = Through,
     stop: Stop | None = None,
     drives: Bus | None = None,
+    simulated: type[SimulatedDrives] = SimulatedDrives,
+    log_of: type[InlineLog] = InlineLog,
 ) -> DrySession:
     """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.
 
@@ -94,10 +110,10 @@ def dry_session(
     """
     robot = robot or robot_of(bus_text(2))
     bus = bus or bus_of(robot)
-    log = InlineLog(Recorder(path, robot, source="dry run", place="robot.toml"))
+    log = log_of(Recorder(path, robot, source="dry run", place="robot.toml"))
     loops = cascaded_loops(robot, typical_inertia(robot, rated_motor_effort(bus)))
     mechanism = None if plant is None else Mechanism(plant=plant, loops=loops)
-    run = dry_run(SimulatedDrives(robot, drives or bus, mechanism, faults), tap=log.tap)
+    run = dry_run(simulated(robot, drives or bus, mechanism, faults), tap=log.tap)
     outcome, raised = None, None
     announced: list[Outcome] = []
     try:

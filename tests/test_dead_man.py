@@ -1,5 +1,6 @@
 """The recorder's process stops the drives of a session that dies or hangs; `disable` stops those of anybody."""
 
+import itertools
 import multiprocessing
 import signal
 import struct
@@ -7,8 +8,12 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
+from dry_sessions import DrySession, SlowAnswers, Through, dry_session
 from made_up_buses import bus_of, bus_text, robot_of
 from test_recording_processes import (
     HEARTBEAT,
@@ -27,10 +32,15 @@ from test_recording_processes import (
 )
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
+import acquisition.recorder.dead_man as dead_man_module
 from acquisition.master.master import Master
 from acquisition.protocol.states import State, state_of
 from acquisition.recorder.dead_man import DeadMan, SignsOfLife, silence_s
-from acquisition.recording.reader import Recording
+from acquisition.recorder.logs import InlineLog
+from acquisition.recording.reader import Recording, read_recording
+from acquisition.session.task import Task
+from acquisition.simulated.faults import SimulatedFault
+from acquisition.simulated.lock_step import serve
 from acquisition.transport.link import open_link
 
 __all__ = ["folder", "npm", "port"]  # fixtures
@@ -155,17 +165,122 @@ def test_disable_says_first_who_did_not_confirm(folder):
 
 def test_a_dead_man_acts_only_when_armed_and_not_ended():
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
-    for signs, acts in (("", False), ("a", True), ("aae", False), ("aea", True)):
+    for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
         dead_man, life = DeadMan(here, bus), SignsOfLife(there)
         for sign in signs:
             life.alive() if sign == "a" else life.ended()
+        if not acts:
+            life.alive()  # what is disarmed stays so
         life.close()
         dead_man._thread.join(20)
         assert not dead_man.waiting
         assert (dead_man.reason is not None) == acts
         kinds = [kind for _, kind, _ in dead_man.events]
         assert kinds == (["fault", "not disabled"] if acts else [])
+
+
+def test_the_session_knows_of_the_second_stop_before_its_first_frame(monkeypatch):
+    bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
+    here, there = multiprocessing.Pipe()
+    life, said = SignsOfLife(there), []
+    monkeypatch.setattr(dead_man_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
+    dead_man = DeadMan(here, bus)
+    assert life.stopped() == ""
+    life.alive()
+    dead_man._thread.join(20)
+    assert said == ["no sign of life from the session for 0.3 s: the recorder's process stopped the drives"]
+    life.close()
+
+
+class Beating(InlineLog):
+    """Notes when the session shows that it runs, and when it disarms, in simulated time."""
+
+    signs: ClassVar[list[tuple[int, str]]] = []
+    link: ClassVar[Any] = None
+
+    def poll(self, stamp_ns):
+        self.alive()
+        return super().poll(stamp_ns)
+
+    def alive(self):
+        self.signs.append((self.link.now_ns(), "alive"))
+
+    def ended(self):
+        self.signs.append((self.link.now_ns(), "ended"))
+
+
+def beating_session(path, faults=()) -> DrySession:
+    """Six drives with slow answers."""
+
+    @dataclass(kw_only=True)
+    class Clocked(Through):
+        def __post_init__(self):
+            Beating.link = self.link
+
+    Beating.signs.clear()
+    robot, task = robot_of(bus_text(6)), Task(reference=np.zeros((51, 6)))
+    return dry_session(
+        path, task, robot=robot, faults=faults, through=Clocked, simulated=SlowAnswers, log_of=Beating
+    )  # fmt: skip
+
+
+def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
+    session = beating_session(tmp_path / "a.mcap")
+    assert session.outcome.reason == "finished"
+    times = [t for t, _ in Beating.signs]
+    kinds = [kind for _, kind in Beating.signs]
+    first = kinds.index("ended")
+    assert max(b - a for a, b in itertools.pairwise(times[: first + 1])) < 0.3e9
+    (disabled_ns,) = [e.stamp_ns for e in session.recording.events if e.kind == "disabled"]
+    assert times[first] <= disabled_ns
+    frames = session.recording.frames["test"]
+    restored = frames[(frames["can_id"] > 0x600) & (frames["data"][:, 1] == 0x16) & (frames["time_ns"] >= times[first])]
+    assert len(restored) == 6  # the consumer heartbeats: all that comes after, and none of it counts
+    assert not np.isin(frames["can_id"], np.arange(0x81, 0x87)).any()
+
+
+@pytest.mark.parametrize("kind", ["silent", "emergency"])
+def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
+    """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
+    session = beating_session(tmp_path / "a.mcap", [SimulatedFault(kind=kind, node=3, sync=150)])
+    assert session.outcome.fault
+    assert session.outcome.unconfirmed == ((3,) if kind == "silent" else ())
+    times = [t for t, sign in Beating.signs if sign == "alive"]
+    assert ("ended" in [sign for _, sign in Beating.signs]) == (kind == "emergency")
+    frames = session.recording.frames["test"]
+    last_ns = frames["time_ns"][frames["can_id"] == 0].max() if kind == "silent" else times[-1]
+    assert max(b - a for a, b in itertools.pairwise([*times, last_ns])) < 0.1e9
+    emergencies = frames[(frames["can_id"] > 0x80) & (frames["can_id"] < 0x87)]
+    assert emergencies["can_id"].tolist() == ([] if kind == "silent" else [0x83])
+    assert len(session.outcome.reports) == (kind == "emergency")
+
+
+def test_six_slow_drives_over_processes(folder):
+    text = bus_text(
+        6, period_s=SYNC_S, interface="udp_multicast", channel=bus_at(folder).channel, extra="heartbeat_s = 0.1"
+    )
+    (folder / "six.toml").write_text(text)
+    names = ",".join(f"joint_{k}" for k in range(1, 7))
+    (folder / "rest.csv").write_text(f"time_s,{names}\n0{',0' * 6}\n0.5{',0' * 6}\n")
+    robot, out, over, ready = robot_of(text), folder / "six.mcap", threading.Event(), threading.Event()
+    six = SlowAnswers(robot, bus_of(robot))
+    thread = threading.Thread(target=serve, args=(six, over.is_set, ready.set))
+    thread.start()
+    try:
+        assert ready.wait(20)
+        track = ("--yes", "--track", str(folder / "rest.csv"))
+        session = acquire(folder, "record", str(folder / "six.toml"), "-o", str(out), *track)
+        _, errors = session.communicate(timeout=120)
+        assert (session.returncode, errors.count("no sign of life")) == (0, 0), errors
+    finally:
+        over.set()
+        thread.join(20)
+    recording = read_recording(out)
+    assert texts(recording, "fault") == []
+    assert texts(recording, "end") == ["finished"]
+    (disabled_ns,) = [e.stamp_ns for e in recording.events if e.kind == "disabled"]
+    assert recording.samples["stamp_ns"][-1] <= disabled_ns  # no second program sent SYNC
 
 
 def test_signs_never_wait_for_a_recorder_that_hangs():

@@ -26,7 +26,7 @@ from identification.errors import IdentificationError
 REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
 PERIOD_S = 0.002
 LIMIT = np.radians(200)  # rad/s
-BEGIN_S = 0.25  # after the brakes opened: in the track phase
+BEGIN_S = 0.45  # after the brakes opened: in the track phase
 
 
 class Scripted:

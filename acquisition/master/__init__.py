@@ -2,7 +2,7 @@
 
 from .heartbeat import MasterHeartbeat
 from .homing import Confirm, confirm_positions, homed, joint_positions, joints_of, position_words
-from .listening import LISTEN_S, listen, other_master, refuse_enabled, refuse_other_master, service_of
+from .listening import LISTEN_S, command_ids, listen, other_master, refuse_enabled, refuse_other_master, service_of
 from .master import OPERATIONAL, Master, Wire
 from .orders import Orders, send_orders
 from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words

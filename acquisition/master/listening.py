@@ -4,13 +4,16 @@ Services by identifier: CiA 301, predefined connection set.
 """
 
 from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError
 from ..protocol import ANSWER, DISABLED, EMERGENCY, HEARTBEAT, REQUEST, State, usual_can_id
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus
 from ..transport import Frame
-from .master import Master, Wire
+
+if TYPE_CHECKING:
+    from .master import Master, Wire
 
 LISTEN_S = 0.5
 _SLICE_NS = 50_000_000  # a stop is noticed after this time at the latest
@@ -18,7 +21,7 @@ _OF_NODES = {EMERGENCY: "emergency of", ANSWER: "SDO answer of", REQUEST: "SDO r
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
 
 
-def listen(link: Wire, seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
+def listen(link: "Wire", seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
     """Frames received during `seconds` without error frames; ends early when `stopped()` is true. Nothing is sent."""
     until_ns = link.now_ns() + round(seconds * 1e9)
     while link.now_ns() < until_ns and not stopped():
@@ -46,6 +49,12 @@ def service_of(frame: Frame, sync_can_id: int) -> str:
             if node and usual_can_id(way, number, node) == frame.can_id:
                 return f"{remote}{words.format(number)} node {node}"
     return f"{remote}frame 0x{frame.can_id:03X}"
+
+
+def command_ids(bus: Bus) -> set[int]:
+    """Identifiers of the frames by which a master commands the drives of `bus`: NMT, SDO requests, PDOs to drives."""
+    to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
+    return {0} | to_drives | {REQUEST + drive.node for drive in bus.drives}
 
 
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
@@ -77,13 +86,13 @@ def _is_boot_up(frame: Frame) -> bool:
     return frame.can_id & 0x780 == HEARTBEAT and frame.data == b"\0"
 
 
-def other_master(master: Master) -> str | None:
+def other_master(master: "Master") -> str | None:
     """Listen for half a second; the first sign of another master in words, None without one. Nothing is sent."""
     signs = (sign_of_master(frame, master.bus) for frame in listen(master.link, LISTEN_S))
     return next((sign for sign in signs if sign is not None), None)
 
 
-def refuse_other_master(master: Master) -> None:
+def refuse_other_master(master: "Master") -> None:
     """Raise `AcquisitionError` where another master is heard, before anything is sent."""
     found = other_master(master)
     if found is not None:
@@ -91,7 +100,7 @@ def refuse_other_master(master: Master) -> None:
         raise AcquisitionError(f"{found}: another master is active", place="bus", expected=expected)
 
 
-def refuse_enabled(master: Master) -> list[int]:
+def refuse_enabled(master: "Master") -> list[int]:
     """Read the state (6041h) of every drive, write nothing, and return the node ids of the drives in fault.
 
     An `AcquisitionError` where a drive gives torque although no master was heard, or does not answer.

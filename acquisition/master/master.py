@@ -28,8 +28,9 @@ from ..protocol import (
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from ..transport import Frame
+from .listening import command_ids, sign_of_master
 
-SDO_TIMEOUT_NS = 300_000_000
+SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
 OPERATIONAL = 5
 INTERPOLATION_PERIOD = 0x60C2
@@ -86,6 +87,11 @@ class Master:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
+        self.signs: dict[str, bool] = {}  # of another master, in words, and whether they command our drives
+        self.while_awaiting: Callable[[], None] = lambda: (
+            None
+        )  # called while an SDO answer is awaited, every 50 ms at least
+        self._commands = command_ids(bus)
         self._by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
@@ -116,10 +122,10 @@ class Master:
         if frame.flags & ERROR:
             self.bus_error = f"error frame: {error_frame_words(frame.can_id, frame.data)}"
             return
-        if frame.flags & (EXTENDED | REMOTE_REQUEST):
-            return
         function, node = frame.can_id & 0x780, frame.can_id & 0x7F
-        if frame.can_id in self._by_pdo:
+        if frame.flags & (EXTENDED | REMOTE_REQUEST):
+            self._note_sign(frame)
+        elif frame.can_id in self._by_pdo:
             self._process_data(frame)
         elif frame.can_id == self.bus.file.sync_can_id:
             self.sync_times.append(frame.time_ns)
@@ -139,6 +145,14 @@ class Master:
             code = int.from_bytes(frame.data[:2], "little")
             if code:  # 0: the error is cleared
                 self._by_node[node].emergency = code
+        else:
+            self._note_sign(frame)
+
+    def _note_sign(self, frame: Frame) -> None:
+        """Our own frames never come here: a link leaves out what its interface gives back."""
+        sign = sign_of_master(frame, self.bus)
+        if sign is not None:
+            self.signs[sign] = frame.can_id in self._commands and not frame.flags & REMOTE_REQUEST
 
     def _process_data(self, frame: Frame) -> None:
         watch, pdo = self._by_pdo[frame.can_id]
@@ -211,16 +225,17 @@ class Master:
 
     def _exchange(self, node: int, request: bytes, place: str) -> bytes:
         self.post(node, request)
-        until_ns = self.link.now_ns() + SDO_TIMEOUT_NS
-        while True:
-            answer = self.answered(node, request)
-            if answer is not None:
-                return answer
-            frame = self.link.receive(until_ns)
-            if frame is None:
-                problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
-                raise AcquisitionError(problem, place=place)
-            self.dispatch(frame)
+        until_ns = self.link.now_ns()
+        for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):
+            self.while_awaiting()
+            until_ns += _SLICE_NS
+            while (frame := self.link.receive(until_ns)) is not None:
+                self.dispatch(frame)
+                answer = self.answered(node, request)
+                if answer is not None:
+                    return answer
+        problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+        raise AcquisitionError(problem, place=place)
 
     def configure(self) -> None:
         """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described.

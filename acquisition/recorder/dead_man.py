@@ -31,24 +31,28 @@ class SignsOfLife:
     """The session's end of the pipe. It never waits: a recorder that hangs must not hold up SYNC."""
 
     def __init__(self, connection: Connection) -> None:
-        self._connection = connection
+        self._connection, self._sign = connection, ALIVE
         os.set_blocking(connection.fileno(), False)
 
     def alive(self) -> None:
-        """The SYNC loop goes on."""
-        self._write(ALIVE)
+        """The session goes on; after `ended` it can only repeat that."""
+        with suppress(OSError):  # full, or nobody reads: the recorder's status tells that
+            os.write(self._connection.fileno(), self._sign)
 
     def ended(self) -> None:
-        """The session has ended in order, its drives have been stopped and asked."""
-        self._write(ENDED)
+        """Nothing is left to stop: every drive has confirmed, or the session has ended and has reported the others."""
+        self._sign = ENDED
+        self.alive()
+
+    def stopped(self) -> str:
+        """Why the second stop acts, empty while it does not. Known before its first frame can be received."""
+        with suppress(OSError):  # nothing to read
+            return os.read(self._connection.fileno(), 4096).decode()
+        return ""
 
     def close(self) -> None:
         """Let go of the pipe: without `ended` before, that is taken for the death of the session."""
         self._connection.close()
-
-    def _write(self, sign: bytes) -> None:
-        with suppress(OSError):  # full, or nobody reads: the recorder's status tells that
-            os.write(self._connection.fileno(), sign)
 
 
 class DeadMan:
@@ -91,6 +95,8 @@ class DeadMan:
 
     def _act(self, reason: str) -> None:
         self.reason = f"{reason}: the recorder's process stopped the drives"
+        with suppress(OSError):  # before the first frame: the session must not take it for another master's
+            os.write(self._connection.fileno(), self.reason.encode())
         self._event("fault", self.reason)
         unconfirmed = [drive.node for drive in self._bus.drives]
         try:

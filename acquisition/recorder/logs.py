@@ -45,6 +45,12 @@ class InlineLog:
             self._write()
         return self._recorder.tick(stamp_ns, 0)
 
+    def alive(self) -> None:
+        """There is no second stop: drives in simulated time are simulated."""
+
+    def ended(self) -> None:
+        """As `alive`."""
+
     def finish(self, stamp_ns: int) -> Recorded:
         """End the recording."""
         self._write()
@@ -105,20 +111,31 @@ class ProcessLog:
         """What the session's process was granted, for `/health`."""
         self._send(("granted", counters))
 
-    def poll(self, stamp_ns: int) -> Status | None:
-        """Latest status, None when there is none. Raises `AcquisitionError` when the recorder has ended, or hangs.
-
-        With a dead man this shows that the session is running: to be called at every SYNC, by the SYNC loop alone.
-        """
+    def alive(self) -> None:
+        """Show the second stop that the session is running: only from code whose progress shows it, never from a thread."""
         if self._signs is not None:
             self._signs.alive()
+
+    def ended(self) -> None:
+        """Disarm the second stop."""
+        if self._signs is not None:
+            self._signs.ended()
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Latest status, None when there is none. To be called at every SYNC, by the SYNC loop: it is a sign of life too.
+
+        Raises `AcquisitionError` when the recorder has ended, hangs, or stops the drives.
+        """
+        self.alive()
+        if self._signs is not None and (reason := self._signs.stopped()):
+            raise AcquisitionError(reason)
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._hand_over()
         status = None
         try:
             while self._connection.poll():
                 kind, content = self._connection.recv()
-                if kind in ("failed", "stopped"):
+                if kind == "failed":
                     raise AcquisitionError(content)
                 status = content if kind == "status" else status
         except (EOFError, OSError) as error:
@@ -133,8 +150,7 @@ class ProcessLog:
 
     def finish(self, stamp_ns: int) -> Recorded:
         """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
-        if self._signs is not None:
-            self._signs.ended()
+        self.ended()
         if self._frames:
             self._hand_over()
         self._send(("stop", stamp_ns))

@@ -4,7 +4,6 @@ import signal
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import suppress
 from enum import Enum
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -13,7 +12,8 @@ import numpy as np
 
 from ..arrays import Ints
 from ..errors import AcquisitionError
-from ..protocol import HEARTBEAT, REQUEST
+from ..master import command_ids
+from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
 from ..robot import Robot, resolve, robot_from_files
 from ..transport import DRAIN_S, Receiver, WallClock, describe_step, kernel_drops, open_bus
@@ -75,10 +75,8 @@ def run(
 def _master_ids(robot: Robot, place: str) -> Ints:
     """Identifiers that only the master sends: in an active session these frames are ours."""
     bus = resolve(robot, place)
-    ids = [0, HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
-    for drive in bus.drives:
-        ids += [REQUEST + drive.node, *(pdo.can_id for pdo in drive.rpdos)]
-    return np.array(ids)
+    ids = [HEARTBEAT + bus.file.master_node] + [bus.file.sync_can_id] * (bus.file.sync_producer == "recorder")
+    return np.array([*ids, *command_ids(bus)])
 
 
 def _record(
@@ -89,7 +87,7 @@ def _record(
     if thread is not None:
         thread.start()
     connection.send(("ready", None))
-    stop_ns, gone, reported = None, False, False
+    stop_ns, gone = None, False
     clock = WallClock()
     while stop_ns is None:
         try:
@@ -114,10 +112,6 @@ def _record(
         if dead_man is not None:
             while dead_man.events:
                 recorder.event(*dead_man.events.popleft())
-            if dead_man.reason is not None and not reported:
-                reported = True
-                with suppress(OSError):
-                    connection.send(("stopped", dead_man.reason))
         if receiver is not None:
             if stop_ns is not None:
                 receiver.stopped = True

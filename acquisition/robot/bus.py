@@ -108,7 +108,7 @@ class BusFile(TomlTable, frozen=True):
         heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
         master_node: node id under which this master sends its heartbeat while it moves drives.
         late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
-        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled.
+        enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled, and `enable_watch_s` longer.
         effort_timing: what the drives' effort objects mean: the `command` of an instant, held after it; the `mean` over the
             period about it; `measured` at the instant.
     """
@@ -126,6 +126,7 @@ class BusFile(TomlTable, frozen=True):
     late_sync_s: Positive | None = None
     enable_motion_deg: Positive = 1.0
     enable_motion_m: Positive = 0.005
+    enable_watch_s: Annotated[float, msgspec.Meta(ge=0.05, le=10.0)] = 0.2
     effort_timing: EffortTiming = "unknown"
 
 

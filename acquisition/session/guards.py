@@ -27,7 +27,7 @@ class MotionState:
     """State of the motion that the guards compare with, from the start of enabling on.
 
     Attributes:
-        enabling: until all drives are enabled.
+        enabling: until all drives have been enabled for `enable_watch_s`.
         start: joint positions (n,) when enabling began.
         measured: joint positions of the last SYNCs, latest last.
         target: target position (n,) of the drives, None where they have none.

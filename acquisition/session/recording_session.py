@@ -190,10 +190,7 @@ class _StatusLog:
 
     def __init__(self, log: InlineLog | ProcessLog, show: ShowStatus, left: Callable[[int], float | None]) -> None:
         self._log, self._show, self._left = log, show, left
-
-    def event(self, stamp_ns: int, kind: str, text: str) -> None:
-        """As the log."""
-        self._log.event(stamp_ns, kind, text)
+        self.event, self.alive, self.ended = log.event, log.alive, log.ended
 
     def poll(self, stamp_ns: int) -> Status | None:
         """As the log."""

@@ -4,6 +4,7 @@ Nothing moves unless the task has a reference. However a session ends, all drive
 recording says which of them confirmed it.
 """
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import replace
@@ -83,15 +84,18 @@ def run_active(
         outcome = Outcome(reason=reason, fault=fault, error=failure, unconfirmed=tuple(unconfirmed))
         if unconfirmed:
             announce(outcome)  # at once: the requests that follow take time
+            master.while_awaiting = log.alive  # the second stop stays armed, and must not take that time for a death
+        else:
+            log.ended()
         if session.addressed:
             text = outcome.alarm or "every drive confirmed"
             with suppress(AcquisitionError):
                 log.event(link.now_ns(), "not disabled" if unconfirmed else "disabled", text)
+        session.leave(unconfirmed)  # before the reports: while those are read there is no heartbeat
         outcome = replace(outcome, reports=tuple(session.reports(unconfirmed)) if fault else ())
         for text in outcome.reports:
             with suppress(AcquisitionError):
                 log.event(link.now_ns(), "mark", text)
-        session.leave(unconfirmed)
         if not unconfirmed:
             announce(outcome)
     return outcome
@@ -110,6 +114,7 @@ class _Session:
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
+        self._warned: set[str] = set()
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
 
@@ -176,9 +181,12 @@ class _Session:
     def _sync(self) -> None:
         """Send or await SYNC, take the answers, check the guards. Raises the `AcquisitionError` of a guard."""
         motion = self._motion
-        self._pace.sync(in_motion=motion is not None and bool(motion.enabled))
+        in_motion = motion is not None and bool(motion.enabled)
+        self._pace.sync(in_motion=in_motion)
         now_ns = self._link.now_ns()
-        error = node_fault(self._master, now_ns)
+        if self._master.signs or self._master.bus_error:
+            self._log.poll(now_ns)  # raises where the second stop sent those frames: it is no other master
+        error = node_fault(self._master, now_ns) or self._other_master(in_motion)
         if error is None and motion is not None:
             q = self._positions()
             if q is not None:
@@ -199,6 +207,18 @@ class _Session:
         status = self._log.poll(now_ns)
         if status is not None and status.disk_full and not self._stop.reason:
             self._stop.reason = "disk nearly full"
+
+    def _other_master(self, in_motion: bool) -> AcquisitionError | None:
+        """The fault where another master commands our drives in motion; all else that shows one is a warning, once each."""
+        signs, self._master.signs = self._master.signs, {}
+        for sign, commands in signs.items():
+            error = AcquisitionError(f"{sign}: another master is active", place="bus", expected="none in motion")
+            if in_motion and commands:
+                return error
+            if sign not in self._warned:
+                self._warned.add(sign)
+                self._log.event(self._link.now_ns(), "warning", str(error))
+        return None
 
     def _note(self, motion: MotionState) -> None:
         """Record the warnings of the drives, each once."""
@@ -233,6 +253,8 @@ class _Session:
             if self._stop.reason:
                 return
             yield order
+        watched = round(self._bus.file.enable_watch_s / self._period_s)
+        yield from itertools.takewhile(lambda _: not self._stop.reason, itertools.repeat(self._held_orders(), watched))
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[Orders]:
@@ -240,9 +262,10 @@ class _Session:
             yield self._orders(q)
 
     def _hold(self) -> Iterator[Orders]:
-        held = [(Command.ENABLE_OPERATION.controlword, target) for target in self._held]
-        for _ in range(max(3, round(HOLD_S / self._period_s))):
-            yield held
+        yield from itertools.repeat(self._held_orders(), max(3, round(HOLD_S / self._period_s)))
+
+    def _held_orders(self) -> Orders:
+        return [(Command.ENABLE_OPERATION.controlword, target) for target in self._held]
 
     def _disable(self) -> Iterator[Orders]:
         """All drives to switch on disabled, without the guards of motion: drives leave operation enabled here."""

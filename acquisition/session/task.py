@@ -18,7 +18,15 @@ class SessionLog(Protocol):
         ...
 
     def poll(self, stamp_ns: int) -> Status | None:
-        """A new status of the recorder, or None. Raises `AcquisitionError` when the recorder has ended."""
+        """A new status of the recorder, or None. Raises `AcquisitionError` when it has ended, or stops the drives."""
+        ...
+
+    def alive(self) -> None:
+        """Show the second stop that the session is running."""
+        ...
+
+    def ended(self) -> None:
+        """Disarm the second stop."""
         ...
 
 
