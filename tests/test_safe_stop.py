@@ -17,7 +17,8 @@ from acquisition.simulated.mechanism import Mechanism
 from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
-CAP_S = 0.5 + SPEED / np.deg2rad(4000)
+LIMIT = np.deg2rad(4000)
+CAP_S = 0.5 + 1.2 * SPEED / LIMIT  # the simulated drives' ramp is the acceleration limit
 
 
 class Coasting:
@@ -39,7 +40,7 @@ class Coasting:
 
 
 def moving(
-    after: Callable[[float], float], *, started: bool = True
+    after: Callable[[float], float], *, started: bool = True, ramp: dict[int, int] | None = None
 ) -> tuple[DryRun, Master, list[tuple[int, int, bytes]]]:
     """Two enabled drives, and what is sent to them from here on."""
     robot = robot_of(bus_text(2))
@@ -49,6 +50,8 @@ def moving(
         SimulatedDrives(robot, bus, mechanism, supervised=False),
         tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),
     )
+    for node in run.drives.nodes:
+        node.values |= {(index, 0): value for index, value in (ramp or {}).items()}
     master = Master(run.link, bus)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
@@ -88,6 +91,43 @@ def test_voltage_goes_off_at_standstill_or_where_nothing_else_helps(after, at_s,
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
     assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)  # it stands, whatever the other does
+    run.close()
+
+
+COUNTS = 50 * 65536 / (2 * np.pi)  # per rad of a joint
+
+
+@pytest.mark.parametrize(
+    ("after", "ramp", "at_s"),
+    [
+        (lambda t: max(0.5, 1 - 3 * t), {0x6085: round(COUNTS)}, 0.5 + 1.2 * 0.985 * SPEED),  # 1 rad/s²
+        (lambda t: max(0.5, 1 - 3 * t), {0x605A: 5, 0x6084: round(2 * COUNTS)}, 0.5 + 1.2 * SPEED / 2.0),
+        (lambda t: max(0.5, 1 - 3 * t), {0x605A: 0}, 0.5 + SPEED / LIMIT),  # unknown
+        (lambda t: 1 - 0.5 * t, {0x605A: 3}, 0.05),  # unknown, and too slow for that
+        (lambda t: max(0.0, 1 - 0.5 * t), {0x6085: round(COUNTS)}, 1.98),  # 1 rad/s², 2.5 % slower after 0.05 s
+        (
+            lambda t: 1.0 + (t > 0.01) if t < 0.03 else max(0.0, 2 - 90 * (t - 0.03)),
+            {},
+            0.074,
+        ),  # above the start, but falls
+        (lambda t: 1 - 0.5 * t if t < 0.3 else 1.2, {0x6085: round(COUNTS)}, 0.302),  # runs away at last
+    ],
+)
+def test_a_quick_stop_is_let_finish_by_its_ramp_and_only_one_that_does_not_work_is_cut(after, ramp, at_s):
+    run, master, sent = moving(after, ramp=ramp)
+    assert safe_stop(master) == []
+    assert off_s(sent, 1) == pytest.approx(at_s, abs=0.02)
+    run.close()
+
+
+def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
+    def silence(t: float) -> float:
+        run.drives._silent.add(0)
+        return 1.0
+
+    run, master, sent = moving(silence)
+    assert safe_stop(master) == [1]
+    assert off_s(sent, 1) == pytest.approx(CAP_S, abs=0.03)
     run.close()
 
 

@@ -185,7 +185,6 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
         ({}, (0x605E,), "fault reaction 605E: not there"),
         ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
         ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error beyond 900 of the drive's position units, after 20 ms"),
-        ({(0x6085, 0): 70000}, (), "quick stop deceleration 6085 = 70000"),
     ],
 )  # fmt: skip
 def test_supervision_in_words(values, missing, expected):

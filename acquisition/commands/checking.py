@@ -8,7 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..master import Master, Wire, homed, joint_positions, other_master, position_words, second_stop, supervision_of
+from ..master import (
+    Master,
+    Wire,
+    homed,
+    joint_positions,
+    other_master,
+    position_words,
+    second_stop,
+    stop_ramp,
+    supervision_of,
+)
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
@@ -83,6 +93,9 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
         findings += [
             Finding(subject=f"{subject} supervision", found=text, ok=True) for text in supervision_of(master, drive)
         ]
+        ramp, expected = stop_ramp(master, drive)
+        text = f"{ramp}: expected {expected}" if expected else ramp
+        findings.append(Finding(subject=f"{subject} quick stop", found=text, ok=not expected))
         doubts = drive.dictionary.warnings if drive.dictionary is not None else ()
         findings += [Finding(subject=f"{subject} dictionary", found=text, ok=True) for text in doubts]
         scale = _scale(master, drive)

@@ -1,7 +1,7 @@
 """A CANopen master over a link: NMT, SDO, PDO configuration, and the last values of every node. It decides nothing."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from ..errors import AcquisitionError
@@ -56,6 +56,7 @@ class Wire(Protocol):
 class NodeWatch:
     """The last values received from a drive; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
 
+    `ramp_objects`: what it has in `RAMP_OBJECTS`, None where it has none; those that were not asked for are not there.
     `started`: its heartbeat has reported operational since START; `unstarted` counts the heartbeats before that.
     """
 
@@ -70,6 +71,7 @@ class NodeWatch:
     heard_ns: int = 0
     emergency: int | None = None
     booted: bool = False
+    ramp_objects: dict[int, int | None] = field(default_factory=dict)
 
     @property
     def state(self) -> State | None:
@@ -92,7 +94,7 @@ class Master:
             None
         )  # called while an SDO answer is awaited, every 50 ms at least
         self._commands = command_ids(bus)
-        self._by_node = {watch.drive.node: watch for watch in self.nodes}
+        self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
         self._answers: dict[int, bytes] = {}
         self.sync_times: list[int] = []
@@ -134,17 +136,17 @@ class Master:
             self._next_sync()
         elif function == ANSWER:
             self._answers[node] = frame.data
-        elif node in self._by_node and function == HEARTBEAT and frame.data:
-            watch = self._by_node[node]
+        elif node in self.by_node and function == HEARTBEAT and frame.data:
+            watch = self.by_node[node]
             # Time of the link: an adapter may stamp frames by its own clock.
             watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
             watch.started |= watch.nmt == OPERATIONAL
             watch.unstarted += not watch.started
             watch.booted |= frame.data[0] == 0
-        elif node in self._by_node and function == EMERGENCY and len(frame.data) >= 2:
+        elif node in self.by_node and function == EMERGENCY and len(frame.data) >= 2:
             code = int.from_bytes(frame.data[:2], "little")
             if code:  # 0: the error is cleared
-                self._by_node[node].emergency = code
+                self.by_node[node].emergency = code
         else:
             self._note_sign(frame)
 

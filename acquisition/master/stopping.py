@@ -4,27 +4,65 @@ The session, the recorder's process (after the session has died) and the command
 It never raises `AcquisitionError`: when one step fails, the next is tried all the same.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ..errors import AcquisitionError
-from ..protocol import Command, State, answer_of, read_request, state_of, write_request
-from ..robot import Bus
+from ..protocol import (
+    ACCELERATION_UNIT,
+    CONTROLWORD,
+    PROFILE_DECELERATION,
+    QUICK_STOP_DECELERATION,
+    QUICK_STOP_OPTION,
+    QUICK_STOP_RAMPS,
+    VELOCITY_UNIT,
+    Command,
+    State,
+    answer_of,
+    read_request,
+    state_of,
+    write_request,
+)
+from ..robot import Bus, Drive
 from ..transport import open_link
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
 from .orders import send_order
 
-FALL_S = 0.05  # a quick stop works only if the speed falls within this time
-FALL_SHARE = 0.95  # of the speed at the start: the speed has fallen when it is below this
-CAP_S = 0.5  # after the time to stop at the acceleration limit, voltage is switched off even in motion
+FALL_S = 0.05  # over which the speed must show that a quick stop works
+FALL_SLOPE = -0.2  # of the acceleration limit: with a lower slope the speed falls
+FALL_SHARE = 0.95  # of the speed at the start: where the ramp is unknown, the speed has fallen when it is below this
+RAMP_SHARE = 1.2  # of the time that the ramp takes from the speed at the start
+CAP_S = 0.5  # after the time to stop, voltage is switched off even in motion
 CONFIRM_S = 1.0  # in which drives must confirm, after voltage is off
 ASK_S = 0.05  # between SDO requests to one drive
 WINDOW_S = 0.02  # over which speed is measured
 STANDSTILL_SHARE = 0.01  # of the speed limit
 STANDSTILL_COUNTS = 2  # in the window: encoder noise does not count as motion
+RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, ACCELERATION_UNIT, VELOCITY_UNIT)
+# Revolutions per minute (60A9h), and that per second (60AAh), as CiA 402 codes units; maxon's and Nanotec's are these.
+_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300
 # In these states a drive gives no torque and needs a whole new enabling sequence. Switched on does not count as disabled.
 CONFIRMED = frozenset({State.SWITCH_ON_DISABLED, State.FAULT})
+
+
+def ramp_key(drive: Drive, index: int) -> tuple[int, int]:
+    """Index and sub-index of an object of CiA 402 for the drive's axis."""
+    return (index + drive.control.index - CONTROLWORD) & 0xFFFF, 0
+
+
+def quick_stop_ramp(drive: Drive, values: Mapping[int, int | None]) -> float | None:
+    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah names; None where it is unknown.
+
+    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h says rpm/s or rpm.
+    """
+    raw = values.get(QUICK_STOP_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
+    unit = values.get(ACCELERATION_UNIT) or values.get(VELOCITY_UNIT)
+    if not raw or unit not in (None, 0, _RPM, _RPM_PER_S):
+        return None
+    return raw * float(2 * np.pi / 60 * drive.position_codec.counts_per_unit if unit else 1.0)
 
 
 @dataclass(kw_only=True)
@@ -33,68 +71,79 @@ class _Stopping:
 
     watch: NodeWatch
     since_ns: int
-    seen: list[tuple[int, int]] = field(default_factory=list)  # time and counts, of the last window
+    window: int  # number of SYNCs in WINDOW_S
+    seen: list[tuple[int, int]] = field(default_factory=list)  # time and counts, of the last FALL_S
     speed_then: float | None = None  # counts/s at the start
     off_ns: int | None = None
     confirmed: bool = False
     wrote: Command | None = None  # the last command sent by SDO
     request: bytes = b""
     asked_ns: int = -(10**18)
+    reading: int = 0  # of RAMP_OBJECTS, by the last request
 
-    def observe(self, now_ns: int) -> None:
-        """Take the position that the drive sent at this SYNC, if it sent one."""
+    def observe(self, sampled_ns: int) -> None:
+        """Take the position that the drive sent at the SYNC of `sampled_ns`, if it sent one."""
         counts = self.watch.counts
-        if self.watch.answers and counts is not None:
-            oldest_ns = now_ns - round(WINDOW_S * 1e9)
-            recent = [item for item in self.seen if item[0] >= oldest_ns]
-            self.seen = [*(recent or self.seen[-1:]), (now_ns, counts)]
-            if self.speed_then is None:
-                self.speed_then = self.speed if self.span_s >= 0.5 * WINDOW_S else None
-
-    @property
-    def span_s(self) -> float:
-        """Time between the first and the last position of the window."""
-        return (self.seen[-1][0] - self.seen[0][0]) * 1e-9 if self.seen else 0.0
-
-    @property
-    def speed(self) -> float | None:
-        """Counts/s over the window, None before there are two positions."""
-        if not self.span_s:
-            return None
-        return abs(self.seen[-1][1] - self.seen[0][1]) / self.span_s
+        if self.watch.answers and counts is not None and (not self.seen or sampled_ns > self.seen[-1][0]):
+            self.seen = [*self.seen[-max(2, round(FALL_S / WINDOW_S * self.window)) :], (sampled_ns, counts)]
+            if self.speed_then is None and sampled_ns - self.seen[0][0] >= 0.5e9 * WINDOW_S:
+                self.speed_then = _speed(self.seen)
 
     def must_go_off(self, now_ns: int) -> bool:
-        """Whether voltage goes off now: at standstill, or when the drive does not slow down, or when its time is over."""
-        elapsed_s = (now_ns - self.since_ns) * 1e-9
-        fastest, speed = self.watch.drive.speed_limit, self.speed
-        if speed is not None and self.speed_then is not None:
-            stands = speed <= max(STANDSTILL_SHARE * (fastest or 0.0), STANDSTILL_COUNTS / self.span_s)
-            if stands or (elapsed_s >= FALL_S and speed >= FALL_SHARE * self.speed_then):
+        """Whether voltage goes off now: at standstill, or where the speed rises or holds, or when its time is over."""
+        elapsed_s, then, drive = (now_ns - self.since_ns) * 1e-9, self.speed_then, self.watch.drive
+        # Nothing but the time is known of a drive that sends no positions.
+        if then is None or now_ns - self.seen[-1][0] > 1e9 * FALL_S + 2 * (self.seen[-1][0] - self.seen[-2][0]):
+            return elapsed_s >= self.longest_s
+        first, last = self.seen[: self.window + 1], self.seen[-self.window - 1 :]
+        speed, noise = _speed(last), STANDSTILL_COUNTS * 1e9 / (last[-1][0] - last[0][0])
+        if speed <= max(STANDSTILL_SHARE * (drive.speed_limit or 0.0), noise):
+            return True
+        between_s = (last[0][0] + last[-1][0] - first[0][0] - first[-1][0]) / 2e9
+        if elapsed_s >= FALL_S and between_s:
+            slope = (speed - _speed(first)) / between_s
+            unknown = self.ramp is None and len(self.watch.ramp_objects) == len(RAMP_OBJECTS)
+            if slope >= FALL_SLOPE * (drive.acceleration_limit or 0.0) and speed >= then - noise:
+                return True
+            if unknown and speed >= FALL_SHARE * then:
                 return True
         return elapsed_s >= self.longest_s
 
     @property
+    def ramp(self) -> float | None:
+        """Counts/s², None where it is unknown."""
+        return quick_stop_ramp(self.watch.drive, self.watch.ramp_objects)
+
+    @property
     def longest_s(self) -> float:
-        """Time to stop from the speed at the start (unknown: the speed limit) at the acceleration limit, and CAP_S."""
+        """Time to stop from the speed at the start (unknown: the speed limit) by the ramp, with a margin, and CAP_S."""
         drive = self.watch.drive
         speed = self.speed_then if self.speed_then is not None else drive.speed_limit or 0.0
-        return CAP_S + (speed / drive.acceleration_limit if drive.acceleration_limit else 0.0)
+        slowing = self.ramp / RAMP_SHARE if self.ramp else drive.acceleration_limit
+        return CAP_S + (speed / slowing if slowing else 0.0)
+
+
+def _speed(seen: list[tuple[int, int]]) -> float:
+    return abs(seen[-1][1] - seen[0][1]) * 1e9 / (seen[-1][0] - seen[0][0])
 
 
 def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None) -> list[int]:
     """Stop and disable every drive of `master`; returns the node ids of those that did not confirm.
 
     All drives get the quick stop at once, by PDO (where configured) and by SDO, while SYNC continues. Voltage is switched off
-    for each drive at its measured standstill, at once where its speed does not fall within 50 ms, and at the latest after
-    v/a + 0.5 s. Then each drive's statusword (6041h) is read for up to a second, until it shows switch on disabled or fault
-    (CiA 402). `after_sync` is called after every SYNC; an `AcquisitionError` from it is ignored.
+    for each drive at its measured standstill, where its speed rises or holds for 50 ms, and at the latest 0.5 s after 1.2
+    times the time that its ramp takes (the ramp is read on the way; unknown: after v/a + 0.5 s). Then each drive's statusword
+    (6041h) is read for up to a second, until it shows switch on disabled or fault (CiA 402). `after_sync` is called after
+    every SYNC; an `AcquisitionError` from it is ignored.
     """
     now_ns = master.link.now_ns()
-    drives = [_Stopping(watch=watch, since_ns=now_ns) for watch in master.nodes]
+    window = max(1, round(WINDOW_S / master.bus.file.sync_period_s))
+    drives = [_Stopping(watch=watch, since_ns=now_ns, window=window) for watch in master.nodes]
     next_ns = max(now_ns, (master.synced_ns or 0) + master.bus.period_ns)  # the period of earlier SYNCs continues
     # The loop is also limited by the number of SYNCs: on a link that cannot be read, time may stand still.
-    longest_s = max(one.longest_s for one in drives) + CONFIRM_S
-    for _ in range(round(2 * longest_s * 1e9 / master.bus.period_ns)):
+    count = 0
+    while count * master.bus.period_ns < 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
+        count += 1
         for one in drives:
             command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
             with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
@@ -106,7 +155,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             after_sync()
         now_ns = master.link.now_ns()
         for one in drives:
-            one.observe(now_ns)
+            one.observe(master.synced_ns or (master.sync_times or [now_ns])[-1])  # drives sample at SYNC
             _collect(master, one)
             if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
                 one.off_ns = now_ns
@@ -162,8 +211,14 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
     since_ns = now_ns - one.asked_ns
     if one.wrote is command and since_ns < (SDO_TIMEOUT_NS if one.request else ASK_S * 1e9):
         return
+    if one.reading:  # not answered
+        one.watch.ramp_objects[one.reading] = None
+    one.reading = 0
     if one.wrote is command:
-        one.request = read_request(drive.status.index, drive.status.sub)
+        if one.off_ns is None:  # the ramp matters in motion only
+            one.reading = next((index for index in RAMP_OBJECTS if index not in one.watch.ramp_objects), 0)
+        key = ramp_key(drive, one.reading) if one.reading else (drive.status.index, drive.status.sub)
+        one.request = read_request(*key)
     else:
         word, size = command.controlword, drive.control.bits // 8
         one.request = write_request(drive.control.index, drive.control.sub, word, size)
@@ -177,7 +232,10 @@ def _collect(master: Master, one: _Stopping) -> None:
     if data is None:
         return
     one.request, answer = b"", answer_of(data)
-    if answer.kind != "value":
+    if one.reading:
+        one.watch.ramp_objects[one.reading] = answer.number if answer.kind == "value" else None
+    if one.reading or answer.kind != "value":
+        one.reading = 0
         one.asked_ns = -(10**18)  # the write was accepted or refused: read the state at once
         return
     with suppress(AcquisitionError):

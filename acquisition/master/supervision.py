@@ -8,17 +8,19 @@ from ..protocol import (
     FAULT_OPTION,
     FOLLOWING_ERROR_TIME,
     FOLLOWING_ERROR_WINDOW,
-    QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
+    QUICK_STOP_RAMPS,
     SHUTDOWN_OPTION,
 )
 from ..robot import BusFile, Drive, axis_of
 from ..transport import SHARED
 from .heartbeat import consumers, entry_of, free_entry, timeout_ms
 from .master import Master
+from .stopping import RAMP_OBJECTS, quick_stop_ramp
 
 ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
 NO_WINDOW = 2**32 - 1
+MIN_RAMP_SHARE = 0.5  # of the acceleration limit: a slower quick stop is refused
 
 _RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
 _THEN_OFF = {0: "voltage off at once, the motor coasts"} | {k: f"{ramp}, then off" for k, ramp in _RAMPS.items()}
@@ -47,8 +49,8 @@ _SUBJECTS = (
 def supervision_of(master: Master, drive: Drive) -> list[str]:
     """One line for each object of a drive's supervision: loss of the master, stops, following error.
 
-    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h, 6085h. An object that the drive does
-    not have is reported as not there; nothing is raised.
+    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
+    have is reported as not there; nothing is raised.
     """
     return [
         _consumers(master, drive),
@@ -57,8 +59,36 @@ def supervision_of(master: Master, drive: Drive) -> list[str]:
         _event_timer(master, drive),
         *(_option(master, drive, index, name) for index, name in _SUBJECTS),
         _following_error(master, drive),
-        _deceleration(master, drive),
     ]
+
+
+def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
+    """The ramp of the quick stop in words, and what `--track` expects where it is too slow, else nothing."""
+    watch = master.by_node[drive.node]
+    for index in RAMP_OBJECTS:
+        watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
+    ramp, (scale, unit) = quick_stop_ramp(drive, watch.ramp_objects), drive.counts_per_joint
+    if ramp is None:
+        return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
+    fastest, least = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
+    index = QUICK_STOP_RAMPS[watch.ramp_objects[QUICK_STOP_OPTION] or 0] + axis_of(drive)
+    rest = f", {fastest / ramp:.3g} s from the speed limit to rest" if fastest else ""
+    text = f"quick stop ramp {index:04X}: {ramp / scale:.4g} {unit}/s²{rest}"
+    slow = ramp < least - 1  # drives state whole counts
+    return text, f"{least / scale:.4g} at least for --track, half the acceleration limit" if slow else ""
+
+
+def refuse_slow_ramps(master: Master) -> list[str]:
+    """Read the ramps for a later stop; a line for each unknown one. Raises `AcquisitionError` for one that is too slow."""
+    unknown = []
+    for watch in master.nodes:
+        place = f"node {watch.drive.node} ({watch.drive.name})"
+        text, expected = stop_ramp(master, watch.drive)
+        if expected:
+            raise AcquisitionError(text, place=place, expected=expected)
+        if quick_stop_ramp(watch.drive, watch.ramp_objects) is None:
+            unknown.append(f"{place}: {text}")
+    return unknown
 
 
 def second_stop(file: BusFile) -> str:
@@ -118,12 +148,6 @@ def _following_error(master: Master, drive: Drive) -> str:
         return f"{name} = 0x{window:X}: off"
     after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
     return f"{name} = {window}: an error beyond {window} of the drive's position units{after}"
-
-
-def _deceleration(master: Master, drive: Drive) -> str:
-    index = QUICK_STOP_DECELERATION + axis_of(drive)
-    raw = _read(master, drive, index)
-    return f"quick stop deceleration {index:04X}{f' = {raw}' if raw is not None else ': not there'}"
 
 
 def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:

@@ -4,6 +4,7 @@ from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
 from .error_frames import error_frame_words
 from .objects import (
     ABORT_CONNECTION,
+    ACCELERATION_UNIT,
     BITS,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
@@ -17,8 +18,10 @@ from .objects import (
     HEARTBEAT_TIME,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
+    PROFILE_DECELERATION,
     QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
+    QUICK_STOP_RAMPS,
     RATED_CURRENT,
     RATED_TORQUE,
     RATED_UNITS,
@@ -27,6 +30,7 @@ from .objects import (
     STANDARD,
     STATUSWORD,
     STOP_OPTIONS,
+    VELOCITY_UNIT,
     EffortCodec,
     ObjectEntry,
     PositionCodec,

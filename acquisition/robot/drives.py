@@ -45,6 +45,7 @@ class Drive:
         dictionary: None where objects are written out.
         speed_limit, acceleration_limit: of the motor, counts/s and counts/s², by the limits of the joints that it moves;
             None where one of them states none.
+        counts_per_joint: counts of the motor per degree or metre of the joints that it moves, and that unit.
     """
 
     name: str
@@ -62,6 +63,7 @@ class Drive:
     dictionary: ObjectDictionary | None
     speed_limit: float | None = None
     acceleration_limit: float | None = None
+    counts_per_joint: tuple[float, str] = (1.0, "counts")
 
     def carrier(self, entry: ObjectEntry, direction: str) -> Pdo | None:
         """The PDO that carries an object."""

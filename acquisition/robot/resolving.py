@@ -66,7 +66,11 @@ def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
             return None
         return float(sum(r * value for r, value in moved) * drive.position_codec.counts_per_unit)
 
-    return replace(drive, speed_limit=limit("speed"), acceleration_limit=limit("acceleration"))
+    per_unit = float(np.abs(robot.R[i]).sum() * drive.position_codec.counts_per_unit)
+    slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
+    scale = (per_unit, "m") if slides else (per_unit * np.pi / 180, "deg")
+    speed, acceleration = limit("speed"), limit("acceleration")
+    return replace(drive, speed_limit=speed, acceleration_limit=acceleration, counts_per_joint=scale)
 
 
 def _drive(

@@ -21,6 +21,7 @@ from ..master import (
     notices,
     refuse_enabled,
     refuse_other_master,
+    refuse_slow_ramps,
     safe_stop,
     send_orders,
 )
@@ -140,6 +141,8 @@ class _Session:
             raise AcquisitionError("; ".join(differences))
         if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+            for text in refuse_slow_ramps(self._master):
+                self._log.event(self._link.now_ns(), "mark", text)
             for text in self._heartbeat.request():
                 self._log.event(self._link.now_ns(), "warning", text)
         self._master.start()

@@ -4,17 +4,20 @@ At SYNC a drive samples, answers, and applies the targets received since the las
 period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..master import RAMP_OBJECTS, quick_stop_ramp, ramp_key
 from ..protocol import (
     DISABLED,
     HEARTBEAT,
     HEARTBEAT_TIME,
     MODE_DISPLAY,
+    PROFILE_DECELERATION,
+    QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
     Mode,
     PositionCodec,
@@ -25,7 +28,7 @@ from ..robot import Bus, Robot
 from .faults import FaultKind, SimulatedFault
 from .loops import SUBSTEPS, LoopMemory, cubic
 from .mechanism import Mechanism, mechanism_of
-from .node import Sent, simulated_node
+from .node import Sent, SimulatedNode, simulated_node
 from .supervision import Supervision, leave_unsupervised
 
 # 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
@@ -67,6 +70,8 @@ class SimulatedDrives:
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
         self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
+        for i, node in enumerate(self.nodes):
+            self._set_ramps(i, node)
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._answered = [0] * robot.n
         self._silent: set[int] = set()
@@ -213,8 +218,9 @@ class SimulatedDrives:
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
         start, before = np.where(memory.held, position, memory.target), np.where(memory.held, 0.0, memory.travel)
-        # Quick stop: the speed of the target falls at the acceleration limit.
-        slower = np.sign(before) * np.maximum(np.abs(before) - self._quick_stop * T**2, 0.0)
+        # Quick stop: the speed of the target falls by the ramp that 605Ah names, else at the acceleration limit.
+        ramps = np.array([self._ramp(i, node.values) or self._quick_stop[i] for i, node in enumerate(self.nodes)])
+        slower = np.sign(before) * np.maximum(np.abs(before) - ramps * T**2, 0.0)
         target = np.where(stopping, start + slower, self._targets(position, enabled & ~stopping))
         travel = np.where(enabled, target - start, 0.0)
         first, last = travel, travel
@@ -238,6 +244,20 @@ class SimulatedDrives:
             stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
             if stopping[i] and travel[i] == 0.0 and not stays:
                 node.state = State.SWITCH_ON_DISABLED
+
+    def _ramp(self, i: int, values: Mapping[tuple[int, int], int]) -> float | None:
+        """Deceleration of a quick stop by its objects, rad/s² or m/s² of the motor; None where they state none."""
+        drive = self.nodes[i].drive
+        ramp = quick_stop_ramp(drive, {index: values.get(ramp_key(drive, index)) for index in RAMP_OBJECTS})
+        return None if ramp is None else ramp / float(drive.position_codec.counts_per_unit)
+
+    def _set_ramps(self, i: int, node: SimulatedNode) -> None:
+        """Ramps at the acceleration limit, as whoever puts an arm into operation sets them."""
+        keys = [ramp_key(node.drive, index) for index in (QUICK_STOP_DECELERATION, PROFILE_DECELERATION)]
+        for key in [key for key in keys if key in node.values]:
+            unit = self._ramp(i, node.values | dict.fromkeys(keys, 1))
+            if unit is not None:
+                node.values[key] = node.initial[key] = int(saturated(self._quick_stop[i] / unit, "U32"))
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node
