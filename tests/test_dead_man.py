@@ -33,14 +33,16 @@ from test_recording_processes import (
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
 import acquisition.recorder.dead_man as dead_man_module
+from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.protocol.states import State, state_of
 from acquisition.recorder.dead_man import DeadMan, SignsOfLife, silence_s
 from acquisition.recorder.logs import InlineLog
 from acquisition.recording.reader import Recording, read_recording
 from acquisition.session.task import Task
+from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
-from acquisition.simulated.lock_step import serve
+from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.transport.link import open_link
 
 __all__ = ["folder", "npm", "port"]  # fixtures
@@ -111,6 +113,7 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
             assert session.returncode != 0
             if number is signal.SIGSTOP:
                 assert "fault" in errors
+                assert "another" not in errors  # the second stop's frames are ours
         recording = wait_for(out, lambda r: not r.cut)
         assert last_target_ns(recording) == last_ns  # who wakes up enables nothing
         assert {state for t, state in states(recording, 1) if t > last_ns + 10**9} <= {State.SWITCH_ON_DISABLED}
@@ -240,6 +243,20 @@ def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
     assert not np.isin(frames["can_id"], np.arange(0x81, 0x87)).any()
 
 
+def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
+    robot = robot_of(bus_text(2))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    run.drives._silent.add(0)
+    master, times = Master(run.link, bus_of(robot)), list[int]()
+    began_ns = run.link.now_ns()
+    master.while_awaiting = lambda: times.append(run.link.now_ns() - began_ns)
+    with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
+        master.read(1, 0x6041)
+    assert times == [k * 50_000_000 for k in range(6)]
+    assert run.link.now_ns() - began_ns == 300_000_000
+    run.close()
+
+
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
@@ -279,6 +296,7 @@ def test_six_slow_drives_over_processes(folder):
     recording = read_recording(out)
     assert texts(recording, "fault") == []
     assert texts(recording, "end") == ["finished"]
+    assert not [text for text in texts(recording, "warning") if "another" in text]  # a group gives back what is sent
     (disabled_ns,) = [e.stamp_ns for e in recording.events if e.kind == "disabled"]
     assert recording.samples["stamp_ns"][-1] <= disabled_ns  # no second program sent SYNC
 

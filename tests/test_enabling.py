@@ -114,10 +114,60 @@ class Runaway(JointwisePlant):
         super().step(effort * np.array([-1.0, 1.0]), held, duration_s)
 
 
-def runaway() -> Runaway:
-    plant = loaded(0.3)
-    plant.__class__ = Runaway
+class BothRunAway(JointwisePlant):
+    def step(self, effort, held, duration_s):
+        super().step(-effort, held, duration_s)
+
+
+def runaway(kind: type[JointwisePlant] = Runaway, share: float = 0.3) -> JointwisePlant:
+    plant = loaded(share)
+    plant.__class__ = kind
     return plant
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5])
+def test_two_drives_enabled_together_that_run_away_are_stopped_before_they_have_moved_far(tmp_path, share):
+    plant, farthest = runaway(BothRunAway, share), [0.0]
+
+    @dataclass(kw_only=True)
+    class Measured(Through):
+        def receive(self, until_ns):
+            farthest[0] = max(farthest[0], np.abs(plant.state()[0]).max() * DEG)
+            return super().receive(until_ns)
+
+    session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, through=Measured)
+    assert session.outcome.error.key == "motion while drives were enabled"
+    assert 1.0 < farthest[0] < 3.5
+    assert session.drives.all_disabled
+
+
+@pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
+def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
+    robot = robot_of(bus_text(2, extra=extra))
+    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, faults=late)
+    stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
+    frames = session.recording.frames["test"]
+    last = frames[(frames["can_id"] == 0x182) & (frames["data"][:, 0] == 0x37)]["time_ns"][0]
+    assert (stamps["approach"] - last) * 1e-9 == pytest.approx(watch_s, abs=0.005)
+
+
+def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(tmp_path):
+    made = []
+
+    class Falling(SimulatedDrives):
+        def receive(self, now_ns, can_id, data):
+            if not made and now_ns > 1_600_000_000:
+                assert self.states == [State.OPERATION_ENABLED, State.SWITCHED_ON]
+                made.append(self)
+                self.nodes[0].state = State.READY_TO_SWITCH_ON
+            return super().receive(now_ns, can_id, data)
+
+    late = [SimulatedFault(kind="slow", node=2, sync=1, count=200)]
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=late, simulated=Falling)
+    assert session.outcome.reason == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
+    assert session.events("phase")[-1] == "enable"
+    assert session.drives.all_disabled
 
 
 @dataclass(kw_only=True)

@@ -6,11 +6,12 @@ from functools import partial
 
 import numpy as np
 import pytest
-from dry_sessions import DrySession, Through, dry_session
+from dry_sessions import DrySession, Through, dry_session, swing
 from made_up_buses import bus_text, robot_of
 
 import acquisition.session.pacing as pacing
 import acquisition.session.recording_session as record_module
+import acquisition.session.session as session_module
 from acquisition.commands.program import main
 from acquisition.master.reports import error_words, status_words
 from acquisition.protocol.states import State
@@ -105,6 +106,48 @@ def test_following_errors_of_both_signs(tmp_path):
         reason = outcome_of(tmp_path, there_and_back(sign * 1.15 * largest, 1.0), text)
         assert reason.startswith("joint_1: following error = 0.01")
         assert reason.endswith("rad: expected 0.01745 at most")
+
+
+class Obedient:
+    """Joints that are at each SYNC where their drives were sent before the SYNC before."""
+
+    def __init__(self) -> None:
+        self.q, self.drives = np.zeros(2), None
+
+    def state(self):
+        return self.q.copy(), np.zeros(2)
+
+    def prescribed_effort(self):
+        return np.zeros(2)
+
+    def step(self, effort, held, duration_s):
+        if not held.any():
+            self.q = np.array([n.values[0x607A, 0] * 2 * np.pi / (50 * 65536) for n in self.drives.nodes])
+
+
+def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_period_for(tmp_path):
+    plant = Obedient()
+
+    class Here(SimulatedDrives):
+        def __init__(self, *arguments, **named):
+            super().__init__(*arguments, **named)
+            plant.drives = self
+
+    # 0.216° from SYNC to SYNC, in which a drive that follows at once has no error.
+    task = Task(reference=swing(2, seconds=1.0, amplitude=0.3))
+    text = with_limits(following=0.15)
+    session = dry_session(tmp_path / "a.mcap", task, robot=robot_of(text), plant=plant, simulated=Here)
+    assert session.outcome.reason == "finished"
+
+
+def test_an_approach_out_of_the_limits_is_refused_before_anything_moves(tmp_path, monkeypatch):
+    there = np.linspace([0.0, 0.0], [3.0, 0.0], 2000)  # 172° of 150
+    monkeypatch.setattr(session_module, "approach", lambda *_: there)
+    session = dry_session(tmp_path / "a.mcap", REST)
+    assert session.outcome.error.place.startswith("the approach to the reference's start")
+    assert session.events("phase")[-1] == "enable"
+    assert session.drives.all_disabled
+    assert np.abs(session.recording.samples["position"]).max() < 0.01  # the sag when the brakes open
 
 
 @pytest.mark.parametrize("bit", [0x0200, 0x1000])
@@ -243,8 +286,9 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
     assert session.drives.all_disabled
     assert session.outcome.all_disabled
     frames = session.recording.frames["test"]
-    longest_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]).max() * 1e-9
-    assert for_s - 0.003 < longest_s < for_s + 0.006  # the gap stands in the recording
+    steps_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]) * 1e-9
+    assert for_s - 0.003 < steps_s.max() < for_s + 0.006  # the gap stands in the recording
+    assert steps_s.min() >= 0.001  # and no burst of SYNCs makes up for it
     if fault:
         assert session.outcome.reason.startswith("SYNC ")
         assert "late in motion: expected 0.0" in session.outcome.reason

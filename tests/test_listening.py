@@ -15,6 +15,7 @@ from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.master.listening import service_of, sign_of_master
 from acquisition.protocol.states import State
+from acquisition.recorder.logs import InlineLog
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, REMOTE_REQUEST, SENT
 from acquisition.robot.bus import BusFile
@@ -205,6 +206,74 @@ def test_an_enabled_drive_without_a_master_is_left_as_it_is(tmp_path, task):
     assert sent["can_id"].tolist() == [0x601]
     assert sent["data"].tolist() == [[0x40, 0x41, 0x60, 0, 0, 0, 0, 0]]
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
+
+
+@dataclass(kw_only=True)
+class Intruder(Through):
+    """Sends one frame again and again, from 2.3 s on: the session tracks its reference then."""
+
+    can_id: int = 0
+    flags: int = 0
+    times: list[int]
+    next_ns: int = 2_300_000_000
+
+    def receive(self, until_ns):
+        if self.next_ns <= self.now_ns() < 2_350_000_000:
+            self.next_ns = self.now_ns() + 3_000_000
+            self.times.append(self.now_ns())
+            return Frame(self.now_ns(), self.can_id, b"\x01\x03\0\0\0\0\0\0", self.flags)
+        return super().receive(until_ns)
+
+
+INTRUDERS = [
+    (0x000, 0, "NMT command", True),
+    (0x202, 0, "RPDO 1 to node 2", True),
+    (0x202, SENT, "RPDO 1 to node 2", True),  # of another program of this machine
+    (0x601, 0, "SDO request to node 1", True),
+    (0x605, 0, "SDO request to node 5", False),
+    (0x303, 0, "RPDO 2 to node 3", False),
+    (0x182, REMOTE_REQUEST, "remote request for TPDO 1 of node 2", False),
+]
+LONG = Task(reference=np.zeros((301, 2)))
+
+
+@pytest.mark.parametrize(("can_id", "flags", "service", "fault"), INTRUDERS)
+def test_another_master_in_motion_is_noticed_within_two_periods(tmp_path, can_id, flags, service, fault):
+    times: list[int] = []
+    session = dry_session(tmp_path / "a.mcap", LONG, through=partial(Intruder, can_id=can_id, flags=flags, times=times))
+    (event,) = [e for e in session.recording.events if "another master is active" in e.text]
+    assert event.text == f"bus: {service}: another master is active: expected none in motion"
+    assert event.kind == ("fault" if fault else "warning")
+    assert session.outcome.fault == fault
+    assert 0 <= event.stamp_ns - times[0] <= 2 * 2_000_000
+    assert session.events("phase")[-1] == ("track" if fault else "disable")
+    assert session.drives.all_disabled
+
+
+def test_another_master_at_rest_is_a_warning_once_each(tmp_path):
+    times: list[int] = []
+    session = dry_session(
+        tmp_path / "a.mcap", Task(duration_s=1.0), through=partial(Intruder, can_id=0x202, times=times)
+    )
+    assert len(times) > 10
+    assert session.outcome.reason == "finished"
+    (warning,) = [text for text in session.events("warning") if "another master" in text]
+    assert warning.startswith("bus: RPDO 1 to node 2: another master is active")
+
+
+@pytest.mark.parametrize("can_id", [0x080, 0x202])
+def test_frames_of_the_second_stop_are_not_those_of_another_master(tmp_path, can_id):
+    times: list[int] = []
+
+    class Stopped(InlineLog):
+        def poll(self, stamp_ns):
+            if times:
+                raise AcquisitionError("the recorder's process stopped the drives")
+            return super().poll(stamp_ns)
+
+    through = partial(Intruder, can_id=can_id, times=times)
+    session = dry_session(tmp_path / "a.mcap", LONG, through=through, log_of=Stopped)
+    assert session.outcome.reason == "the recorder's process stopped the drives"
 
 
 def test_nmt_goes_to_our_drives_only(tmp_path):

@@ -8,7 +8,7 @@ from dry_sessions import DrySession, Through, dry_session
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
-from acquisition.master.stopping import quick_stop_ramp
+from acquisition.protocol.objects import quick_stop_ramp
 from acquisition.protocol.states import State
 from acquisition.session.task import Stop, Task
 from acquisition.simulated.drives import SimulatedDrives
@@ -87,7 +87,7 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
         run.close()
         assert found.ok == ok
         words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
-        assert found.found.startswith(f"quick stop ramp 6085: {words}")
+        assert found.found.startswith(f"quick stop ramp {words}")
 
 
 def test_an_unknown_ramp_is_noted(tmp_path):
@@ -119,5 +119,5 @@ def test_an_unknown_ramp_is_noted(tmp_path):
     ],
 )
 def test_the_ramp_that_605a_names(values, ramp):
-    found = quick_stop_ramp(bus_of(ROBOT).drives[0], values)
+    found = quick_stop_ramp(values, bus_of(ROBOT).drives[0].position_codec)
     assert found == (None if ramp is None else pytest.approx(ramp))

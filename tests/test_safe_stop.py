@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from dry_sessions import SlowAnswers, Through
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
@@ -40,14 +41,19 @@ class Coasting:
 
 
 def moving(
-    after: Callable[[float], float], *, started: bool = True, ramp: dict[int, int] | None = None
+    after: Callable[[float], float],
+    *,
+    started: bool = True,
+    ramp: dict[int, int] | None = None,
+    simulated: type[SimulatedDrives] = SimulatedDrives,
+    extra: str = "",
 ) -> tuple[DryRun, Master, list[tuple[int, int, bytes]]]:
     """Two enabled drives, and what is sent to them from here on."""
-    robot = robot_of(bus_text(2))
+    robot = robot_of(bus_text(2, extra=extra))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
     mechanism = Mechanism(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
     run = dry_run(
-        SimulatedDrives(robot, bus, mechanism, supervised=False),
+        simulated(robot, bus, mechanism, supervised=False),
         tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),
     )
     for node in run.drives.nodes:
@@ -120,9 +126,27 @@ def test_a_quick_stop_is_let_finish_by_its_ramp_and_only_one_that_does_not_work_
     run.close()
 
 
+def test_a_slow_stop_is_not_cut_while_its_ramp_is_still_being_read():
+    run, master, sent = moving(
+        lambda t: max(0.0, 1 - 0.5 * t), ramp={0x6085: round(COUNTS)}, simulated=SlowAnswers
+    )  # fmt: skip
+    assert safe_stop(master) == []
+    assert off_s(sent, 1) == pytest.approx(1.98, abs=0.02)
+    run.close()
+
+
+def test_where_sync_of_another_producer_ends_nothing_stands():
+    run, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
+    master.synced_ns = None  # it was not ours
+    safe_stop(master)
+    assert off_s(sent, 1) == pytest.approx(0.5 + 1.2 * np.deg2rad(200) / LIMIT, abs=0.03)
+    run.close()
+
+
 def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
     def silence(t: float) -> float:
-        run.drives._silent.add(0)
+        if t > 0.024:
+            run.drives._silent.add(0)
         return 1.0
 
     run, master, sent = moving(silence)
@@ -158,6 +182,34 @@ def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
     assert run.drives.states[0] is State.SWITCH_ON_DISABLED
     assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
     assert (run.link.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
+    run.close()
+
+
+def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
+    stall_ns = run.link.now_ns() + 60_000_000
+
+    class Stalling(Through):
+        def receive(self, until_ns):
+            nonlocal stall_ns
+            if self.now_ns() >= stall_ns:
+                self.link._time_ns, stall_ns = self.now_ns() + 30_000_000, 10**18
+            return super().receive(until_ns)
+
+    master.link = Stalling(link=run.link)
+    assert safe_stop(master) == []
+    steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
+    assert steps.max() > 25_000_000
+    assert steps.min() >= 1_000_000
+    run.close()
+
+
+def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
+    """By SDO, while its joint still turns."""
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
+    run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
+    assert safe_stop(master) == []
+    assert off_s(sent, 1) < 0.045  # earlier than any judgement of its speed
     run.close()
 
 

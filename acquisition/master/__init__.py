@@ -6,13 +6,5 @@ from .listening import LISTEN_S, command_ids, listen, other_master, refuse_enabl
 from .master import OPERATIONAL, Master, Wire
 from .orders import Orders, send_orders
 from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
-from .stopping import (
-    RAMP_OBJECTS,
-    leave_operational,
-    not_disabled,
-    quick_stop_ramp,
-    ramp_key,
-    safe_stop,
-    stop_drives,
-)
+from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import refuse_slow_ramps, second_stop, stop_ramp, supervision_of

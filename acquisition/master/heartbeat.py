@@ -49,10 +49,9 @@ class MasterHeartbeat:
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to the consumer heartbeat times (1016h) of every drive; heartbeats are sent with SYNC from now on.
+        """Write this master to 1016h of every drive, and send heartbeats with SYNC from now on; they start the supervision.
 
-        A drive supervises the master from the first heartbeat on (CiA 301). Returns a line, with the reason, for each drive
-        that does not supervise this master.
+        Returns a line, with the reason, for each drive that does not supervise this master.
         """
         refused = []
         for drive in self._master.bus.drives:

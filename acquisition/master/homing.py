@@ -63,16 +63,9 @@ def refuse_unhomed(master: Master) -> None:
 
 
 def confirm_positions(robot: Robot, master: Master, confirm: Confirm) -> list[str]:
-    """Refuse drives that are not homed, then ask the operator whether the measured joint positions are right.
+    """Refuse drives that are not homed, ask whether the measured joint positions are right, and return them in words.
 
-    Returns
-    -------
-    One text for each joint, as confirmed: `joint_1 = 12.34 deg`.
-
-    Raises
-    ------
-    AcquisitionError
-        A drive is not homed or does not answer, or the operator does not confirm.
+    Raises `AcquisitionError` where a drive is not homed or does not answer, or the operator does not confirm.
     """
     refuse_unhomed(master)
     words = position_words(robot, joint_positions(robot, master))

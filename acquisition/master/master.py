@@ -90,9 +90,7 @@ class Master:
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
         self.signs: dict[str, bool] = {}  # of another master, in words, and whether they command our drives
-        self.while_awaiting: Callable[[], None] = lambda: (
-            None
-        )  # called while an SDO answer is awaited, every 50 ms at least
+        self.while_awaiting: Callable[[], None] = lambda: None  # called every 50 ms while an SDO answer is awaited
         self._commands = command_ids(bus)
         self.by_node = {watch.drive.node: watch for watch in self.nodes}
         self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}

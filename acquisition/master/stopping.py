@@ -4,29 +4,23 @@ The session, the recorder's process (after the session has died) and the command
 It never raises `AcquisitionError`: when one step fails, the next is tried all the same.
 """
 
-from collections.abc import Callable, Iterable, Mapping
+import itertools
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ..errors import AcquisitionError
 from ..protocol import (
-    ACCELERATION_UNIT,
-    CONTROLWORD,
-    PROFILE_DECELERATION,
-    QUICK_STOP_DECELERATION,
-    QUICK_STOP_OPTION,
-    QUICK_STOP_RAMPS,
-    VELOCITY_UNIT,
+    RAMP_OBJECTS,
     Command,
     State,
     answer_of,
+    quick_stop_ramp,
     read_request,
     state_of,
     write_request,
 )
-from ..robot import Bus, Drive
+from ..robot import Bus, axis_index
 from ..transport import open_link
 from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
 from .orders import send_order
@@ -41,28 +35,8 @@ ASK_S = 0.05  # between SDO requests to one drive
 WINDOW_S = 0.02  # over which speed is measured
 STANDSTILL_SHARE = 0.01  # of the speed limit
 STANDSTILL_COUNTS = 2  # in the window: encoder noise does not count as motion
-RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, ACCELERATION_UNIT, VELOCITY_UNIT)
-# Revolutions per minute (60A9h), and that per second (60AAh), as CiA 402 codes units; maxon's and Nanotec's are these.
-_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300
 # In these states a drive gives no torque and needs a whole new enabling sequence. Switched on does not count as disabled.
 CONFIRMED = frozenset({State.SWITCH_ON_DISABLED, State.FAULT})
-
-
-def ramp_key(drive: Drive, index: int) -> tuple[int, int]:
-    """Index and sub-index of an object of CiA 402 for the drive's axis."""
-    return (index + drive.control.index - CONTROLWORD) & 0xFFFF, 0
-
-
-def quick_stop_ramp(drive: Drive, values: Mapping[int, int | None]) -> float | None:
-    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah names; None where it is unknown.
-
-    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h says rpm/s or rpm.
-    """
-    raw = values.get(QUICK_STOP_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
-    unit = values.get(ACCELERATION_UNIT) or values.get(VELOCITY_UNIT)
-    if not raw or unit not in (None, 0, _RPM, _RPM_PER_S):
-        return None
-    return raw * float(2 * np.pi / 60 * drive.position_codec.counts_per_unit if unit else 1.0)
 
 
 @dataclass(kw_only=True)
@@ -71,6 +45,7 @@ class _Stopping:
 
     watch: NodeWatch
     since_ns: int
+    period_ns: int
     window: int  # number of SYNCs in WINDOW_S
     seen: list[tuple[int, int]] = field(default_factory=list)  # time and counts, of the last FALL_S
     speed_then: float | None = None  # counts/s at the start
@@ -92,8 +67,8 @@ class _Stopping:
     def must_go_off(self, now_ns: int) -> bool:
         """Whether voltage goes off now: at standstill, or where the speed rises or holds, or when its time is over."""
         elapsed_s, then, drive = (now_ns - self.since_ns) * 1e-9, self.speed_then, self.watch.drive
-        # Nothing but the time is known of a drive that sends no positions.
-        if then is None or now_ns - self.seen[-1][0] > 1e9 * FALL_S + 2 * (self.seen[-1][0] - self.seen[-2][0]):
+        # Nothing but the time is known of a drive that sends no positions any more.
+        if then is None or now_ns - self.seen[-1][0] > (self.window + 1) * self.period_ns:
             return elapsed_s >= self.longest_s
         first, last = self.seen[: self.window + 1], self.seen[-self.window - 1 :]
         speed, noise = _speed(last), STANDSTILL_COUNTS * 1e9 / (last[-1][0] - last[0][0])
@@ -112,7 +87,7 @@ class _Stopping:
     @property
     def ramp(self) -> float | None:
         """Counts/s², None where it is unknown."""
-        return quick_stop_ramp(self.watch.drive, self.watch.ramp_objects)
+        return quick_stop_ramp(self.watch.ramp_objects, self.watch.drive.position_codec)
 
     @property
     def longest_s(self) -> float:
@@ -137,13 +112,14 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
     every SYNC; an `AcquisitionError` from it is ignored.
     """
     now_ns = master.link.now_ns()
-    window = max(1, round(WINDOW_S / master.bus.file.sync_period_s))
-    drives = [_Stopping(watch=watch, since_ns=now_ns, window=window) for watch in master.nodes]
-    next_ns = max(now_ns, (master.synced_ns or 0) + master.bus.period_ns)  # the period of earlier SYNCs continues
+    period_ns = master.bus.period_ns
+    window = max(1, round(WINDOW_S * 1e9 / period_ns))
+    drives = [_Stopping(watch=w, since_ns=now_ns, period_ns=period_ns, window=window) for w in master.nodes]
+    next_ns = max(now_ns, (master.synced_ns or 0) + period_ns)  # the period of earlier SYNCs continues
     # The loop is also limited by the number of SYNCs: on a link that cannot be read, time may stand still.
-    count = 0
-    while count * master.bus.period_ns < 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
-        count += 1
+    for count in itertools.count():
+        if count * period_ns > 2e9 * (max(one.longest_s for one in drives) + CONFIRM_S):
+            break
         for one in drives:
             command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
             with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
@@ -155,7 +131,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             after_sync()
         now_ns = master.link.now_ns()
         for one in drives:
-            one.observe(master.synced_ns or (master.sync_times or [now_ns])[-1])  # drives sample at SYNC
+            one.observe(master.synced_ns or now_ns)  # drives sample at SYNC
             _collect(master, one)
             if one.off_ns is None and (one.confirmed or one.must_go_off(now_ns)):
                 one.off_ns = now_ns
@@ -217,7 +193,7 @@ def _ask(master: Master, one: _Stopping, command: Command) -> None:
     if one.wrote is command:
         if one.off_ns is None:  # the ramp matters in motion only
             one.reading = next((index for index in RAMP_OBJECTS if index not in one.watch.ramp_objects), 0)
-        key = ramp_key(drive, one.reading) if one.reading else (drive.status.index, drive.status.sub)
+        key = (axis_index(drive, one.reading), 0) if one.reading else (drive.status.index, drive.status.sub)
         one.request = read_request(*key)
     else:
         word, size = command.controlword, drive.control.bits // 8
@@ -251,9 +227,12 @@ def _sync(master: Master, next_ns: int) -> int:
     with suppress(AcquisitionError):
         if master.bus.file.sync_producer == "recorder":
             master.wait(next_ns)
-            next_ns = max(next_ns, link.now_ns() - period_ns)  # after a delay, no burst of SYNCs
+            if link.now_ns() > next_ns + period_ns:
+                next_ns = link.now_ns()  # after a delay, no burst of SYNCs
             master.sync()
         else:
+            for watch in master.nodes:
+                watch.answers = 0  # where no SYNC comes, the last position is no measurement
             master.wait_for_sync(link.now_ns() + 2 * period_ns)
             next_ns = link.now_ns()
         master.wait(link.now_ns() + round(0.7 * period_ns), for_answers=True)

@@ -9,14 +9,14 @@ from ..protocol import (
     FOLLOWING_ERROR_TIME,
     FOLLOWING_ERROR_WINDOW,
     QUICK_STOP_OPTION,
-    QUICK_STOP_RAMPS,
+    RAMP_OBJECTS,
     SHUTDOWN_OPTION,
+    quick_stop_ramp,
 )
 from ..robot import BusFile, Drive, axis_of
 from ..transport import SHARED
 from .heartbeat import consumers, entry_of, free_entry, timeout_ms
 from .master import Master
-from .stopping import RAMP_OBJECTS, quick_stop_ramp
 
 ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
 NO_WINDOW = 2**32 - 1
@@ -67,15 +67,14 @@ def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
     watch = master.by_node[drive.node]
     for index in RAMP_OBJECTS:
         watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
-    ramp, (scale, unit) = quick_stop_ramp(drive, watch.ramp_objects), drive.counts_per_joint
+    ramp, (scale, unit) = quick_stop_ramp(watch.ramp_objects, drive.position_codec), drive.counts_per_joint
     if ramp is None:
         return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
     fastest, least = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
-    index = QUICK_STOP_RAMPS[watch.ramp_objects[QUICK_STOP_OPTION] or 0] + axis_of(drive)
     rest = f", {fastest / ramp:.3g} s from the speed limit to rest" if fastest else ""
-    text = f"quick stop ramp {index:04X}: {ramp / scale:.4g} {unit}/s²{rest}"
-    slow = ramp < least - 1  # drives state whole counts
-    return text, f"{least / scale:.4g} at least for --track, half the acceleration limit" if slow else ""
+    text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
+    fast = ramp >= least - 1  # drives state whole counts
+    return text, "" if fast else f"{least / scale:.4g} at least for --track, half the acceleration limit"
 
 
 def refuse_slow_ramps(master: Master) -> list[str]:
@@ -86,8 +85,7 @@ def refuse_slow_ramps(master: Master) -> list[str]:
         text, expected = stop_ramp(master, watch.drive)
         if expected:
             raise AcquisitionError(text, place=place, expected=expected)
-        if quick_stop_ramp(watch.drive, watch.ramp_objects) is None:
-            unknown.append(f"{place}: {text}")
+        unknown += [f"{place}: {text}"] if "unknown" in text else []
     return unknown
 
 

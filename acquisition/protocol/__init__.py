@@ -4,7 +4,6 @@ from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
 from .error_frames import error_frame_words
 from .objects import (
     ABORT_CONNECTION,
-    ACCELERATION_UNIT,
     BITS,
     CONSUMER_HEARTBEAT,
     CONTROLWORD,
@@ -21,7 +20,7 @@ from .objects import (
     PROFILE_DECELERATION,
     QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
-    QUICK_STOP_RAMPS,
+    RAMP_OBJECTS,
     RATED_CURRENT,
     RATED_TORQUE,
     RATED_UNITS,
@@ -30,11 +29,11 @@ from .objects import (
     STANDARD,
     STATUSWORD,
     STOP_OPTIONS,
-    VELOCITY_UNIT,
     EffortCodec,
     ObjectEntry,
     PositionCodec,
     interpolation_period,
+    quick_stop_ramp,
     saturated,
 )
 from .pdo import (

@@ -54,22 +54,10 @@ class ObjectDictionary:
 
 @lru_cache(maxsize=32)
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Read an object dictionary (EDS or DCF, CiA 306).
+    """Types, access and values of an object dictionary (EDS or DCF, CiA 306) by index and sub-index.
 
-    Parameters
-    ----------
-    data : the file's content.
-    place : its name, in errors.
-    node : node id, which `$NODEID` stands for in the file.
-
-    Returns
-    -------
-    Types, access and values by index and sub-index.
-
-    Raises
-    ------
-    AcquisitionError
-        With the file and the line as `place`: it cannot be read, holds an entry twice, or holds no objects.
+    `data` is the file's content, `node` the id that `$NODEID` stands for. Raises `AcquisitionError` with `place`, the file's
+    name, and the line where it cannot be read, holds an entry twice, or holds no objects.
     """
     import canopen
     from canopen import objectdictionary

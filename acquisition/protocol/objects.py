@@ -1,5 +1,6 @@
 """Objects of CiA 301 and CiA 402: indices, types, and the codecs between raw integers and SI."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,11 +51,11 @@ ABORT_CONNECTION = 0x6007  # when a drive loses the master: 0 nothing, 1 fault, 
 STOP_OPTIONS = QUICK_STOP_OPTION, SHUTDOWN_OPTION, DISABLE_OPTION, FAULT_OPTION = 0x605A, 0x605B, 0x605C, 0x605E
 FOLLOWING_ERROR_WINDOW, FOLLOWING_ERROR_TIME = 0x6065, 0x6066
 PROFILE_DECELERATION, QUICK_STOP_DECELERATION = 0x6084, 0x6085
-# Values of 605Ah whose quick stop follows a ramp that an object states: 1, 5 slow down by 6084h, 2, 6 by 6085h.
-QUICK_STOP_RAMPS = {
-    value: PROFILE_DECELERATION if value in (1, 5) else QUICK_STOP_DECELERATION for value in (1, 2, 5, 6)
-}
-VELOCITY_UNIT, ACCELERATION_UNIT = 0x60A9, 0x60AA
+# 605Ah: with these values a quick stop follows a ramp that an object states; with 5 and more it then stays active.
+_RAMPS = {1: PROFILE_DECELERATION, 2: QUICK_STOP_DECELERATION, 5: PROFILE_DECELERATION, 6: QUICK_STOP_DECELERATION}
+_VELOCITY_UNIT, _ACCELERATION_UNIT = 0x60A9, 0x60AA
+_RPM, _RPM_PER_S = 0x00B44700, 0x00C00300  # units as they code them, of maxon's and Nanotec's drives
+RAMP_OBJECTS = (QUICK_STOP_OPTION, QUICK_STOP_DECELERATION, PROFILE_DECELERATION, _ACCELERATION_UNIT, _VELOCITY_UNIT)
 POSITION_ACTUAL, TARGET_POSITION = 0x6064, 0x607A
 RATED_CURRENT, RATED_TORQUE = 0x6075, 0x6076
 
@@ -172,6 +173,18 @@ class PositionCodec:
     def raw(self, value: Array) -> Ints:
         """Nearest counts, held at the ends of 32 bits."""
         return saturated(self.exact(value), "I32")
+
+
+def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> float | None:
+    """Deceleration of a quick stop, counts/s² of the motor, by the ramp that 605Ah names; None where it is unknown.
+
+    `values` are those of `RAMP_OBJECTS`. Units are those of the position, unless 60AAh or 60A9h says rpm/s or rpm.
+    """
+    raw = values.get(_RAMPS.get(values.get(QUICK_STOP_OPTION) or 0, 0))
+    unit = values.get(_ACCELERATION_UNIT) or values.get(_VELOCITY_UNIT)
+    if not raw or unit not in (None, 0, _RPM, _RPM_PER_S):
+        return None
+    return raw * float(2 * np.pi / 60 * codec.counts_per_unit if unit else 1.0)
 
 
 def saturated(value: Array, kind: str) -> Ints:

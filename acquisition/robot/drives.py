@@ -210,6 +210,11 @@ def axis_of(drive: Drive) -> int:
     return axis
 
 
+def axis_index(drive: Drive, index: int) -> int:
+    """Index of an object of CiA 402 for the axis of a drive, also where its control object is none of the standard's."""
+    return (index + drive.control.index - CONTROLWORD) & 0xFFFF
+
+
 def check_carriers(bus: Bus) -> None:
     """PDOs to the drives carry what tracking commands, and nothing else: what we do not know would be set to 0.
 

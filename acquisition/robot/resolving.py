@@ -33,16 +33,8 @@ Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of 
 def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = None) -> Bus:
     """The drives of `robot` with their PDOs and codecs.
 
-    Parameters
-    ----------
-    robot : with a `[bus]`.
-    place : the name of the description in errors.
-    traffic : values that another master wrote, by node and (index, sub); for drives with `mapping = "traffic"`.
-
-    Raises
-    ------
-    AcquisitionError
-        Names `place`, the key, the value and what was expected.
+    `traffic` are values that another master wrote, by node and (index, sub), for drives with `mapping = "traffic"`. Raises
+    `AcquisitionError` that names `place`, the key, the value and what was expected.
     """
     if robot.bus is None:
         raise AcquisitionError(place=place, key="bus", value=None, expected="a [bus] section with one drive per motor")

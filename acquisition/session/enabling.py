@@ -29,14 +29,8 @@ def all_enabled(master: Master) -> bool:
 def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
     """Orders of one SYNC after the other until every drive is in operation enabled; None where nothing is to be sent.
 
-    Parameters
-    ----------
-    targets : empty list; receives the target counts (n) at which the drives are held.
-
-    Raises
-    ------
-    AcquisitionError
-        A drive is not enabled after 5 s; the error names its node and state.
+    `targets`, an empty list, receives the target counts (n) at which the drives are held. Raises `AcquisitionError` that
+    names nodes and states where a drive is not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes

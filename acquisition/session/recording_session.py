@@ -54,21 +54,9 @@ class Operator:
 def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator: Operator) -> tuple[Outcome, Recorded]:
     """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
 
-    Parameters
-    ----------
-    robot : a description with a `[bus]` section.
-    place : the name of the description in errors.
-    out : the recording to write; an existing file is never replaced.
-    operator : who is asked before motion, is shown the status, and may stop the session.
-
-    Returns
-    -------
-    The outcome, in which errors of a running session are found, and what was recorded.
-
-    Raises
-    ------
-    AcquisitionError
-        Errors of the options, the description, the bus or the file, before the session runs.
+    `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
+    replaced. Errors of a running session are found in the outcome that is returned; those of the options, the description, the
+    bus or the file are raised as `AcquisitionError` before it runs.
     """
     if robot.bus is None:
         expected = "a [bus] section with one drive per motor"

@@ -44,26 +44,12 @@ def run_active(
     stop: Stop,
     announce: Callable[[Outcome], None] = lambda _: None,
 ) -> Outcome:
-    """Configure the drives, send SYNC and record; follow the task's reference if it has one.
+    """Configure the drives, send SYNC and record; follow the task's reference if it has one, without one nothing moves.
 
-    Parameters
-    ----------
-    robot : the description; positions are checked against its limits.
-    master : over an open link that may send.
-    log : is given the events; it takes frames from the link by itself.
-    task : without a reference nothing moves.
-    stop : set from outside (Ctrl-C) to end the session.
-    announce : called with the outcome as soon as it is known, also when an exception follows.
-
-    Returns
-    -------
-    The outcome; `unconfirmed` lists the nodes that did not confirm to be disabled.
-
-    Raises
-    ------
-    BaseException
-        Any exception other than `AcquisitionError` that ended the session, after the drives were disabled. An
-        `AcquisitionError` is not raised: it is the `error` of the outcome.
+    `master` is over an open link that may send; `log` takes frames from the link by itself. `stop`, set from outside (Ctrl-C),
+    ends the session. `announce` is called with the outcome as soon as it is known, also when an exception follows. An
+    `AcquisitionError` that ended the session is not raised: it is the `error` of the outcome. Any other exception is raised
+    after the drives were disabled.
     """
     link = master.link
     session = _Session(robot, master, log, task, stop)
@@ -229,9 +215,8 @@ class _Session:
             for text in notices(watch.statusword or 0):
                 if (watch.drive.node, text) not in motion.noted:
                     motion.noted.add((watch.drive.node, text))
-                    self._log.event(
-                        self._link.now_ns(), "mark", f"node {watch.drive.node} ({watch.drive.name}): {text}"
-                    )
+                    place = f"node {watch.drive.node} ({watch.drive.name})"
+                    self._log.event(self._link.now_ns(), "mark", f"{place}: {text}")
 
     def _positions(self) -> Array | None:
         """Measured joint positions (n,), None until every drive has sent its own."""
@@ -276,11 +261,7 @@ class _Session:
         yield from disable(self._master, self._held or [watch.counts or 0 for watch in self._master.nodes])
 
     def make_safe(self) -> list[int]:
-        """Stop and disable every drive; node ids of those that did not confirm.
-
-        A session without a reference has commanded nothing: its drives are only asked for their state, and every state
-        without torque counts as disabled.
-        """
+        """Stop and disable every drive, or ask those that were not commanded; node ids of those that did not confirm."""
         if not self.addressed or (not self._started and self._task.reference is None):
             self.addressed = False
             return []

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..master import RAMP_OBJECTS, quick_stop_ramp, ramp_key
 from ..protocol import (
     DISABLED,
     HEARTBEAT,
@@ -19,12 +18,14 @@ from ..protocol import (
     PROFILE_DECELERATION,
     QUICK_STOP_DECELERATION,
     QUICK_STOP_OPTION,
+    RAMP_OBJECTS,
     Mode,
     PositionCodec,
     State,
+    quick_stop_ramp,
     saturated,
 )
-from ..robot import Bus, Robot
+from ..robot import Bus, Robot, axis_index
 from .faults import FaultKind, SimulatedFault
 from .loops import SUBSTEPS, LoopMemory, cubic
 from .mechanism import Mechanism, mechanism_of
@@ -70,23 +71,16 @@ class SimulatedDrives:
             zero_counts=np.array([c.zero_counts for c in codecs]),
         )
         self._quick_stop = np.abs(robot.R) @ [joint.si("acceleration") or 10.0 for joint in robot.joints]
-        for i, node in enumerate(self.nodes):
-            self._set_ramps(i, node)
+        for node, limit in zip(self.nodes, self._quick_stop, strict=True):
+            self._set_ramps(node, limit)
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._answered = [0] * robot.n
         self._silent: set[int] = set()
         self._late: list[tuple[int, int, bytes]] = []  # frames sent later: time, identifier, data
         self._next_heartbeat = [0] * robot.n
-        rest = np.zeros(robot.n)
-        self._memory = LoopMemory(
-            target=rest,
-            travel=rest,
-            speed=rest,
-            integral=rest,
-            actual=rest,
-            reported=rest,
-            held=np.ones(robot.n, np.bool_),
-        )
+        x = np.zeros(robot.n)
+        held = np.ones(robot.n, np.bool_)
+        self._memory = LoopMemory(target=x, travel=x, speed=x, integral=x, actual=x, reported=x, held=held)
 
     @property
     def states(self) -> list[State]:
@@ -219,7 +213,8 @@ class SimulatedDrives:
         # A drive that was enabled at this SYNC starts from its measured position.
         start, before = np.where(memory.held, position, memory.target), np.where(memory.held, 0.0, memory.travel)
         # Quick stop: the speed of the target falls by the ramp that 605Ah names, else at the acceleration limit.
-        ramps = np.array([self._ramp(i, node.values) or self._quick_stop[i] for i, node in enumerate(self.nodes)])
+        stated = np.array([_ramp(node, node.values) for node in self.nodes])
+        ramps = np.where(stated, stated, self._quick_stop)
         slower = np.sign(before) * np.maximum(np.abs(before) - ramps * T**2, 0.0)
         target = np.where(stopping, start + slower, self._targets(position, enabled & ~stopping))
         travel = np.where(enabled, target - start, 0.0)
@@ -245,19 +240,12 @@ class SimulatedDrives:
             if stopping[i] and travel[i] == 0.0 and not stays:
                 node.state = State.SWITCH_ON_DISABLED
 
-    def _ramp(self, i: int, values: Mapping[tuple[int, int], int]) -> float | None:
-        """Deceleration of a quick stop by its objects, rad/s² or m/s² of the motor; None where they state none."""
-        drive = self.nodes[i].drive
-        ramp = quick_stop_ramp(drive, {index: values.get(ramp_key(drive, index)) for index in RAMP_OBJECTS})
-        return None if ramp is None else ramp / float(drive.position_codec.counts_per_unit)
-
-    def _set_ramps(self, i: int, node: SimulatedNode) -> None:
-        """Ramps at the acceleration limit, as whoever puts an arm into operation sets them."""
-        keys = [ramp_key(node.drive, index) for index in (QUICK_STOP_DECELERATION, PROFILE_DECELERATION)]
-        for key in [key for key in keys if key in node.values]:
-            unit = self._ramp(i, node.values | dict.fromkeys(keys, 1))
-            if unit is not None:
-                node.values[key] = node.initial[key] = int(saturated(self._quick_stop[i] / unit, "U32"))
+    def _set_ramps(self, node: SimulatedNode, limit: float) -> None:
+        """Ramps at the acceleration limit of the motor, rad/s² or m/s², as whoever puts an arm into operation sets them."""
+        keys = [(axis_index(node.drive, index), 0) for index in (QUICK_STOP_DECELERATION, PROFILE_DECELERATION)]
+        unit = _ramp(node, node.values | dict.fromkeys(keys, 1))
+        for key in [key for key in keys if key in node.values and unit]:
+            node.values[key] = node.initial[key] = int(saturated(np.array(limit / unit), "U32"))
 
     def _is_stuck(self, i: int) -> bool:
         node = self.nodes[i].drive.node
@@ -295,3 +283,10 @@ class SimulatedDrives:
                 if extra.column.unit in ("rad/s", "m/s"):
                     raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
                     node.values[extra.entry.index, extra.entry.sub] = int(raw)
+
+
+def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
+    """Deceleration of a quick stop by `values` of its objects, rad/s² or m/s² of the motor; 0 where they state none."""
+    objects = {index: values.get((axis_index(node.drive, index), 0)) for index in RAMP_OBJECTS}
+    codec = node.drive.position_codec
+    return (quick_stop_ramp(objects, codec) or 0.0) / float(codec.counts_per_unit)

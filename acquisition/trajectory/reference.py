@@ -43,24 +43,10 @@ class FourierReference:
 def fourier_reference(
     robot: Robot, *, period_s: float, seed: int, harmonics: int = HARMONICS, share: float = LIMIT_SHARE
 ) -> FourierReference:
-    """A random Fourier series for each joint, from rest to rest.
+    """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed and acceleration; rad or m.
 
-    Parameters
-    ----------
-    robot : its limits; the series stays within `share` of each joint's range, speed and acceleration. Every joint
-        states a range.
-    period_s : of the series, which repeats after it.
-    seed : the same seed gives the same series.
-    harmonics : how many, two at least.
-
-    Returns
-    -------
-    Positions, speeds and accelerations at any time by `FourierReference.at`; rad or m.
-
-    Raises
-    ------
-    AcquisitionError
-        The period is not positive, or a joint states no range.
+    It repeats after `period_s`; the same `seed` gives the same series; `harmonics` are two at least. Raises `AcquisitionError`
+    where the period is not positive, or a joint states no range.
     """
     if not period_s > 0:
         raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
@@ -102,23 +88,11 @@ LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.
 
 
 def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
-    """Joint positions along a table, with cubic splines between its rows.
+    """Joint positions (N, n) along a table, with cubic splines between its rows, one row each `period_s`; rad or m.
 
-    Parameters
-    ----------
-    path : CSV file with `time_s`, then each joint by name, in rad or m.
-    period_s : from row to row of the result, the SYNC period.
-    speed : in (0, 1]: the same path slower; speeds are multiplied by it, accelerations by its square.
-
-    Returns
-    -------
-    (N, n) joint positions, rad or m, time first.
-
-    Raises
-    ------
-    AcquisitionError
-        The table cannot be read, its time does not grow, it is longer than a day or than memory may hold, or no spline can
-        be laid through its numbers.
+    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] is the same path slower: speeds are
+    multiplied by it, accelerations by its square. Raises `AcquisitionError` where the table cannot be read, its time does not
+    grow, it is longer than a day or than memory may hold, or no spline can be laid through its numbers.
     """
     from scipy.interpolate import CubicSpline
 
@@ -151,18 +125,9 @@ def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path that leaves the stated position, speed or acceleration limits of a joint.
+    """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
 
-    Parameters
-    ----------
-    q : (N, n) joint positions, rad or m, from rest to rest.
-    period_s : from row to row.
-    place : the name of the path in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        Names the time, joint, value and limit; also where a joint states no limit.
+    Raises `AcquisitionError` that names `place`, time, joint, value and limit; also where a joint states no limit.
     """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
@@ -195,16 +160,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move in joint space from rest to rest, all joints together (minimum jerk). Obstacles are not checked.
+    """A slow straight move (N, n) in joint space from rest at `start` (n,) to rest at `end` (n,), a row each `period_s`.
 
-    Parameters
-    ----------
-    start, end : (n,) joint positions, rad or m.
-    period_s : from row to row of the result.
-
-    Returns
-    -------
-    (N, n) joint positions, rad or m.
+    All joints move together (minimum jerk); rad or m. Obstacles are not checked.
     """
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
