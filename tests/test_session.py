@@ -19,8 +19,10 @@ from acquisition.session.task import Stop, Task
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.lock_step import dry_run
+from acquisition.simulated.node import SimulatedNode
 from acquisition.trajectory.reference import approach, check_limits, table_reference
 from acquisition.transport.bus import open_bus
+from acquisition.transport.frame import Frame
 from acquisition.transport.link import Link
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
@@ -413,6 +415,49 @@ def test_pdos_that_cannot_be_tracked_with(tmp_path, rpdo, expected):
     assert session.outcome is not None
     assert expected in session.outcome.reason
     assert not any(node.operational for node in session.drives.nodes)
+
+
+def test_a_drive_whose_status_comes_in_no_pdo_is_not_moved(tmp_path):
+    robot = robot_of(bus_text(2, drive='tpdo = [{ objects = ["6064", "6074"] }]'))
+    session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot)
+    assert session.outcome.error.place == "node 1"
+    assert session.outcome.reason == "node 1: no PDO from it carries 6041:0: expected one to track"
+    assert not any(node.operational for node in session.drives.nodes)
+
+
+@pytest.mark.parametrize(("reads", "fault"), [(3, False), (10_000, True)])
+def test_the_mode_is_awaited(tmp_path, monkeypatch, reads, fault):
+    """A drive displays a mode (6061h) only some time after it was asked for (6060h), or never."""
+    asked: list[bytes] = []
+    serve = SimulatedNode._serve
+
+    def late(node, data):
+        answer = serve(node, data)
+        if data[:4] == bytes.fromhex("40616000") and node.drive.node == 2:
+            asked.append(data)
+            return answer if len(asked) > reads else answer[:4] + bytes(4)
+        return answer
+
+    monkeypatch.setattr(SimulatedNode, "_serve", late)
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.fault == fault
+    if fault:
+        error = session.outcome.error
+        assert (error.place, error.key, error.value) == ("node 2", "mode of operation (6061:0)", 0)
+        assert session.events("phase") == ["configure"]
+    else:
+        assert len(asked) == reads + 1
+
+
+def test_a_statusword_from_before_start_counts_for_nothing():
+    bus = bus_of(robot_of(bus_text(2)))
+    run = dry_run(SimulatedDrives(robot_of(bus_text(2)), bus))
+    master = Master(run.link, bus)
+    master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
+    assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
+    master.start()
+    assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)
+    run.close()
 
 
 def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):
