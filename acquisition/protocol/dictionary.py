@@ -54,22 +54,9 @@ class ObjectDictionary:
 
 @lru_cache(maxsize=32)
 def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
-    """Read an object dictionary (EDS or DCF, CiA 306).
+    """Read an object dictionary (EDS or DCF, CiA 306) named `place`; `node` is what `$NODEID` stands for in it.
 
-    Parameters
-    ----------
-    data : the file's content.
-    place : its name, in errors.
-    node : node id, which `$NODEID` stands for in the file.
-
-    Returns
-    -------
-    Types, access and values by index and sub-index.
-
-    Raises
-    ------
-    AcquisitionError
-        With the file and the line as `place`: it cannot be read, holds an entry twice, or holds no objects.
+    Raises `AcquisitionError` with the file and the line as `place`: it cannot be read, holds an entry twice, or no objects.
     """
     import canopen
     from canopen import objectdictionary

@@ -57,18 +57,9 @@ def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
 
 
 def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
-    """Simulated drives on the bus of their description, in real time, for any master.
+    """Simulated drives, not booted yet, on the bus of their description, in real time, for any master.
 
-    Parameters
-    ----------
-    drives : not booted yet.
-    stopped : asked at least every 50 ms; True ends the simulation.
-    ready : called once the bus is open and the drives have booted.
-
-    Raises
-    ------
-    AcquisitionError
-        The bus cannot be opened, or takes or gives no frames any more.
+    `stopped` is asked every 50 ms or sooner; `ready` is called when drives have booted. Raises `AcquisitionError` of the bus.
     """
     link = open_link(drives.bus.file, passive=False)
     try:

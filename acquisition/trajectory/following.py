@@ -11,18 +11,9 @@ SLOW_STOP_S = 0.5  # from a stop request to rest; longer where acceleration limi
 
 
 def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
-    """Joint positions along a path, one for each SYNC; once `stopping()` is true, the motion slows down along the path to rest.
+    """Joint positions (n,) along a path (N, n), rad or m, one for each SYNC; once `stopping()` is true, slowly on to rest.
 
-    Parameters
-    ----------
-    path : (N, n) joint positions, rad or m, one row each `period_s`.
-    robot : its acceleration limits; slowing down uses at most half of them, in addition to the path's own acceleration.
-    period_s : the SYNC period.
-    stopping : asked after each position.
-
-    Yields
-    ------
-    (n,) joint positions, rad or m; the last one is that of rest.
+    Slowing down uses at most half of the joints' acceleration limits, in addition to the path's own acceleration.
     """
     at, rate = 0.0, 1.0
     speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s

@@ -151,18 +151,9 @@ def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
-    """Refuse a path that leaves the stated position, speed or acceleration limits of a joint.
+    """Refuse a path q (N, n), rad or m, from rest to rest, that leaves the position, speed or acceleration limits of a joint.
 
-    Parameters
-    ----------
-    q : (N, n) joint positions, rad or m, from rest to rest.
-    period_s : from row to row.
-    place : the name of the path in errors.
-
-    Raises
-    ------
-    AcquisitionError
-        Names the time, joint, value and limit; also where a joint states no limit.
+    Raises `AcquisitionError` with `place`, time, joint, value and limit; also where a joint states no limit.
     """
     for i, joint in enumerate(robot.joints):
         for quantity in ("position", "speed", "acceleration", "following_error"):
@@ -195,16 +186,9 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
-    """A slow straight move in joint space from rest to rest, all joints together (minimum jerk). Obstacles are not checked.
+    """A slow straight move (N, n) in joint space from rest to rest, all joints together (minimum jerk), rad or m.
 
-    Parameters
-    ----------
-    start, end : (n,) joint positions, rad or m.
-    period_s : from row to row of the result.
-
-    Returns
-    -------
-    (N, n) joint positions, rad or m.
+    `start`, `end`: (n,); `period_s` from row to row. Obstacles are not checked.
     """
     distance = np.abs(end - start)
     speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
