@@ -13,7 +13,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.listening import service_of, sign_of_master
+from acquisition.master.listening import other_node, service_of, sign_of_master
 from acquisition.protocol.states import State
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import EXTENDED, REMOTE_REQUEST, SENT
@@ -89,6 +89,8 @@ def test_what_a_frame_says_of_its_sender(can_id, service, master):
 def test_a_boot_up_is_no_sign_of_a_master():
     frame = Frame(0, 0x77F, b"\0")
     assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
+    assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
+    assert [other_node(Frame(0, can_id, b"\x05"), BUS) for can_id in (0x701, 0x700, 0x185)] == [None] * 3
 
 
 def test_sync_of_a_producer_that_is_described_and_own_identifiers_are_no_sign():
@@ -202,7 +204,7 @@ class OtherDevice(Through):
     """Node 5, a gripper, sends all that a device sends by itself, every 20 ms, throughout."""
 
     due_ns: int = 1_010_000_000
-    frames: int = 0
+    frames: int = 3
 
     def receive(self, until_ns):
         frame = super().receive(max(self.now_ns(), min(until_ns, self.due_ns)))

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import select
 import struct
 import sys
 import termios
@@ -41,7 +42,7 @@ def test_the_line_is_written_without_waiting_and_without_a_thread(monkeypatch):
         line.show()
         expected = "\r\x1b[J" + "x" * 30 + "\x1b[1;31mlate\x1b[0m" + "\r\x1b[1A\x1b[Jy" + "\r\x1b[J"
         text = ""
-        while len(text) < len(expected):
+        while len(text) < len(expected) and select.select([controller], [], [], 5)[0]:
             text += os.read(controller, 1000).decode()
         assert text == expected
         started_s = time.monotonic()
