@@ -88,7 +88,7 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
 def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
     out = folder / "log.mcap"
     with drives(folder, "--unsupervised"), stalls() as worst:
-        with tracking(folder, out) as session:
+        with tracking(folder, out, "--unsupervised-drives") as session:
             session.send_signal(number)
             try:
                 recording = wait_for(out, disabled_by_the_recorder)

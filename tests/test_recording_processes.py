@@ -168,11 +168,10 @@ def syncs_tracked(recording: Recording) -> int:
 
 
 @contextmanager
-def tracking(folder: Path, out: Path) -> Iterator["subprocess.Popen[str]"]:
+def tracking(folder: Path, out: Path, *options: str) -> Iterator["subprocess.Popen[str]"]:
     """A session that follows the reference, with `SEEN_SYNCS` of that on the disk."""
-    session = acquire(
-        folder, "record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv")
-    )
+    command = ("record", str(folder / "robot.toml"), "-o", str(out), "--yes", "--track", str(folder / "ref.csv"))
+    session = acquire(folder, *command, *options)
     try:
         wait_for(out, lambda recording: syncs_tracked(recording) >= SEEN_SYNCS, session)
         yield session
@@ -336,8 +335,9 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
         ours = read_recording(active)
         said = data_by_id(ours, *ours_ids)
         said |= data_by_id(read_recording(alone), 0, 0x601, 0x602)
-        for can_id in (0x601, 0x602):  # a real session reads positions, after the states, to have them confirmed
-            said[can_id].insert(1, [0x40, 0x64, 0x60, 0, 0, 0, 0, 0])
+        for can_id in (0x601, 0x602):  # after the states a real session reads supervision, and what is to be confirmed
+            objects = [(0x1016, 0), (0x1016, 1), (0x1016, 2), (0x6065, 0), (0x6064, 0), (0x6041, 0)]
+            said[can_id][1:1] = [[0x40, index & 0xFF, index >> 8, k, 0, 0, 0, 0] for index, k in objects]
         wait_for(out, lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said), listener)
         _, errors = end(listener, signal.SIGINT)
     assert listener.returncode == 0, errors

@@ -74,9 +74,7 @@ def supervision_refusal(master: Master, drive: Drive) -> str:
         sub = None
     missing = []
     if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
-        missing.append(
-            f"of the master: no free {CONSUMER_HEARTBEAT:04X}, {ABORT_CONNECTION + axis:04X} is 0 or not there"
-        )
+        missing.append(f"of the master: no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there")
     if _read(master, drive, FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
         missing.append(f"of the following error: {FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there")
     return f"none {', none '.join(missing)}" if missing else ""
@@ -87,7 +85,7 @@ def refuse_unsupervised(master: Master) -> None:
     for drive in master.bus.drives:
         if refusal := supervision_refusal(master, drive):
             where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
-            raise AcquisitionError(place=where, key="supervision", value=refusal, shown=refusal, expected=expected)
+            raise AcquisitionError(refusal, place=where, key="supervision", expected=expected)
 
 
 def second_stop(file: BusFile) -> str:
