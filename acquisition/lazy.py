@@ -8,18 +8,7 @@ from typing import Any
 def lazy_names(
     package: str, names_of: Mapping[str, Sequence[str]], *others: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
-    """`__getattr__` and `__dir__` for a package.
-
-    Parameters
-    ----------
-    package : its `__name__`.
-    names_of : by module, the names that the package takes from it.
-    others : names that the package itself defines, for `__dir__`.
-
-    Returns
-    -------
-    `__getattr__`, which raises `AttributeError` for other names, and `__dir__`.
-    """
+    """`__getattr__` and `__dir__` for a package: `names_of` by module the names that it takes from it; `others` are its own."""
     module_of = {name: module for module, names in names_of.items() for name in names}
 
     def get(name: str) -> Any:

@@ -4,6 +4,7 @@ import dataclasses
 import gc
 import os
 import resource
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,14 +12,16 @@ from conftest import robot_named
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.commands.checking import look, refusal
 from acquisition.commands.program import main
 from acquisition.errors import AcquisitionError
-from acquisition.master.homing import confirm_positions, position_words
+from acquisition.master.homing import confirm_motion, position_words
 from acquisition.master.master import Master
 from acquisition.recording.rows import SENT
 from acquisition.session import scheduling
 from acquisition.session.pacing import largest_delay_s
 from acquisition.session.recording_session import Operator, RecordOptions, record
+from acquisition.session.recording_session import _before_motion as before_motion
 from acquisition.session.scheduling import refuse_jitter, steady
 from acquisition.session.task import Task
 from acquisition.simulated.drives import SimulatedDrives
@@ -40,10 +43,92 @@ def test_joint_positions_in_words_by_hand():
     run, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
     shown: list[list[str]] = []
     robot = robot_of(bus_text(2))
-    words = confirm_positions(robot, master, lambda words: not shown.append(words))
+    words = confirm_motion(robot, master, lambda words, faults: not shown.append(words))
     assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
     with pytest.raises(AcquisitionError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
-        confirm_positions(robot, master, lambda words: False)
+        confirm_motion(robot, master, lambda words, faults: False)
+    run.close()
+
+
+def faulted(node: int = 2) -> tuple[object, Master]:
+    run, master = drives_of(bus_text(2))
+    run.drives.nodes[node - 1].emergency(0x8611)
+    run.drives.nodes[node - 1].tick()
+    run.drives.nodes[node - 1].tick()
+    return run, master
+
+
+def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
+    robot, (run, master) = robot_of(bus_text(2)), faulted()
+    shown: list[list[str]] = []
+    with pytest.raises(AcquisitionError) as caught:
+        confirm_motion(robot, master, lambda *asked: bool(shown.extend(asked)))
+    words, faults = shown
+    assert len(words) == 2
+    assert len(faults) == 1
+    assert faults[0].startswith("in fault: node 2 (motor_2): ")
+    assert "error code 603F = 0x8611 (following error)" in faults[0]
+    assert caught.value.place == "drives"
+    assert faults[0] in str(caught.value)
+    assert "--reset-faults" in caught.value.expected
+    assert confirm_motion(robot, master, lambda words, faults: True) == words + faults
+    assert confirm_motion(robot, master, lambda words, faults: not faults, reset_faults=True) == words + faults
+    run.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "faults", "moves"),
+    [(["--yes"], [], True), (["--yes"], ["in fault: node 1"], False), (["--yes", "--reset-faults"], [], True)],
+)
+def test_yes_answers_for_the_joint_angles_alone(tmp_path, monkeypatch, options, faults, moves):
+    (tmp_path / "robot.toml").write_text(bus_text(2))
+    asked: list[tuple[RecordOptions, bool]] = []
+
+    def run(robot, place, out, given, operator):
+        asked.append((given, operator.confirm(["joint_1 = 0 deg"], faults)))
+        raise AcquisitionError("enough")
+
+    monkeypatch.setattr("acquisition.session.record", run)
+    monkeypatch.setattr("sys.stdin", open(os.devnull))  # noqa: SIM115
+    command = ["record", str(tmp_path / "robot.toml"), "-o", str(tmp_path / "a.mcap"), "--track", "ref.csv"]
+    assert main([*command, *options]) == 1
+    ((given, answer),) = asked
+    assert answer is moves
+    assert (given.reset_faults, given.unsupervised_drives) == ("--reset-faults" in options, False)
+
+
+@pytest.mark.parametrize(
+    ("values", "missing", "refused"),
+    [
+        ({}, (), ""),
+        ({(0x1016, 0): 0}, (), ""),  # 6007h is 1
+        ({(0x6007, 0): 0}, (), ""),  # 1016h has a free sub-index
+        ({(0x6007, 0): 0, (0x1016, 0): 0}, (), "none of the master"),
+        ({}, (0x1016, 0x6007), "none of the master"),
+        ({(0x6065, 0): 2**32 - 1}, (), "none of the following error"),
+        ({}, (0x6065,), "none of the following error"),
+        ({(0x6065, 0): 0}, (), ""),
+    ],
+)
+def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, missing, refused):
+    robot, (run, master) = robot_of(bus_text(2)), drives_of(bus_text(2))
+    node = run.drives.nodes[1]
+    node.values |= values
+    for key in [key for key in node.values if key[0] in missing]:
+        del node.values[key]
+    ready = partial(before_motion, robot, master, confirm=lambda words, faults: True)
+    if refused:
+        with pytest.raises(AcquisitionError) as caught:
+            ready(RecordOptions())
+        assert (caught.value.place, caught.value.key) == ("node 2 (motor_2)", "supervision")
+        assert f": {refused}" in str(caught.value)
+        assert "--unsupervised-drives" in caught.value.expected
+    else:
+        ready(RecordOptions())
+    assert any(mark.startswith("confirmed: joint_1") for mark in ready(RecordOptions(unsupervised_drives=True)))
+    lacks = [f for f in look(run.link, master.bus) if not f.ok]
+    assert [(f.subject, f.node, f.track) for f in lacks] == ([("supervision", 2, True)] if refused else [])
+    assert refusal(lacks) == ("no go for --track: supervision of node 2" if refused else "")
     run.close()
 
 
@@ -57,13 +142,13 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     text = bus_text(2, drive=f'homed = "{name}"')
     run, master = drives_of(text)
     robot = robot_of(text)
-    assert confirm_positions(robot, master, lambda _: True)  # a simulated drive is homed
+    assert confirm_motion(robot, master, lambda words, faults: True)  # a simulated drive is homed
     node = run.drives.nodes[1]
     node.more_status = 0
     node.values |= dict.fromkeys([key for key in node.values if key[0] == 0x2000], 0)
     node.tick()
     with pytest.raises(AcquisitionError, match=r"node 2 \(motor_2\): homed = '[0-9.:]+': not set") as caught:
-        confirm_positions(robot, master, lambda _: True)
+        confirm_motion(robot, master, lambda words, faults: True)
     error = caught.value
     assert (error.place, error.key, error.value) == ("node 2 (motor_2)", "homed", robot.bus.drive[1].homed)
     assert error.expected == "a homed drive before motion"

@@ -13,6 +13,7 @@ from acquisition.session.task import Task
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
+from acquisition.simulated.node import SimulatedNode
 from acquisition.simulated.plants import JointwisePlant, typical_plant
 
 DEG = np.degrees(1.0)
@@ -220,3 +221,45 @@ def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tm
     assert stopped - enabled < 0.1
     assert off - stopped < 0.06  # 50 ms in which its speed did not fall, and two SYNCs
     assert {two for t, _, two in history if enabled <= t * 1e-9 < stopped} == {State.SWITCHED_ON}
+
+
+def at_boot(monkeypatch, change) -> None:
+    """Change each simulated drive when it has booted."""
+    boot = SimulatedNode.boot
+
+    def changed(self):
+        sent = boot(self)
+        change(self)
+        return sent
+
+    monkeypatch.setattr(SimulatedNode, "boot", changed)
+
+
+def test_a_fault_is_reset_by_a_rising_edge(tmp_path, monkeypatch):
+    """The controlword that another program has left has bit 7 set already."""
+
+    def in_fault(node):
+        node.state = State.FAULT
+        node.tick()
+        node.values[0x6040, 0] = 0x80
+
+    at_boot(monkeypatch, in_fault)
+    session = dry_session(tmp_path / "a.mcap", TRACK)
+    assert session.outcome.reason == "finished"
+    assert session.events("mark") == ["node 1: found in fault", "node 2: found in fault"]
+
+
+def test_a_fault_that_nobody_was_asked_about_is_not_reset(tmp_path, monkeypatch):
+    """It comes while the operator is asked, and sends no emergency."""
+    nodes: list[SimulatedNode] = []
+    at_boot(monkeypatch, nodes.append)
+
+    def asked(master):
+        nodes[-1].state = State.FAULT
+        nodes[-1].tick()
+        return ()
+
+    session = dry_session(tmp_path / "a.mcap", Task(reference=TRACK.reference, before_motion=asked))
+    assert session.outcome.error.place == "node 2 (motor_2)"
+    assert "went into fault" in session.outcome.reason
+    assert session.drives.states[1] is State.FAULT

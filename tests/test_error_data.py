@@ -11,6 +11,7 @@ from made_up_recordings import some_samples
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.recording.rows import check_frames, check_samples
+from acquisition.robot import load_robot
 from acquisition.trajectory import check_limits
 from acquisition.transport import read_log
 
@@ -29,6 +30,13 @@ def data_of(caught):
         (("counts_per_turn = 65536", "counts_per_m = 1.5"), "bus.drive[0].counts_per_m", 1.5, "counts_per_turn"),
         (('"6074"', '"6074"\nreference_rule = "mA"'), "bus.drive[0].reference_rule", "mA", "N m as motor"),
         (("node = 1\n", 'node = 1\ndictionary = "a.eds"\n'), "bus.drive[0].dictionary", "a.eds", ""),
+        (("= 0.42", "= 1e308"), "bus.drive[0].rated_torque_nm", 1e308, "0.001 to 4.295e+06: an U32 in mN m"),
+        (("= 0.42", "= 1e-4"), "bus.drive[0].rated_torque_nm", 1e-4, "0.001 to "),
+        (("= 0.42", "= 1\nrated_force_n = 1e9"), "bus.drive[0].rated_force_n", 1e9, "0.001 to "),
+        (("= 0.42", "= 1\nrated_current_a = 1e9"), "bus.drive[0].rated_current_a", 1e9, "0.001 to "),
+        (("= 65536", "= 1e13"), "bus.drive[0].counts_per_turn", 1e13, "`float` <= 1000000000000.0"),
+        (("0.002", "0.002\nother_nodes = [5, 1]"), "bus.other_nodes", 1, "node ids that neither a drive"),
+        (("0.002", "0.002\nother_nodes = [127]"), "bus.other_nodes", 127, "node ids that neither a drive"),
         (("node = 1\n", "node = 1\nextra = ['6078']\n"), "bus.drive[0].rated_current_a", None, "the rated value that 6078:0"),
         (("node = 1\n", "node = 1\nrpdo = [{ objects = ['6040'], number = 5 }]\n"), "bus.drive[0].rpdo[0].can_id", None, "one"),
     ],
@@ -40,6 +48,45 @@ def test_of_a_description(change, key, value, expected):
         bus_of(robot_of(text.replace(*change, 1)))
     assert data_of(caught)[:3] == ("robot.toml", key, value)
     assert caught.value.expected.startswith(expected)
+
+
+@pytest.mark.parametrize(
+    ("key", "most", "prismatic"),
+    [
+        ("bus.heartbeat_s", 1.0, False),
+        ("bus.late_sync_s", 1.0, False),
+        ("bus.enable_motion_deg", 10.0, False),
+        ("bus.enable_motion_m", 0.1, True),
+        ("joint[0].following_error_deg", 30.0, False),
+        ("joint[0].following_error_m", 0.3, True),
+        ("joint[0].speed_deg_s", 3000.0, False),
+        ("joint[0].speed_m_s", 20.0, True),
+    ],
+)
+def test_of_a_guard_that_guards_nothing(tmp_path: Path, key, most, prismatic):
+    """Refused where robot.toml is read; a recording made with it still opens."""
+    table, name = key.split(".")
+    text = bus_text(1)
+    if prismatic:
+        text = text.replace("revolute", "prismatic").replace("acceleration_deg", "acceleration_m")
+        text = text.replace("position_deg", "position_m")
+        text = text.replace("speed_deg_s = 200", "speed_m_s = 2").replace(
+            "following_error_deg = 5", "following_error_m = 0.1"
+        )
+    lines = [line for line in text.splitlines() if not line.startswith(f"{name} =")]
+    at = lines.index("[bus]" if table == "bus" else "[[joint]]") + 1
+
+    def with_value(value: float) -> str:
+        return "\n".join([*lines[:at], f"{name} = {value}", *lines[at:]])
+
+    path = tmp_path / "robot.toml"
+    path.write_text(with_value(most))
+    load_robot(path)
+    path.write_text(with_value(1.001 * most))
+    with pytest.raises(AcquisitionError) as caught:
+        load_robot(path)
+    assert data_of(caught) == (str(path), key, pytest.approx(1.001 * most), f"{most:g} at most")
+    robot_of(with_value(1e9 if name != "heartbeat_s" else 10.0))
 
 
 def test_of_a_table(tmp_path: Path):

@@ -13,7 +13,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.listening import service_of, sign_of_master
+from acquisition.master.listening import other_node, service_of, sign_of_master
 from acquisition.protocol.states import State
 from acquisition.recorder.logs import InlineLog
 from acquisition.recording.reader import read_recording
@@ -90,6 +90,8 @@ def test_what_a_frame_says_of_its_sender(can_id, service, master):
 def test_a_boot_up_is_no_sign_of_a_master():
     frame = Frame(0, 0x77F, b"\0")
     assert (service_of(frame, 0x80), sign_of_master(frame, BUS)) == ("boot-up of node 127", None)
+    assert [other_node(Frame(0, 0x705, data), BUS) for data in (b"\0", b"\x05")] == [None, 5]
+    assert [other_node(Frame(0, can_id, b"\x05"), BUS) for can_id in (0x701, 0x700, 0x185)] == [None] * 3
 
 
 def test_sync_of_a_producer_that_is_described_and_own_identifiers_are_no_sign():
@@ -148,6 +150,34 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     assert count == len(found)
 
 
+@pytest.mark.parametrize("can_id", [0x701, 0x123])
+def test_replay_stops_at_the_first_stranger(tracked, can_id):
+    """Drives that are switched on while it sends, or anybody else."""
+    file = bus_file(f"replay_met_{can_id:03X}")
+    somebody, ear = Link(open_bus(file, passive=False), passive=False), Ear(file)
+
+    def meet() -> None:
+        heard = 0
+        while heard < 20:
+            heard += somebody.take(0.1) is not None
+        somebody.send(can_id, b"met")
+
+    met = threading.Thread(target=meet)
+    met.start()
+    try:
+        with pytest.raises(AcquisitionError) as caught:
+            replay(tracked, file, Stop(), speed=0.5)
+    finally:
+        met.join()
+        somebody.close()
+    ids = [(frame.can_id, bytes(frame.data)) for frame in ear.frames()]
+    at = ids.index((can_id, b"met"))
+    assert at >= 20
+    assert len(ids) - at <= 10
+    assert caught.value.expected.startswith("a silent bus; ")
+    assert caught.value.expected.split()[3:] == [str(len(ids) - 1), "frames", "were", "sent"]
+
+
 def test_replay_onto_hardware_must_be_asked_for(tracked):
     with pytest.raises(AcquisitionError, match=r"--interface = 'socketcan': hardware .* expected --onto-bus"):
         replay(tracked, bus_file("nowhere0", "socketcan"), Stop())
@@ -167,7 +197,55 @@ class Neighbour(Through):
         if not self.said and self.now_ns() >= 1_300_000_000:
             self.said = True
             return Frame(self.now_ns(), self.can_id, b"\x05", self.flags)
-        return super().receive(until_ns)
+        return super().receive(until_ns if self.said else min(until_ns, 1_300_000_000))
+
+
+@dataclass(kw_only=True)
+class OtherDevice(Through):
+    """Node 5, a gripper, sends all that a device sends by itself, every 20 ms, throughout."""
+
+    due_ns: int = 1_010_000_000
+    frames: int = 3
+
+    def receive(self, until_ns):
+        frame = super().receive(max(self.now_ns(), min(until_ns, self.due_ns)))
+        if frame is None and self.now_ns() >= self.due_ns:
+            self.due_ns += 20_000_000
+            self.frames += 1
+            can_id, data = [(0x705, b"\x05"), (0x705, b"\0"), (0x085, bytes(8)), (0x185, b"\x01\x02")][self.frames % 4]
+            return Frame(self.now_ns(), can_id, data)
+        return frame
+
+
+def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
+    robot = robot_of(bus_text(2, extra="other_nodes = [5]"))
+    session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=OtherDevice)
+    assert session.outcome.reason == "finished"
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    assert not [f for f in look(OtherDevice(link=run.link), bus_of(robot)) if f.subject == "other nodes"]
+    run.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_device_that_is_not_listed_has_its_own_words(tmp_path, task):
+    session = dry_session(tmp_path / "a.mcap", task, through=OtherDevice)
+    error = session.outcome.error
+    assert (error.place, error.key, error.value) == ("bus", "other_nodes", ())
+    assert "a device that robot.toml does not describe, or a wrong node id" in str(error)
+    assert "other_nodes = [5]" in error.expected
+    assert "master is active" not in str(error)
+    assert sent_in(session) == []
+
+
+def test_another_master_is_named_before_a_device_that_is_not_listed(tmp_path):
+    @dataclass(kw_only=True)
+    class Both(OtherDevice):
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            return frame._replace(can_id=0x602) if frame is not None and frame.can_id == 0x185 else frame
+
+    session = dry_session(tmp_path / "a.mcap", TASKS[1], through=Both)
+    assert "SDO request to node 2: another master is active" in session.outcome.reason
 
 
 def sent_in(session) -> list[int]:
@@ -294,6 +372,7 @@ def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out
         (found,) = look(Neighbour(link=run.link, can_id=0x602), BUS)
     finally:
         run.close()
-    assert (found.subject, found.ok) == ("another master", False)
-    assert found.found.startswith("SDO request to node 2: nothing was sent, so nothing is known of states")
+    assert (found.subject, found.ok) == ("other nodes", False)
+    assert found.found.startswith("bus: SDO request to node 2: another master is active")
+    assert "so nothing is known of states" in found.found
     assert sent == []

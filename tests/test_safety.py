@@ -95,11 +95,11 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome is not None
     assert session.outcome.reason == "finished"
-    assert session.events("mark") == [f"node {k}: found in fault; it is reset" for k in (1, 2)]
+    assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
     robot = robot_of(bus_text(2))
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     findings = look(run.link, bus_of(robot))
-    assert [f.ok for f in findings if f.subject in ("node 1 (motor_1)", "node 2 (motor_2)")] == [False, False]
+    assert [f.ok for f in findings if f.subject == "state"] == [False, False]
     run.close()
 
 
@@ -174,10 +174,8 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
-    assert found["node 1 (motor_1) scale"].startswith(
-        "encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1"
-    )
-    assert "robot.toml: 65536 counts per turn" in found["node 1 (motor_1) scale"]
+    assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
+    assert "robot.toml: 65536 counts per turn" in found["scale"]
     run.close()
 
 

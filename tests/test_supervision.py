@@ -160,7 +160,7 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     for key in [key for key in node.values if key[0] in missing]:
         del node.values[key]
     master = Master(run.link, bus_of(robot))
-    text = "\n".join(supervision_of(master, master.bus.drives[0]))
+    text = "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
     run.close()
     return text
 
@@ -170,9 +170,9 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     [
         ({(0x6007, 0): 0}, (), "6007 = 0: a lost heartbeat has no effect"),
         ({(0x6007, 0): 3}, (), "6007 = 3: quick stop when the connection is lost"),
-        ({(0x1016, 1): 5 << 16 | 80}, (), "1016: node 5 80 ms; --track writes 0x007F012C (node 127, 300 ms) to sub-index 2"),
-        ({(0x1016, 0): 0}, (), "1016: none in use: no free sub-index: the drive does not notice when the master dies"),
-        ({}, (0x1016,), "1016: not there: the drive does not notice when the master dies"),
+        ({(0x1016, 1): 5 << 16 | 80}, (), "1016 = node 5 80 ms; --track writes 0x007F012C (node 127, 300 ms) to sub-index 2"),
+        ({(0x1016, 0): 0}, (), "1016 = none in use: no free sub-index: the drive does not notice when the master dies"),
+        ({}, (0x1016,), "1016 = not there: the drive does not notice when the master dies"),
         ({(0x1029, 1): 1}, (), "1029:1 = 1: no change of the NMT state"),
         ({(0x1400, 5): 0}, (), "1400:5 = 0: a missing PDO to the drive has no effect"),
         ({(0x1400, 5): 50}, (), "1400:5 = 50: an error after 50 ms without the PDO"),
@@ -182,7 +182,7 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
         ({(0x605B, 0): 1}, (), "shutdown 605B = 1: slow-down ramp, then off"),
         ({(0x605C, 0): 0}, (), "disable operation 605C = 0: voltage off at once, the motor coasts"),
         ({(0x605E, 0): 2}, (), "fault reaction 605E = 2: quick-stop ramp, then off"),
-        ({}, (0x605E,), "fault reaction 605E: not there"),
+        ({}, (0x605E,), "fault reaction 605E = not there"),
         ({(0x6065, 0): 2**32 - 1}, (), "following error 6065 = 0xFFFFFFFF: off"),
         ({(0x6065, 0): 900, (0x6066, 0): 20}, (), "6065 = 900: an error beyond 900 of the drive's position units, after 20 ms"),
     ],
@@ -194,11 +194,34 @@ def test_supervision_in_words(values, missing, expected):
 def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    shown = [f.found for f in look(run.link, bus_of(robot)) if f.subject == "node 2 (motor_2) supervision"]
+    (reaction,) = [f for f in look(run.link, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
     run.close()
-    assert any("6007 = 1: fault" in text for text in shown)
+    assert reaction.found.startswith("1: fault")
     file = bus_of(robot).file
     assert second_stop(file).startswith("the recorder's process stops the drives")
 
     slcan = msgspec.structs.replace(file, interface="slcan")
     assert second_stop(slcan).startswith("none: slcan opens once only")
+
+
+def test_a_simulated_drive_stops_at_its_own_following_error():
+    """Twice the joint's 5 degrees at a ratio of 50 and 65536 counts a turn: 91 022 counts."""
+    run, _, _ = enabled()
+    node = run.drives.nodes[0]
+    assert node.values[0x6065, 0] == 91_022
+    supervision = run.drives._supervisions[0]
+    assert (supervision.follow(91_022), node.state) == ([], State.OPERATION_ENABLED)
+    assert supervision.follow(-91_023) == [(0x81, bytes.fromhex("1186010000000000"))]
+    assert node.state is State.FAULT
+    run.close()
+
+
+def test_a_second_session_on_the_same_simulated_drives():
+    """The consumer of the first one does not time out again when its entry is written once more."""
+    run, master, heartbeat = enabled()
+    heartbeat.release([1, 2])
+    master.wait(run.link.now_ns() + 2000 * MS)
+    heartbeat.request()
+    master.wait(run.link.now_ns() + 100 * MS)
+    assert [watch.emergency for watch in master.nodes] == [0x8700] * 2  # SYNC is lost, the master is not
+    run.close()

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from ..errors import AcquisitionError, one_line
+from ..errors import AcquisitionError
 from .command_line import Commands
 
 
@@ -15,15 +15,13 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Print the findings, one per line. A finding that forbids a session is an error."""
+    """Print the findings as a table. A finding that forbids a session is an error."""
     from ..robot import load_robot, resolve
-    from .checking import check
+    from .checking import check, refusal, table
 
     robot = load_robot(options.robot)
     findings = check(robot, resolve(robot, str(options.robot)))
-    for finding in findings:
-        print(one_line(f"{'ok' if finding.ok else 'NO'}: {finding.subject}: {finding.found}"))
-    failed = [finding.subject for finding in findings if not finding.ok]
-    if failed:
-        raise AcquisitionError(f"no go: {', '.join(dict.fromkeys(failed))}")
+    print(*table(findings), sep="\n")
+    if failed := refusal(findings):
+        raise AcquisitionError(failed)
     print("go")

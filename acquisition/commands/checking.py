@@ -7,17 +7,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, one_line
 from ..master import (
     Master,
     Wire,
     homed,
     joint_positions,
-    other_master,
+    listen_for_others,
     position_words,
     second_stop,
     stop_ramp,
     supervision_of,
+    supervision_refusal,
 )
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
@@ -25,17 +26,25 @@ from ..session import DEVIATIONS, steady, sync_jitter
 from ..transport import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
-ANOTHER = "another master"
 LARGEST_OFF = 0.01  # largest share of SYNC intervals that deviate by more than half a period
+STRANGER = "other nodes"
+NOBODY = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One line of the check: its subject, what was found, and whether a session may start with it."""
+    """One property of the bus, or of a drive: its name, what was found, and whether a session may start with it.
+
+    Attributes:
+        node: of the drive; None for the bus.
+        track: whether only `--track` is refused by it.
+    """
 
     subject: str
     found: str
     ok: bool
+    node: int | None = None
+    track: bool = False
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
@@ -49,59 +58,71 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
         findings += [Finding(subject="effort", found=text, ok=True) for text in ripple]
         if sock is not None:
             granted = queue_bytes(sock)
-            findings.append(
-                Finding(
-                    subject="kernel queue",
-                    found=f"{granted} bytes"
-                    + ("" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"),
-                    ok=granted >= QUEUE_BYTES // 10,
-                )
-            )
+            text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
+            ok = granted >= QUEUE_BYTES // 10
+            findings.append(Finding(subject="kernel queue", found=f"{granted} bytes{text}", ok=ok))
         with steady() as scheduling:
             findings.append(Finding(subject="scheduling", found=scheduling.words, ok=True))
             found = look(link, bus)
-        if all(finding.ok for finding in found if finding.subject == ANOTHER or finding.subject.startswith("node ")):
+        if all(finding.ok for finding in found if finding.subject in (STRANGER, "state")):
             found += _positions(robot, Master(link, bus))
         return findings + found
     finally:
         link.close()
 
 
+def table(findings: list[Finding]) -> list[str]:
+    """One line for each property of the bus, and of the drives that are alike in it: mark, property, nodes, what was found."""
+    nodes: dict[tuple[str, str, bool], list[str]] = {}
+    for finding in findings:
+        alike = nodes.setdefault((finding.subject, one_line(finding.found), finding.ok), [])
+        alike += [] if finding.node is None else [str(finding.node)]
+    order = list(dict.fromkeys(subject for subject, _, _ in nodes))  # drives that differ are below each other
+    rows = sorted(((*key, ", ".join(alike)) for key, alike in nodes.items()), key=lambda row: order.index(row[0]))
+    names, of_nodes = (max((len(cell) for cell in cells), default=0) for cells in (order, [row[3] for row in rows]))
+    return [f"{'ok' if ok else 'NO'}  {name:{names}}  {of:{of_nodes}}  {found}" for name, found, ok, of in rows]
+
+
+def refusal(findings: list[Finding]) -> str:
+    """What forbids a session, or only `--track`, in one line; empty where nothing does."""
+    failed = [finding for finding in findings if not finding.ok]
+    names = dict.fromkeys(f.subject if f.node is None else f"{f.subject} of node {f.node}" for f in failed)
+    if any(f.found == NOBODY for f in failed):
+        return f"no go: {NOBODY}"
+    return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
+
+
 def look(link: Wire, bus: Bus) -> list[Finding]:
-    """Findings of the drives and of SYNC over an open link; nothing is sent if another master is heard first."""
+    """Findings of the drives and of SYNC over an open link; nothing is sent if another node is heard first."""
     master = Master(link, bus)
-    sign = other_master(master)
-    if sign is not None:
-        text = (
-            f"{sign}: nothing was sent, so nothing is known of states, PDOs, supervision, scales, identity, rated values "
-            "and SYNC; `robot-acquire record --passive` records while it is active"
-        )
-        return [Finding(subject=ANOTHER, found=text, ok=False)]
-    findings = []
-    everyone = True
+    if (other := listen_for_others(master)) is not None:
+        text = f"{other}, so nothing is known of states, PDOs, supervision, scales, identity, rated values and SYNC"
+        return [Finding(subject=STRANGER, found=text, ok=False)]
+    findings: list[Finding] = []
+    silent = 0
     for drive in bus.drives:
-        subject = f"node {drive.node} ({drive.name})"
         try:
             state = master.state(drive)
             text = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
-            findings.append(Finding(subject=subject, found=text, ok=state is not State.FAULT))
+            findings.append(Finding(subject="state", found=text, ok=state is not State.FAULT, node=drive.node))
         except AcquisitionError as error:
-            everyone = False
-            findings.append(Finding(subject=subject, found=str(error), ok=False))
+            silent += 1
+            text = str(error).removeprefix(f"{error.place}: ")  # the same of all drives
+            findings.append(Finding(subject="state", found=text, ok=False, node=drive.node))
             continue
-        findings.append(Finding(subject=f"{subject} PDOs", found=_mapped(master, drive.node), ok=True))
-        findings += [
-            Finding(subject=f"{subject} supervision", found=text, ok=True) for text in supervision_of(master, drive)
-        ]
-        ramp, expected = stop_ramp(master, drive)
-        text = f"{ramp}: expected {expected}" if expected else ramp
-        findings.append(Finding(subject=f"{subject} quick stop", found=text, ok=not expected))
-        doubts = drive.dictionary.warnings if drive.dictionary is not None else ()
-        findings += [Finding(subject=f"{subject} dictionary", found=text, ok=True) for text in doubts]
-        scale = _scale(master, drive)
-        if scale:
-            findings.append(Finding(subject=f"{subject} scale", found=scale, ok=True))
-    if everyone:
+        properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
+        properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
+        properties += [("scale", text) for text in [_scale(master, drive)] if text]
+        findings += [Finding(subject=name, found=text, ok=True, node=drive.node) for name, text in properties]
+        ramp, faster = stop_ramp(master, drive)
+        text = f"{ramp}: expected {faster}" if faster else ramp
+        findings.append(Finding(subject="quick stop", found=text, ok=not faster, node=drive.node, track=True))
+        if lack := supervision_refusal(master, drive):
+            text = f"{lack}: --track refuses without --unsupervised-drives"
+            findings.append(Finding(subject="supervision", found=text, ok=False, node=drive.node, track=True))
+    if silent == len(bus.drives):
+        return [*findings, Finding(subject="drives", found=NOBODY, ok=False)]
+    if not silent:
         try:
             differences = master.differences()
         except AcquisitionError as error:
@@ -109,8 +130,7 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
         findings += [Finding(subject="description", found=text, ok=False) for text in differences]
         if not differences:
             findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
-    findings.append(_jitter(master))
-    return findings
+    return [*findings, _jitter(master)]
 
 
 def _scale(master: Master, drive: Drive) -> str:
@@ -179,8 +199,9 @@ def _jitter(master: Master) -> Finding:
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not found.fit_for_motion:
         text += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
-    ok = found.off <= LARGEST_OFF and found.fit_for_motion
-    return Finding(subject="SYNC", found=f"{text}; {found.off:.1%} off by more than half a period", ok=ok)
+    even = found.off <= LARGEST_OFF
+    text += f"; {found.off:.1%} off by more than half a period"
+    return Finding(subject="SYNC", found=text, ok=even and found.fit_for_motion, track=even)
 
 
 def _positions(robot: Robot, master: Master) -> list[Finding]:
@@ -195,7 +216,7 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
             text = "not described: the drive's zero may be where it was switched on"
             if is_homed is not None:
                 text = f"{'yes' if is_homed else 'NO'} ({file.homed})"
-            findings.append(Finding(subject=f"node {drive.node} homed", found=text, ok=is_homed is not False))
+            findings.append(Finding(subject="homed", found=text, ok=is_homed is not False, node=drive.node, track=True))
     except AcquisitionError as error:
         findings.append(Finding(subject="joint positions", found=str(error), ok=False))
     return findings

@@ -109,15 +109,6 @@ class Progress:
         if self.shown:
             self._status.update(text)
 
-    @contextmanager
-    def cleared(self) -> Iterator[None]:
-        """Remove the line inside the block, so that other lines can be printed and read."""
-        self.__exit__()
-        try:
-            yield
-        finally:
-            self.__enter__()
-
     def __enter__(self) -> "Progress":
         if self.shown:
             self._status.start()

@@ -1,19 +1,19 @@
 """`robot-acquire record`: a session with the drives of a description; nothing moves without `--track`."""
 
 import argparse
+import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError, one_line
-from .command_line import Commands, Progress, from_options
+from .command_line import Commands, from_options
 
 if TYPE_CHECKING:
-    from rich.text import Text
-
     from ..recorder import Recorded, Status
     from ..robot import Robot
-    from ..session import Outcome, ShowStatus, Stop
+    from ..session import Outcome, Stop
 
 
 def add(commands: Commands) -> None:
@@ -34,6 +34,10 @@ def add(commands: Commands) -> None:
     session.add_argument(
         "--yes", action="store_true", help="--track without asking whether the joint positions are right"
     )
+    session.add_argument("--reset-faults", action="store_true", help="--track without asking whether to reset faults")
+    session.add_argument(
+        "--unsupervised-drives", action="store_true", help="--track with drives that do not supervise themselves"
+    )
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
     parser.set_defaults(run=run)
@@ -51,15 +55,30 @@ def run(options: argparse.Namespace) -> int:
     if moves and not options.yes and not sys.stdin.isatty():
         text = "nobody is here to confirm the joint positions"
         raise AcquisitionError(text, place="--track", expected="a terminal, or --yes")
-    stop = Stop()
-    with stop_on_signals(stop), Progress("starting") as progress:
+    stop, line = Stop(), StatusLine()
 
-        def confirm(words: list[str]) -> bool:
-            return options.yes or _agreed(words, stop, progress)
+    def confirm(words: list[str], faults: list[str]) -> bool:
+        if options.yes and not faults:
+            return True
+        return sys.stdin.isatty() and _agreed(words + faults, stop, line)
 
-        operator = Operator(stop=stop, confirm=confirm, show=_shown_by(robot, progress), announce=_announce)
-        asked = from_options(RecordOptions, options)
-        outcome, recorded = record(robot, str(options.robot), options.output, asked, operator)
+    def announce(outcome: "Outcome") -> None:
+        """At once, before the recording is closed: which drives may still be enabled."""
+        line.show()
+        if outcome.alarm:
+            print(one_line(outcome.alarm), file=sys.stderr, flush=True)
+
+    def show(status: "Status", left_s: float | None) -> None:
+        line.show(*live_line(robot, status, left_s))
+
+    line.show(("starting", False))
+    operator = Operator(stop=stop, confirm=confirm, show=show, announce=announce)
+    try:
+        with stop_on_signals(stop):
+            asked = from_options(RecordOptions, options)
+            outcome, recorded = record(robot, str(options.robot), options.output, asked, operator)
+    finally:
+        line.show()
     return _report(options.output, robot, outcome, recorded)
 
 
@@ -80,43 +99,49 @@ def _report(out: Path, robot: "Robot", outcome: "Outcome", recorded: "Recorded")
     return 0
 
 
-def _announce(outcome: "Outcome") -> None:
-    """Print at once which drives may still be enabled, before the recording is closed."""
-    if outcome.alarm:
-        print(one_line(outcome.alarm), file=sys.stderr, flush=True)
-
-
-def _agreed(words: list[str], stop: "Stop", progress: Progress) -> bool:
-    """Show the joint positions and ask for confirmation; a stop in the meantime means no."""
+def _agreed(words: list[str], stop: "Stop", line: "StatusLine") -> bool:
+    """Show joint positions and drives in fault, and ask for confirmation; a stop in the meantime means no."""
     import select
 
-    with progress.cleared():
-        for text in words:
-            print(one_line(text), file=sys.stderr)
-        print("Does the robot stand like that, and may it move? yes or no: ", end="", file=sys.stderr, flush=True)
-        while not stop.reason:
-            if select.select([sys.stdin], [], [], 0.1)[0]:
-                return sys.stdin.readline().strip().lower() in ("yes", "y")
-        print(file=sys.stderr)
+    line.show()
+    for text in words:
+        print(one_line(text), file=sys.stderr)
+    print("Does the robot stand like that, and may it move? yes or no: ", end="", file=sys.stderr, flush=True)
+    while not stop.reason:
+        if select.select([sys.stdin], [], [], 0.1)[0]:
+            return sys.stdin.readline().strip().lower() in ("yes", "y")
+    print(file=sys.stderr)
     return False
 
 
-def _shown_by(robot: "Robot", progress: Progress) -> "ShowStatus":
-    """The function that shows the status of a session: on the terminal, if there is one."""
-    if not progress.shown:
-        return lambda status, left_s: None
-    return lambda status, left_s: progress.say(live_line(robot, status, left_s))
+class StatusLine:
+    """The status of a session on the terminal, if there is one; the SYNC loop writes it after the drives' answers to SYNC.
+
+    A thread that draws would hold Python's lock when SYNC is due. A terminal that takes no text (Ctrl-S) is not waited for.
+    """
+
+    def __init__(self) -> None:
+        self._rows, self._terminal = 0, -1
+        if sys.stderr.isatty():
+            with suppress(OSError):  # opened again: standard error itself stays blocking for all who share it
+                self._terminal = os.open(os.ttyname(sys.stderr.fileno()), os.O_WRONLY | os.O_NONBLOCK | os.O_NOCTTY)
+
+    def show(self, *parts: tuple[str, bool]) -> None:
+        """Replace the line by `parts`; those of true are bold and red. Without parts: remove it, for other lines."""
+        if self._terminal >= 0 and (parts or self._rows):
+            text = "".join(f"\x1b[1;31m{part}\x1b[0m" if bad else part for part, bad in parts)
+            above = f"\x1b[{self._rows - 1}A" if self._rows > 1 else ""
+            with suppress(OSError):
+                os.write(self._terminal, f"\r{above}\x1b[J{text}".encode())
+            width = os.get_terminal_size(self._terminal).columns or 80
+            self._rows = -(-sum(len(part) for part, _ in parts) // width)
 
 
-def live_line(robot: "Robot", status: "Status", left_s: float | None) -> "Text":
-    """Rate, losses (bold where there are any), range of each joint so far, time left."""
-    from rich.text import Text
-
-    line = Text(f"{status.rate_hz:.0f} frames/s")
+def live_line(robot: "Robot", status: "Status", left_s: float | None) -> list[tuple[str, bool]]:
+    """Rate, losses (marked true where there are any), range of each joint so far, time left."""
+    parts = [(f"{status.rate_hz:.0f} frames/s", False)]
     for count, name in ((status.drops, "dropped"), (status.missing, "missing"), (status.late, "late")):
-        line.append(f", {count} {name}", style="bold red" if count else "")
+        parts.append((f", {count} {name}", bool(count)))
     for joint, low, high in zip(robot.joints, status.lowest, status.highest, strict=False):
-        line.append(f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}")
-    if left_s is not None:
-        line.append(f", {left_s:.0f} s left")
-    return line
+        parts.append((f", {joint.name} {low:.3f}..{high:.3f} {joint.position_unit}", False))
+    return [*parts, *([] if left_s is None else [(f", {left_s:.0f} s left", False)])]

@@ -11,22 +11,9 @@ LARGEST_MESHES = 64 * 2**20  # bytes of all meshes of a robot
 
 
 def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
-    """The meshes of a URDF's visual shapes.
+    """The meshes of a URDF's visual shapes: content by name. `find_mesh` looks for them from the `folder` of the URDF.
 
-    Parameters
-    ----------
-    urdf : the file's content.
-    folder : of the URDF; relative names are relative to it, and `package://` names are looked for in it first.
-    place : the description, in errors.
-
-    Returns
-    -------
-    The content of each file, by its name in the URDF.
-
-    Raises
-    ------
-    AcquisitionError
-        The URDF is not XML, or a mesh is not found, cannot be read, or is too large; with the mesh's name as `value`.
+    Raises `AcquisitionError`, with the mesh's name as `value`: not XML, not found, not read, or too large.
     """
     try:
         visuals = ET.fromstring(urdf).iter("visual")

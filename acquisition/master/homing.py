@@ -9,10 +9,13 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
+from ..protocol import State
 from ..robot import Bus, Drive, DriveFile, Robot, parse_homed
 from .master import Master
+from .reports import error_report
 
-Confirm = Callable[[list[str]], bool]  # shows the joint positions to the operator; True where they are confirmed
+# Shows joint positions, and drives in fault that would be reset, to the operator; True where both are confirmed.
+Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
@@ -62,13 +65,19 @@ def refuse_unhomed(master: Master) -> None:
             raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
 
 
-def confirm_positions(robot: Robot, master: Master, confirm: Confirm) -> list[str]:
-    """Refuse drives that are not homed, ask whether the measured joint positions are right, and return them in words.
+def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False) -> list[str]:
+    """Refuse drives that are not homed, then ask the operator about the measured joint positions and drives in fault.
 
-    Raises `AcquisitionError` where a drive is not homed or does not answer, or the operator does not confirm.
+    With `reset_faults` the reset of drives in fault is not asked. Returns a text for each joint and drive in fault, as
+    confirmed: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
     """
     refuse_unhomed(master)
     words = position_words(robot, joint_positions(robot, master))
-    if not confirm(words):
-        raise AcquisitionError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved")
-    return words
+    in_fault = [drive for drive in master.bus.drives if master.state(drive) is State.FAULT]
+    faults = [f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}" for drive in in_fault]
+    if confirm(words, [] if reset_faults else faults):
+        return words + faults
+    if faults and not reset_faults:
+        expected = "yes to their reset, or --reset-faults. Nothing was moved"
+        raise AcquisitionError(f"not confirmed: {'; '.join(faults)}", place="drives", expected=expected)
+    raise AcquisitionError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved")

@@ -3,7 +3,6 @@
 Services by identifier: CiA 301, predefined connection set.
 """
 
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError
@@ -13,21 +12,11 @@ from ..robot import Bus
 from ..transport import Frame
 
 if TYPE_CHECKING:
-    from .master import Master, Wire
+    from .master import Master
 
 LISTEN_S = 0.5
-_SLICE_NS = 50_000_000  # a stop is noticed after this time at the latest
 _OF_NODES = {EMERGENCY: "emergency of", ANSWER: "SDO answer of", REQUEST: "SDO request to", HEARTBEAT: "heartbeat of"}
 _PDOS = {"tpdo": "TPDO {} of", "rpdo": "RPDO {} to"}
-
-
-def listen(link: "Wire", seconds: float, stopped: Callable[[], bool] = lambda: False) -> Iterator[Frame]:
-    """Frames received during `seconds` without error frames; ends early when `stopped()` is true. Nothing is sent."""
-    until_ns = link.now_ns() + round(seconds * 1e9)
-    while link.now_ns() < until_ns and not stopped():
-        frame = link.receive(min(until_ns, link.now_ns() + _SLICE_NS))
-        if frame is not None and not frame.flags & ERROR:
-            yield frame
 
 
 def service_of(frame: Frame, sync_can_id: int) -> str:
@@ -60,23 +49,21 @@ def command_ids(bus: Bus) -> set[int]:
 def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     """The service in words where a frame shows that another master is on the bus, None where it does not.
 
-    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests and, unless the description says that
-    another device does, SYNC. A heartbeat of a node that is not described comes from another master or from one of its
-    devices. A boot-up only shows that a node was switched on.
+    Only a master sends NMT commands, SDO requests, PDOs to drives, remote requests, the heartbeat of `master_node` and,
+    unless the description says that another device does, SYNC.
     """
     service = service_of(frame, bus.file.sync_can_id)
     if frame.flags & EXTENDED:
         return None
     function, node = frame.can_id & 0x780, frame.can_id & 0x7F
-    ours = {drive.node for drive in bus.drives}
     from_drives = {pdo.can_id for drive in bus.drives for pdo in drive.tpdos}
     to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     if frame.can_id == bus.file.sync_can_id:
         return service if bus.file.sync_producer == "recorder" else None
     if frame.flags & REMOTE_REQUEST or frame.can_id == 0 or frame.can_id in to_drives or (function == REQUEST and node):
         return service
-    if function == HEARTBEAT and node and node not in ours and not _is_boot_up(frame):
-        return f"{service}, which is no drive of robot.toml"
+    if function == HEARTBEAT and node == bus.file.master_node and not _is_boot_up(frame):
+        return f"{service}, which is master_node of robot.toml"
     if frame.can_id not in from_drives and service.startswith("RPDO"):
         return service
     return None
@@ -86,18 +73,40 @@ def _is_boot_up(frame: Frame) -> bool:
     return frame.can_id & 0x780 == HEARTBEAT and frame.data == b"\0"
 
 
-def other_master(master: "Master") -> str | None:
-    """Listen for half a second; the first sign of another master in words, None without one. Nothing is sent."""
-    signs = (sign_of_master(frame, master.bus) for frame in listen(master.link, LISTEN_S))
-    return next((sign for sign in signs if sign is not None), None)
+def other_node(frame: Frame, bus: Bus) -> int | None:
+    """Node id of a heartbeat that neither a drive of the description nor one of `other_nodes` has, else None.
+
+    A boot-up only shows that a node was switched on.
+    """
+    node, known = frame.can_id & 0x7F, {0, *bus.file.other_nodes, *(drive.node for drive in bus.drives)}
+    beats = frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
+    return node if beats and node not in known else None
+
+
+def listen_for_others(master: "Master") -> AcquisitionError | None:
+    """Listen for half a second; the refusal of another master, else of a device that is not described. Nothing is sent."""
+    device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
+    while master.link.now_ns() < until_ns:
+        frame = master.link.receive(until_ns)
+        if frame is None or frame.flags & ERROR:
+            continue
+        sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
+        if sign is not None:
+            expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
+            return AcquisitionError(f"{sign}: another master is active", place="bus", expected=expected)
+        if node is not None:
+            text = f"heartbeat of node {node}: a device that robot.toml does not describe, or a wrong node id"
+            expected = f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
+            device = AcquisitionError(
+                text, place="bus", key="other_nodes", value=master.bus.file.other_nodes, expected=expected
+            )
+    return device
 
 
 def refuse_other_master(master: "Master") -> None:
-    """Raise `AcquisitionError` where another master is heard, before anything is sent."""
-    found = other_master(master)
-    if found is not None:
-        expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
-        raise AcquisitionError(f"{found}: another master is active", place="bus", expected=expected)
+    """Raise `AcquisitionError` where another master or an unknown device is heard, before anything is sent."""
+    if (refusal := listen_for_others(master)) is not None:
+        raise refusal
 
 
 def refuse_enabled(master: "Master") -> list[int]:

@@ -46,8 +46,12 @@ _SUBJECTS = (
 )
 
 
-def supervision_of(master: Master, drive: Drive) -> list[str]:
-    """One line for each object of a drive's supervision: loss of the master, stops, following error.
+NOT_THERE = "not there"
+Property = tuple[str, str]  # of a drive: its name, and what was found
+
+
+def supervision_of(master: Master, drive: Drive) -> list[Property]:
+    """Each object of a drive's supervision in words: loss of the master, stops, following error.
 
     Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
     have is reported as not there; nothing is raised.
@@ -89,6 +93,29 @@ def refuse_slow_ramps(master: Master) -> list[str]:
     return unknown
 
 
+def supervision_refusal(master: Master, drive: Drive) -> str:
+    """Why a drive is not fit for motion: after a power cut of this computer nothing would stop it; empty where it is."""
+    axis = axis_of(drive)
+    try:
+        sub = free_entry(consumers(master, drive.node), master.bus.file.master_node)
+    except AcquisitionError:
+        sub = None
+    missing = []
+    if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
+        missing.append(f"of the master: no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there")
+    if _read(master, drive, FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
+        missing.append(f"of the following error: {FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there")
+    return f"none {', none '.join(missing)}" if missing else ""
+
+
+def refuse_unsupervised(master: Master) -> None:
+    """Raise `AcquisitionError` where a drive does not supervise its master or its following error."""
+    for drive in master.bus.drives:
+        if refusal := supervision_refusal(master, drive):
+            where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
+            raise AcquisitionError(refusal, place=where, key="supervision", expected=expected)
+
+
 def second_stop(file: BusFile) -> str:
     """Whether the recorder's process can stop the drives when the session's process dies or hangs."""
     if file.interface in SHARED:
@@ -96,56 +123,55 @@ def second_stop(file: BusFile) -> str:
     return f"none: {file.interface} opens once only: if the session dies or hangs, only the drives' own supervision stops them"
 
 
-def _consumers(master: Master, drive: Drive) -> str:
-    file = master.bus.file
+def _consumers(master: Master, drive: Drive) -> Property:
+    file, name = master.bus.file, f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}"
     try:
         entries = consumers(master, drive.node)
     except AcquisitionError:
-        return "consumer heartbeat 1016: not there: the drive does not notice when the master dies"
+        return name, f"{NOT_THERE}: the drive does not notice when the master dies"
     used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
-    line = f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}: {', '.join(used) or 'none in use'}"
-    sub = free_entry(entries, file.master_node)
+    text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
-        return f"{line}: no free sub-index: the drive does not notice when the master dies"
+        return name, f"{text}: no free sub-index: the drive does not notice when the master dies"
     entry = entry_of(file)
-    return f"{line}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}"
+    return (
+        name,
+        f"{text}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}",
+    )
 
 
-def _option(master: Master, drive: Drive, index: int, name: str) -> str:
+def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
     """An option code in words; the objects of CiA 402 of each further axis are 800h higher."""
-    raw = _read(master, drive, index + axis_of(drive))
+    raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
     if raw is None:
-        return f"{name} {index + axis_of(drive):04X}: not there"
+        return name, NOT_THERE
     value = raw - 0x10000 if raw >= 0x8000 else raw
-    return f"{name} {index + axis_of(drive):04X} = {value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
+    return name, f"{value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
 
 
-def _behaviour(master: Master, drive: Drive) -> str:
-    raw = _read(master, drive, ERROR_BEHAVIOUR, 1)
+def _behaviour(master: Master, drive: Drive) -> Property:
+    raw, name = _read(master, drive, ERROR_BEHAVIOUR, 1), f"communication error {ERROR_BEHAVIOUR:04X}:1"
     if raw is None:
-        return f"communication error {ERROR_BEHAVIOUR:04X}:1: not there: pre-operational (CiA 301)"
-    return f"communication error {ERROR_BEHAVIOUR:04X}:1 = {raw}: {OPTIONS[ERROR_BEHAVIOUR].get(raw, 'of the manufacturer')}"
+        return name, f"{NOT_THERE}: pre-operational (CiA 301)"
+    return name, f"{raw}: {OPTIONS[ERROR_BEHAVIOUR].get(raw, 'of the manufacturer')}"
 
 
-def _event_timer(master: Master, drive: Drive) -> str:
-    raw = _read(master, drive, RPDO_PARAMETERS, 5)
-    name = f"missing targets {RPDO_PARAMETERS:04X}:5"
+def _event_timer(master: Master, drive: Drive) -> Property:
+    raw, name = _read(master, drive, RPDO_PARAMETERS, 5), f"missing targets {RPDO_PARAMETERS:04X}:5"
     if not raw:
-        return f"{name}{' = 0' if raw == 0 else ': not there'}: a missing PDO to the drive has no effect"
-    return f"{name} = {raw}: an error after {raw} ms without the PDO"
+        return name, f"{0 if raw == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
+    return name, f"{raw}: an error after {raw} ms without the PDO"
 
 
-def _following_error(master: Master, drive: Drive) -> str:
+def _following_error(master: Master, drive: Drive) -> Property:
     axis = axis_of(drive)
     window = _read(master, drive, FOLLOWING_ERROR_WINDOW + axis)
     time_ms = _read(master, drive, FOLLOWING_ERROR_TIME + axis)
     name = f"following error {FOLLOWING_ERROR_WINDOW + axis:04X}"
-    if window is None:
-        return f"{name}: not there"
-    if window == NO_WINDOW:
-        return f"{name} = 0x{window:X}: off"
+    if window is None or window == NO_WINDOW:
+        return name, NOT_THERE if window is None else f"0x{window:X}: off"
     after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
-    return f"{name} = {window}: an error beyond {window} of the drive's position units{after}"
+    return name, f"{window}: an error beyond {window} of the drive's position units{after}"
 
 
 def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:

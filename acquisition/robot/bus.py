@@ -18,6 +18,7 @@ CanId = Annotated[int, msgspec.Meta(ge=1, le=0x7FF)]
 PdoNumber = Annotated[int, msgspec.Meta(ge=1, le=512)]
 ObjectName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?\Z")]
 HomedName = Annotated[str, msgspec.Meta(pattern=r"\A[0-9A-Fa-f]{4}(:[0-9]{1,3})?(\.([0-9]|[12][0-9]|3[01]))?\Z")]
+Counts = Annotated[float, msgspec.Meta(gt=0, le=1e12)]  # per turn or metre
 Word = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Za-z0-9_.:/\-]+\Z")]
 
 EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instants recorded efforts belong to
@@ -80,8 +81,8 @@ class DriveFile(TomlTable, frozen=True):
     rated_force_n: Positive | None = None
     rated_current_unit: str = "mA"
     rated_torque_unit: str = "mN m"
-    counts_per_turn: Positive | None = None
-    counts_per_m: Positive | None = None
+    counts_per_turn: Counts | None = None
+    counts_per_m: Counts | None = None
     sign: Literal[1, -1] = 1
     effort_sign: Literal[1, -1] | None = None
     zero_counts: Annotated[int, msgspec.Meta(ge=-(2**31), lt=2**31)] = 0
@@ -107,6 +108,7 @@ class BusFile(TomlTable, frozen=True):
         loopback: whether network interfaces (udp_multicast) stay on this machine.
         heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
         master_node: node id under which this master sends its heartbeat while it moves drives.
+        other_nodes: node ids of further devices, such as grippers and I/O: their heartbeats are no sign of another master.
         late_sync_s: how late SYNC may be in motion; where left out three periods, at least 20 ms.
         enable_motion_deg, enable_motion_m: how far a joint may move while drives are enabled, and `enable_watch_s` longer.
         effort_timing: what the drives' effort objects mean: the `command` of an instant, held after it; the `mean` over the
@@ -123,6 +125,7 @@ class BusFile(TomlTable, frozen=True):
     loopback: bool = True
     heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
     master_node: Node = 127
+    other_nodes: tuple[Node, ...] = ()
     late_sync_s: Positive | None = None
     enable_motion_deg: Positive = 1.0
     enable_motion_m: Positive = 0.005
@@ -181,6 +184,9 @@ def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
     nodes = [d.node for d in bus.drive]
     if bus.master_node in nodes:
         refuse("master_node", bus.master_node, "a node id that no drive has")
+    for node in bus.other_nodes:
+        if node in (*nodes, bus.master_node):
+            refuse("other_nodes", node, "node ids that neither a drive nor master_node has")
     for i, drive in enumerate(bus.drive):
         key = f"drive[{i}]"
         if drive.node in nodes[:i]:
@@ -197,6 +203,11 @@ def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
         for word in ("rated_current_unit", "rated_torque_unit"):
             if getattr(drive, word) not in RATED_UNITS:
                 refuse(f"{key}.{word}", getattr(drive, word), f"one of {', '.join(RATED_UNITS)}")
+        for word in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
+            unit = drive.rated_current_unit if word == "rated_current_a" else drive.rated_torque_unit
+            value, most = getattr(drive, word), (2**32 - 1) * RATED_UNITS[unit]
+            if value is not None and not RATED_UNITS[unit] <= value <= most:
+                refuse(f"{key}.{word}", value, f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}")
         for k, extra in enumerate(drive.extra):
             if isinstance(extra, ExtraFile) and extra.scale is not None and not 0 < abs(extra.scale) < math.inf:
                 refuse(f"{key}.extra[{k}].scale", extra.scale, "a number other than 0")

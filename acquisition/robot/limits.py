@@ -58,9 +58,8 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
             most = 2 ** (BITS[kind] - (kind[0] == "I")) - 1
             ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
     rows: list[tuple[str, Array, float, str]] = []
-    to_motor = (
-        np.linalg.inv(robot.R.T) / robot.gain[:, None]
-    )  # recorded efforts of the motors = to_motor · joint efforts
+    # Recorded efforts of the motors = to_motor · joint efforts.
+    to_motor = np.linalg.inv(robot.R.T) / robot.gain[:, None]
     alone = np.count_nonzero(to_motor, axis=1) == 1
     own = np.eye(robot.n)
     for j, joint in enumerate(robot.joints):

@@ -18,6 +18,9 @@ from .description import Capsule, Controller, Identification, Joint, Motor, Robo
 from .toml import parse_toml
 
 SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, in place of [controller]
+# Guards of [bus] and [[joint]] that are wider would stop nothing.
+MAX_BUS_GUARDS = {"heartbeat_s": 1.0, "late_sync_s": 1.0, "enable_motion_deg": 10.0, "enable_motion_m": 0.1}
+MAX_JOINT_GUARDS = {"following_error_deg": 30.0, "following_error_m": 0.3, "speed_deg_s": 3000.0, "speed_m_s": 20.0}
 _MESH = "mesh:"  # before a mesh's name in the URDF: the name of its attachment, a label, never a path
 
 
@@ -136,6 +139,7 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         raise AcquisitionError(f"cannot be read: {error.strerror}", place=str(path)) from error
     document = _parse(files["robot.toml"], str(path))
     _refuse_idle_keys(document.controller, str(path))
+    _refuse_wide_guards(document, str(path))
     if document.urdf is not None:
         files["robot.urdf"] = _companion(path, "urdf", document.urdf)
         if document.urdf_meshes:
@@ -160,6 +164,17 @@ def _refuse_idle_keys(c: Controller, place: str) -> None:
             value = list(value) if isinstance(value, tuple) else value
             key = f"controller.{name}"
             raise AcquisitionError("does nothing", place=place, key=key, value=value, expected=expected)
+
+
+def _refuse_wide_guards(f: RobotFile, place: str) -> None:
+    """No guard of a new description may be too wide to stop anything; recordings made with one still open."""
+    tables: list[tuple[str, object, dict[str, float]]] = [("bus", f.bus, MAX_BUS_GUARDS)]
+    tables += [(f"joint[{i}]", joint, MAX_JOINT_GUARDS) for i, joint in enumerate(f.joint)]
+    for at, table, guards in tables:
+        for name, most in guards.items():
+            value = getattr(table, name, None)  # a robot may have no bus
+            if value is not None and value > most:
+                raise AcquisitionError(place=place, key=f"{at}.{name}", value=value, expected=f"{most:g} at most")
 
 
 def _companion(path: Path, key: str, name: str) -> bytes:

@@ -5,7 +5,7 @@ target stays at the last position before. If the target still followed, the arm 
 drive's own supervision would see no following error.
 """
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 from ..errors import AcquisitionError
 from ..master import Master, Orders, status_words
@@ -26,11 +26,11 @@ def all_enabled(master: Master) -> bool:
     return all(watch.state is State.OPERATION_ENABLED for watch in master.nodes)
 
 
-def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
+def enable(master: Master, targets: list[int], in_fault: Collection[int] = ()) -> Iterator[Orders | None]:
     """Orders of one SYNC after the other until every drive is in operation enabled; None where nothing is to be sent.
 
-    `targets`, an empty list, receives the target counts (n) at which the drives are held. Raises `AcquisitionError` that
-    names nodes and states where a drive is not enabled after 5 s.
+    `targets`, empty, receives the target counts (n) at which the drives are held. Only the faults of the nodes `in_fault` are
+    reset: those that the operator was asked about. Raises `AcquisitionError`: another fault, or not enabled after 5 s.
     """
     for k in range(round(ENABLE_S / master.bus.file.sync_period_s)):
         watches = master.nodes
@@ -50,6 +50,9 @@ def enable(master: Master, targets: list[int]) -> Iterator[Orders | None]:
             command = toward(watch.state, State.OPERATION_ENABLED) if watch.state is not None else None
             if watch.state is State.OPERATION_ENABLED:
                 command = Command.ENABLE_OPERATION
+            if command is Command.FAULT_RESET and watch.drive.node not in in_fault:
+                place, expected = f"node {watch.drive.node} ({watch.drive.name})", "switch on disabled, as before"
+                raise AcquisitionError("went into fault after the session began", place=place, expected=expected)
             if command is Command.FAULT_RESET and k % 2:
                 command = None  # a drive acts on the rising edge of this bit
             controls.append(command.controlword if command else 0)

@@ -9,7 +9,7 @@ from pathlib import Path
 from types import FrameType
 
 from ..errors import AcquisitionError
-from ..master import Confirm, Master, confirm_positions, second_stop
+from ..master import Confirm, Master, confirm_motion, refuse_unsupervised, second_stop
 from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role, Status
 from ..robot import Bus, Robot, refuse_load, resolve
 from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
@@ -32,6 +32,8 @@ class RecordOptions:
     duration_s: float | None = None
     track: Path | None = None
     speed: float = 1.0
+    reset_faults: bool = False
+    unsupervised_drives: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,13 +42,14 @@ class Operator:
 
     Attributes:
         stop: set by the operator (Ctrl-C) to end the session.
-        confirm: shows the joint positions before motion; True where the operator confirms them. Default: nothing moves.
+        confirm: shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
+            Default: nothing moves.
         show: called twice a second with the recorder's status and the seconds left.
         announce: called with the outcome as soon as it is known.
     """
 
     stop: Stop = field(default_factory=Stop)
-    confirm: Confirm = lambda _: False
+    confirm: Confirm = lambda words, faults: False
     show: ShowStatus = lambda status, left_s: None
     announce: Callable[[Outcome], None] = lambda outcome: None
 
@@ -132,8 +135,11 @@ def _on_bus(bus: Bus, robot: Robot, out: Path, place: str, options: RecordOption
 
 
 def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm: Confirm) -> list[str]:
-    """Check homing, joint positions and jitter before a real robot moves; texts for `/events`."""
-    marks = [f"confirmed: {', '.join(confirm_positions(robot, master, confirm))}"]
+    """Check supervision, homing, joint positions and jitter before a real robot moves; texts for `/events`."""
+    if not options.unsupervised_drives:
+        refuse_unsupervised(master)
+    confirmed = confirm_motion(robot, master, confirm, reset_faults=options.reset_faults)
+    marks = [f"confirmed: {', '.join(confirmed)}"]
     jitter = refuse_jitter(master)
     marks.append(f"SYNC jitter sd {jitter.sd_s * 1e3:.3f} ms, worst {jitter.worst_s * 1e3:.3f} ms, before motion")
     if options.speed != 1:

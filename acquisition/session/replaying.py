@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..master import LISTEN_S, listen, service_of
+from ..master import LISTEN_S, service_of
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recorder import written_by_master
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording
@@ -35,8 +35,8 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     Raises
     ------
     AcquisitionError
-        `speed` or the interface is refused, the recording holds no frames of drives, any frame is received on the bus
-        before the first is sent, or the bus takes no frames.
+        `speed` or the interface is refused, the recording holds no frames of drives, any frame of another node is received
+        before or between those that are sent, or the bus takes no frames.
     """
     if not speed > 0:
         raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
@@ -50,19 +50,25 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
     due_s = np.maximum.accumulate(since_s) if len(frames) else since_s
     link = open_link(file, passive=False)
-    count = 0
+    count, sync_can_id = 0, recording.robot.bus.sync_can_id
+
+    def listen_until(until_s: float) -> None:
+        """Wait; an error at the first frame that is not our own."""
+        while not stop.reason:
+            left_s = until_s - time.monotonic()
+            frame = link.take(min(max(left_s, 0.0), 0.1))
+            if frame is not None and not frame.flags & ERROR:
+                place, sent = f"{file.interface} {file.channel}", f"{count} frames were" if count else "nothing was"
+                problem, expected = f"{service_of(frame, sync_can_id)} is heard", f"a silent bus; {sent} sent"
+                raise AcquisitionError(problem, place=place, expected=expected)
+            if left_s <= 0:
+                return
+
     try:
-        listen_s = max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s)
-        for frame in listen(link, listen_s, lambda: bool(stop.reason)):
-            service = service_of(frame, recording.robot.bus.sync_can_id)
-            expected = "a silent bus; nothing was sent"
-            raise AcquisitionError(f"{service} is heard", place=f"{file.interface} {file.channel}", expected=expected)
+        listen_until(time.monotonic() + max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s))
         start_s = time.monotonic()
         for row, at_s in zip(frames, due_s.tolist(), strict=True):
-            wait_s = start_s + at_s - time.monotonic()
-            while wait_s > 0 and not stop.reason:
-                time.sleep(min(wait_s, 0.1))
-                wait_s = start_s + at_s - time.monotonic()
+            listen_until(start_s + at_s)
             if stop.reason:
                 break
             link.send(int(row["can_id"]), row["data"].tobytes()[: row["length"]])

@@ -102,6 +102,7 @@ class _Session:
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
         self._warned: set[str] = set()
+        self._in_fault: list[int] = []  # nodes found in fault before motion
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
 
@@ -113,9 +114,10 @@ class _Session:
             check_carriers(self._bus)
         self._log.event(self._link.now_ns(), "phase", "configure")
         refuse_other_master(self._master)
-        reset = "; it is reset" if self._task.reference is not None else ""
-        for node in refuse_enabled(self._master):  # only reads: a drive that another program has enabled stays as it is
-            self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault{reset}")
+        # Only reads: a drive that another program has enabled stays as it is.
+        self._in_fault = refuse_enabled(self._master)
+        for node in self._in_fault:
+            self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault")
         if self._task.reference is not None:
             for text in self._task.before_motion(self._master):
                 self._log.event(self._link.now_ns(), "mark", text)
@@ -237,7 +239,7 @@ class _Session:
         """All drives to operation enabled, each held at its position. The guards of motion are active from here on."""
         self._motion = MotionState()
         targets: list[int] = []
-        for order in enable(self._master, targets):
+        for order in enable(self._master, targets, self._in_fault):
             if self._stop.reason:
                 return
             yield order

@@ -32,6 +32,9 @@ from .mechanism import Mechanism, mechanism_of
 from .node import Sent, SimulatedNode, simulated_node
 from .supervision import Supervision, leave_unsupervised
 
+WINDOW = (
+    2  # times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's
+)
 # 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
@@ -40,7 +43,8 @@ class SimulatedDrives:
     """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
     They move `mechanism` (default: `mechanism_of` the description). `faults` says what goes wrong, with which node, at which
-    SYNC. Drives that are not `supervised` notice neither a lost SYNC nor a lost master (no 1016h, and 6007h is 0).
+    SYNC. Drives that are not `supervised` notice no lost SYNC, no lost master (no 1016h, 6007h is 0), and no following
+    error (6065h is off).
     """
 
     def __init__(
@@ -56,10 +60,15 @@ class SimulatedDrives:
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.home(file.homed)
-        if not supervised:
-            for node in self.nodes:
-                leave_unsupervised(node)
-        self._supervisions = [Supervision(node, watches_sync=supervised) for node in self.nodes]
+        following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
+        for node in self.nodes if not supervised else ():
+            leave_unsupervised(node)
+        self._supervisions = [
+            Supervision(
+                node, watches_sync=supervised, window=WINDOW * limit * node.drive.position_codec.counts_per_unit
+            )
+            for node, limit in zip(self.nodes, following if supervised else np.full(robot.n, np.inf), strict=True)
+        ]
         mechanism = mechanism or mechanism_of(robot, bus)
         self.bus, self.plant = bus, mechanism.plant
         self._robot, self._loops, self._faults = robot, mechanism.loops, tuple(faults)
@@ -151,12 +160,14 @@ class SimulatedDrives:
         self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)
+        behind = np.where(self._memory.held, 0.0, self._memory.target - self._measured()[0])
         for i, node in enumerate(self.nodes):
             node.tick()
             if node.operational:
                 self._answered[i] += 1
                 node.cleared = sum(fault.bits for fault in self._acting(i, "clear"))
                 node.tick()
+                sent += self._supervisions[i].follow(behind[i] * node.drive.position_codec.counts_per_unit)
                 if self._acting(i, "deaf"):
                     continue
                 sent += self._answer(i, now_ns)

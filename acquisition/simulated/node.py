@@ -107,9 +107,8 @@ class SimulatedNode:
                 self.nmt = NMT_STATE[data[0]]
                 option = self.values.get((ABORT_CONNECTION, 0), 1)  # 0: no reaction
                 if not self.operational and self.state is State.OPERATION_ENABLED and option:
-                    self.state = (
-                        State.SWITCH_ON_DISABLED
-                    )  # no commands can be received any more: the power stage is switched off
+                    # No commands can be received any more: the power stage is switched off.
+                    self.state = State.SWITCH_ON_DISABLED
         elif can_id == REQUEST + node and self.nmt != 4:
             return [(ANSWER + node, self._serve(data))]
         elif self.operational:
@@ -224,20 +223,13 @@ def simulated_node(drive: Drive) -> SimulatedNode:
                 if not entry.writable:
                     read_only.add(key)
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
-        for (index, sub), value in list(
-            values.items()
-        ):  # PDOs are disabled at the start: a master enables those that it uses
+        # PDOs are disabled at the start: a master enables those that it uses.
+        for (index, sub), value in list(values.items()):
             if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:
-        used = (
-            drive.status,
-            drive.control,
-            drive.position,
-            drive.target,
-            drive.effort.entry,
-            *(e.entry for e in drive.extras),
-        )
+        used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
+        used += [extra.entry for extra in drive.extras]
         types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
         types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}

@@ -1,10 +1,14 @@
 """Reactions of a simulated drive (6007h) to a lost master: lost heartbeats (1016h) and lost SYNC."""
 
-from ..protocol import ABORT_CONNECTION, CONSUMER_HEARTBEAT, DISABLED, State
+import numpy as np
+
+from ..protocol import ABORT_CONNECTION, CONSUMER_HEARTBEAT, DISABLED, FOLLOWING_ERROR_WINDOW, State
+from ..robot import axis_of
 from .node import Sent, SimulatedNode
 
 SYNC_LOST_NS = 100_000_000  # an enabled drive without SYNC for so long goes into fault, as real drives are set to do
 SYNC_LOST_CODE = 0x8700  # CiA 301: sync controller
+FOLLOWING_ERROR_CODE, NO_WINDOW = 0x8611, 2**32 - 1
 HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
 # 6007h, abort connection option code: the state that an enabled drive changes to. 1 (fault signal) is handled below.
 _REACTIONS = {2: State.SWITCH_ON_DISABLED, 3: State.QUICK_STOP_ACTIVE}
@@ -19,10 +23,13 @@ def leave_unsupervised(node: SimulatedNode) -> None:
 
 
 class Supervision:
-    """Supervision of the master by one drive: heartbeat consumers and, where `watches_sync`, SYNC."""
+    """Supervision by one drive: heartbeat consumers, SYNC where it `watches_sync`, following error over `window` counts."""
 
-    def __init__(self, node: SimulatedNode, *, watches_sync: bool = True) -> None:
+    def __init__(self, node: SimulatedNode, *, watches_sync: bool = True, window: float = np.inf) -> None:
         self._node, self._watches_sync = node, watches_sync
+        self._window = (FOLLOWING_ERROR_WINDOW + axis_of(node.drive), 0)
+        if self._window in node.values:
+            node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
         self._heard: dict[
             int, tuple[int, int]
         ] = {}  # by sub-index of 1016h: its entry at the last heartbeat, and the time of that
@@ -31,6 +38,12 @@ class Supervision:
     def sync(self, now_ns: int) -> None:
         """Take note of a SYNC."""
         self._sync_ns = now_ns
+
+    def follow(self, counts: float) -> Sent:
+        """React to a following error of so many counts."""
+        window = self._node.values.get(self._window, NO_WINDOW)
+        beyond = self._node.state is State.OPERATION_ENABLED and window != NO_WINDOW and abs(counts) > window
+        return self._fault(FOLLOWING_ERROR_CODE) if beyond else []
 
     def heartbeat(self, now_ns: int, producer: int) -> None:
         """Take note of a heartbeat: it starts the consumers of that producer (CiA 301, 7.2.8.3.3)."""
@@ -73,11 +86,8 @@ class Supervision:
     def _deadlines(self) -> dict[int, int]:
         """Time at which each consumer times out; one that was rewritten starts with the next heartbeat."""
         entries = self._entries()
-        return {
-            sub: then_ns + (entry & 0xFFFF) * 1_000_000
-            for sub, (entry, then_ns) in self._heard.items()
-            if entries.get(sub) == entry
-        }
+        self._heard = {sub: heard for sub, heard in self._heard.items() if entries.get(sub) == heard[0]}
+        return {sub: then_ns + (entry & 0xFFFF) * 1_000_000 for sub, (entry, then_ns) in self._heard.items()}
 
     def _react_to_lost_heartbeat(self) -> Sent:
         node, option = self._node, self._node.values.get((ABORT_CONNECTION, 0), 0)

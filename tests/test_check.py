@@ -1,0 +1,53 @@
+"""What `robot-acquire check` prints: drives that are alike share a row, differences in words, the verdict in one line."""
+
+import pytest
+from made_up_buses import bus_of, bus_text, robot_of
+
+from acquisition.commands.checking import Finding, look, refusal, table
+from acquisition.simulated.drives import SimulatedDrives
+from acquisition.simulated.lock_step import dry_run
+
+
+@pytest.fixture
+def run():
+    robot = robot_of(bus_text(3))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    yield run
+    run.close()
+
+
+def test_drives_that_are_alike_share_a_row(run):
+    run.drives.nodes[1].values[0x6007, 0] = 0
+    lines = table(look(run.link, run.drives.bus))
+    at = [k for k, line in enumerate(lines) if "reaction 6007" in line]
+    assert [lines[k].split(maxsplit=1)[0] for k in at] == ["ok", "ok"]
+    assert at[1] == at[0] + 1
+    assert "  1, 3     1: fault when" in lines[at[0]]
+    assert "  2        0: a lost heartbeat has no effect" in lines[at[1]]
+    assert sum("605A" in line for line in lines) == 1
+    assert len({line.index("1, 2, 3") for line in lines if "1, 2, 3" in line}) == 1
+    assert not [line for line in lines if line != line.rstrip()]
+
+
+def test_a_drive_that_does_not_answer_is_named(run):
+    run.drives._silent.add(1)
+    findings = look(run.link, run.drives.bus)
+    assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
+    assert refusal(findings) == "no go: state of node 2"
+
+
+def test_where_no_drive_answers_at_all(run):
+    run.drives._silent |= {0, 1, 2}
+    findings = look(run.link, run.drives.bus)
+    (row,) = [line for line in table(findings) if "state" in line]
+    assert "1, 2, 3" in row
+    assert refusal(findings).startswith("no go: no drive answers at all: interface? try --dry-run")
+
+
+def test_what_only_track_needs():
+    even = Finding(subject="SYNC", found="", ok=False, track=True)
+    drive = Finding(subject="state", found="\x1b[2J\n", ok=False, node=4)
+    assert refusal([even]) == "no go for --track: SYNC"
+    assert refusal([even, drive]) == "no go: SYNC, state of node 4"
+    assert refusal([Finding(subject="state", found="", ok=True)]) == ""
+    assert table([drive])[0].isprintable()
