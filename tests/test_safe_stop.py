@@ -7,9 +7,10 @@ import pytest
 from dry_sessions import SlowAnswers, Through
 from made_up_buses import bus_of, bus_text, robot_of
 
+import acquisition.master.stopping as stopping
 from acquisition.errors import AcquisitionError
 from acquisition.master.master import Master
-from acquisition.master.stopping import leave_operational, not_disabled, safe_stop
+from acquisition.master.stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from acquisition.protocol.states import Command, Mode, State
 from acquisition.simulated.drives import SimulatedDrives
 from acquisition.simulated.lock_step import DryRun, dry_run
@@ -246,6 +247,16 @@ def test_after_it_no_session_can_enable_by_pdo():
         master.wait(run.link.now_ns() + 2_000_000)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     run.close()
+
+
+def test_disable_and_the_second_stop_leave_every_node_in_pre_operational(monkeypatch):
+    run, master, _ = moving(lambda t: 0.0)
+    monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run.link)
+    monkeypatch.setattr(run.link, "close", lambda: None)
+    assert stop_drives(master.bus) == []
+    master.wait(run.link.now_ns() + 1_000_000)
+    assert [node.nmt for node in run.drives.nodes] == [127, 127]
+    assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
 
 
 def test_what_is_told_first():
