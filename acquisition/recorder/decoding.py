@@ -14,7 +14,7 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..protocol import ObjectEntry, Pdo
-from ..recording import SENT, Block, sample_dtype
+from ..recording import SENT, Block, RecordingWriter, sample_dtype
 from ..robot import Bus, Drive, Robot
 from .association import associate, counted_steps, pdo_frames, sync_steps
 from .sync_times import Rows, SyncTimes, sync_times
@@ -24,6 +24,7 @@ LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
 FEWEST_SYNCS = 10  # with fewer their period is not checked
 MAX_MISSING = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
 FEW_MISSING = 2  # PDOs of a drive, which are no share in a short recording
+UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
 _AT_ONCE = 10_000  # samples
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
@@ -65,12 +66,21 @@ class Decoded:
         """All samples at once, rows of `sample_dtype`; `rows.blocks` gives them some thousands at a time."""
         return np.concatenate(list(self.rows.blocks()))
 
+    def write(self, writer: RecordingWriter, stamp_ns: int) -> None:
+        """Add samples, counters and warnings to a recording."""
+        for block in self.rows.blocks():
+            writer.samples(block)
+        writer.health(stamp_ns, self.counters)
+        for text in self.warnings:
+            writer.event(stamp_ns, "warning", text)
+
     @property
     def counters(self) -> dict[str, float]:
         """Counters for `/health` of a recording, by name."""
         return {
             "syncs": self.syncs,
             "syncs_lost": self.syncs_lost,
+            UNCERTAIN: self.syncs + self.syncs_lost - len(self.rows.stamps),
             "sync_jitter_sd_s": self.jitter_s[0],
             "sync_jitter_worst_s": self.jitter_s[1],
             **{word: sum(getattr(p, word) for p in self.pdos) for word in ("late", "duplicate", "missing", "short")},
@@ -121,6 +131,19 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     if (traffic.at("length", sync_rows) >= 1).all():
         steps = counted_steps(counter)
     found_rows = associate(pdos, steps, paused, torn)
+    columns = (found_rows.late, found_rows.duplicate, found_rows.missing, shorts)
+    counts = tuple(
+        PdoCount(
+            name=name,
+            received=len(pdo.rows) + pdo.repeats,
+            late=late,
+            duplicate=duplicate,
+            missing=missing,
+            short=short,
+        )
+        for name, pdo, late, duplicate, missing, short in zip(carriers.values(), pdos, *columns, strict=True)
+    )
+    del pdos, found, rows  # of a long session these are much memory
     index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(times) >= FEWEST_SYNCS:
@@ -133,19 +156,6 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     answered = found_rows.answered
     if len(answered) < 2:
         raise AcquisitionError(f"{len(answered)} SYNC answered by all drives", place=place, expected="many")
-    counts = tuple(
-        PdoCount(
-            name=name,
-            received=len(pdo.rows) + pdo.repeats,
-            late=late,
-            duplicate=duplicate,
-            missing=missing,
-            short=short,
-        )
-        for name, pdo, late, duplicate, missing, short in zip(
-            carriers.values(), pdos, found_rows.late, found_rows.duplicate, found_rows.missing, shorts, strict=True
-        )
-    )
     rows_of = dict(zip(carriers, found_rows.rows, strict=True))
     made = SampleRows(
         traffic, robot, bus, rows_of, clock.stamps[answered], _targets(traffic, sync_rows, index_of, answered, bus)
@@ -258,7 +268,7 @@ def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     return counts + (np.cumsum(turns) << bits), wraps + 1
 
 
-def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Ints, bus: Bus) -> list[Rows] | None:
+def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
     """Frame of the last target of each drive before the SYNC of each sample, -1 where there is none.
 
     None where a drive gets no targets, or only a few: a master that commands the state alone sends them too.
@@ -287,7 +297,7 @@ def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
         )
 
 
-def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Ints) -> list[str]:
+def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
     found = []
     nominal_s = bus.file.sync_period_s
     at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
