@@ -130,6 +130,11 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     steps, paused, torn = sync_steps(times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
     if (traffic.at("length", sync_rows) >= 1).all():
         steps = counted_steps(counter)
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
+    if len(sync_rows) >= FEWEST_SYNCS:
+        _refuse_period(clock.period_s, bus, place)
+    del times, counter
     found_rows = associate(pdos, steps, paused, torn)
     columns = (found_rows.late, found_rows.duplicate, found_rows.missing, shorts)
     counts = tuple(
@@ -144,10 +149,6 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         for name, pdo, late, duplicate, missing, short in zip(carriers.values(), pdos, *columns, strict=True)
     )
     del pdos, found, rows  # of a long session these are much memory
-    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
-    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
-    if len(times) >= FEWEST_SYNCS:
-        _refuse_period(clock.period_s, bus, place)
     if found_rows.missing_share > max_missing and max(found_rows.missing) > FEW_MISSING:
         problem = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
         raise AcquisitionError(
