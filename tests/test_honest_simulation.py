@@ -18,8 +18,7 @@ from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, study_truth
-from identification.study.noise import AR
-from identification.study.noise import coloured as own_coloured
+from identification.study.noise import AR, noise_parts
 
 NAMES = ("emps", "scara")
 SETTLED = slice(500, None)  # the two start differently under gravity and offset
@@ -137,6 +136,10 @@ def test_an_integral_that_nobody_described_is_that_of_a_description(name, struct
     np.testing.assert_allclose(effort, described.effort[SETTLED], atol=1e-9)
     np.testing.assert_allclose(off, described.q[SETTLED] - path[SETTLED], atol=1e-12)
     assert apart(packaged(name), (effort, off)) > 0.05
+
+
+def own_coloured(rng, shape):
+    return np.concatenate([part for _, part in noise_parts(rng, shape, AR)])
 
 
 def test_coloured_noise_is_that_of_the_other_simulator():

@@ -42,10 +42,10 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), self._size, access=mmap.ACCESS_READ)
 
 
-def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An array to be filled; one larger than `HELD` lies in a temporary file without a name."""
+def room(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:
+    """An array to be filled; one larger than `held`, or `HELD`, lies in a temporary file without a name."""
     size = 8 * int(np.prod(shape))
-    if size <= HELD:
+    if size <= (HELD if held is None else held):
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
         file.truncate(size)
