@@ -184,8 +184,9 @@ def test_of_two_answers_to_a_sync_neither_is_the_sample():
     assert [p.duplicate for p in found.pdos] == [1, 0]
 
 
+@pytest.mark.parametrize("at_once", [7, 1000])
 @pytest.mark.parametrize("way", [1, -1])
-def test_a_counter_that_wraps_goes_on(way):
+def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     """Drive 1 comes to the end of 32 bits at SYNC 20, and its targets one SYNC earlier; back again at 40."""
 
     def value(k: int) -> int:
@@ -193,6 +194,8 @@ def test_a_counter_that_wraps_goes_on(way):
 
     def wrapped(counts: int) -> bytes:
         return (counts % 2**32).to_bytes(4, "little")
+
+    monkeypatch.setattr("acquisition.recorder.decoding._AT_ONCE", at_once)
 
     intervals = session(targets=True)
     for k, rows in enumerate(intervals):
