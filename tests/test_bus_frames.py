@@ -18,6 +18,7 @@ from acquisition.transport.link import Link, LockStepLink
 from acquisition.transport.logs import read_log
 from acquisition.transport.receiver import Receiver
 from acquisition.transport.sockets import kernel_drops
+from acquisition.transport.wall_clock import WallClock
 
 
 def test_a_row_byte_for_byte():
@@ -395,3 +396,39 @@ def test_the_latest_time_of_a_log(tmp_path):
 def test_rows_of_frames_beyond_their_length_are_zero():
     block = block_of([Frame(0, 1, b"\xff" * 8), Frame(1, 2, b"\xee")])
     assert np.array_equal(block["data"], [[255] * 8, [238] + [0] * 7])
+
+
+@pytest.mark.parametrize("step_ns", [3_600_000_000_000, 60_000_000, -60_000_000])
+@pytest.mark.parametrize("seen_after", [0, 3])
+def test_times_go_on_where_the_clock_is_set(step_ns, seen_after):
+    """Frames 2 ms apart, block by block; that the clock was set is noticed with the first new stamp, or a block before."""
+    now, wall = [0], [0]
+    clock = WallClock(lambda: now[0] + wall[0], lambda: now[0], offset_ns=0)
+    true_ns, found = 10**9 + 2_000_000 * np.arange(500), []
+    blocks = np.split(true_ns, [50, 100, 130 + seen_after, 200, 300, 400])
+    for block in blocks:
+        now[0] = int(block[-1])
+        wall[0] = step_ns if now[0] >= true_ns[130] else 0
+        assert clock.step_ns() == (step_ns if now[0] == blocks[2 if seen_after else 3][-1] else 0)
+        found.append(clock.continued(block + step_ns * (block >= true_ns[130 + seen_after])))
+    assert np.concatenate(found).tolist() == true_ns.tolist()
+    assert clock.shift_ns == step_ns
+
+
+def test_a_clock_that_was_set_before_the_first_frame():
+    """The session began an hour before by the clock that was then set: its events and the frames have one time."""
+    clock = WallClock(lambda: 3_600_000_000_000 + 5, lambda: 0, offset_ns=5)
+    assert clock.step_ns() == 3_600_000_000_000
+    assert clock.continued(np.array([3_600_000_000_010])).tolist() == [10]
+    assert clock.now_ns() == 5
+
+
+def test_an_adapter_with_a_clock_of_its_own_keeps_it():
+    wall = [0]
+    clock = WallClock(lambda: wall[0], lambda: 0, offset_ns=0)
+    clock.continued(np.array([1, 2]))
+    wall[0] = 100_000_000
+    clock.step_ns()
+    for first in (3, 5, 7):
+        assert clock.continued(np.array([first, first + 1])).tolist() == [first, first + 1]
+    assert clock.continued(np.array([90_000_000])).tolist() == [90_000_000]  # a pause

@@ -4,15 +4,19 @@ import can
 import numpy as np
 import pytest
 from conftest import needs_data
-from made_up_buses import bus_text, flat, robot_of, session
+from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
 from acquisition.commands.program import main
 from acquisition.errors import AcquisitionError
 from acquisition.files.columns import read_columns
-from acquisition.importing.conversions import decode_recording, export_csv, import_log
+from acquisition.importing.conversions import decode_recording, export_bag, export_csv, import_log
+from acquisition.recorder import Recorder, decode
+from acquisition.recording import Header, RecordingWriter
 from acquisition.recording.reader import read_recording
 from acquisition.recording.rows import ERROR, SENT
 from acquisition.transport.logs import read_log
+from identification import load_signals
+from identification.errors import IdentificationError
 
 ROBOT = robot_of(bus_text())
 
@@ -224,3 +228,116 @@ def test_what_has_no_frames_or_no_samples_is_told(tmp_path):
         decode_recording(tmp_path / "a.mcap", tmp_path / "o.mcap", None, "x")
     with pytest.raises(AcquisitionError, match="holds no joint samples"):
         export_csv(tmp_path / "b.mcap", tmp_path / "o.csv")
+
+
+def lossy(share: float) -> np.ndarray:
+    """A session of which a share of drive 1's PDOs is lost."""
+    frames = flat(session(syncs=400, targets=True))
+    of_first = np.flatnonzero(frames["can_id"] == 0x181)[10:-10]
+    return np.delete(frames, of_first[:: round(1 / share)])
+
+
+def recorded(path, frames, samples=None) -> None:
+    header = Header(robot=ROBOT, source="x", sample_rate_hz=500.0, effort_provenance="")
+    with RecordingWriter(path, header) as writer:
+        writer.frames("can0", frames)
+        if samples is not None:
+            writer.samples(samples)
+            writer.health(int(samples["stamp_ns"][-1]), {"missing": 0})
+
+
+def told(capsys, *arguments) -> str:
+    status = main([str(argument) for argument in arguments])
+    captured = capsys.readouterr()
+    return f"{status} {captured.out}{captured.err}"
+
+
+def test_rows_of_an_older_version_that_do_not_stand_are_counted(tmp_path, capsys):
+    """It had a row for every SYNC: twelve of them were made of PDOs that are not there."""
+    log, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
+    whole = decode(flat(session(syncs=400, targets=True)), ROBOT, bus_of(ROBOT), "x").samples
+    recorded(log, lossy(1 / 32), whole)
+    fall = "12 of 400 rows of an older version fall: their joints may be of different instants"
+    assert f"rows      {fall}" in told(capsys, "info", log)
+    assert fall in told(capsys, "decode", log, "-o", out)
+    assert len(read_recording(out).samples) == 388
+    text = told(capsys, "info", out)
+    assert f"rows      {fall}" not in text
+    assert "12, 12 samples missing, 0 SYNC late" in text
+    assert "warning: 12 samples are missing in 12 gaps" in told(capsys, "export", out, "-o", tmp_path / "b.csv")
+    recorded(tmp_path / "c.mcap", lossy(1 / 8), whole)
+    assert "all 400 fall: its frames: 12.0% of the PDOs" in told(capsys, "info", tmp_path / "c.mcap")
+
+
+def test_why_there_are_no_samples_is_said_by_all_who_need_some(tmp_path, capsys):
+    log, cut = tmp_path / "a.mcap", tmp_path / "cut.mcap"
+    recorder = Recorder(log, ROBOT, source="x", place="robot.toml")
+    recorder.add(lossy(1 / 8))
+    why = "12.0% of the PDOs of a drive are missing: expected 5% at most"
+    assert why in recorder.finish(3 * 10**9).no_samples
+    assert read_recording(log).samples is None
+    for command in (["info", log], ["export", log, "-o", tmp_path / "a.csv"]):
+        assert why in told(capsys, *command)
+    with pytest.raises(IdentificationError, match=why):
+        load_signals(log)
+    cut.write_bytes(log.read_bytes()[:-100])
+    assert f"no samples: {cut}: {why}" in told(capsys, "recover", cut, "-o", tmp_path / "b.mcap")
+
+
+def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys):
+    recorder = Recorder(tmp_path / "a.mcap", ROBOT, source="x", place="robot.toml")
+    recorder.add(flat(session()))
+    recorder.tick(1, 0, now=True)
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / "a.mcap").read_bytes())
+    recorder.finish(3 * 10**9)
+    out = tmp_path / "out.mcap"
+    assert "made up, 50 samples, 150 CAN frames" in told(capsys, "recover", tmp_path / "cut.mcap", "-o", out)
+    assert read_recording(out).samples.tobytes() == read_recording(tmp_path / "a.mcap").samples.tobytes()
+
+
+def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
+    """By exactly two periods; SYNC of another producer that is not recorded is missing, with the one before, whose answers may be its own."""
+    frames = flat(session())
+    late = frames.copy()
+    late["time_ns"][75:] += 4_000_000
+    lost = np.delete(frames, [75, 76, 77])
+    lost["flags"] = 0
+    for name, block, words in (
+        ("a", late, "1, 0 samples missing, 1 SYNC late"),
+        ("b", lost, "1, 2 samples missing, 0 SYNC"),
+    ):
+        recorder = Recorder(tmp_path / f"{name}.mcap", ROBOT, source="x", place="robot.toml")
+        recorder.add(block)
+        recorder.finish(3 * 10**9)
+        assert words in told(capsys, "info", tmp_path / f"{name}.mcap")
+
+
+def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
+    frames = flat(session(targets=True))
+    recorded(tmp_path / "a.mcap", frames)
+    decode_recording(tmp_path / "a.mcap", tmp_path / "b.mcap", None, "x")
+    export_csv(tmp_path / "b.mcap", tmp_path / "b.csv")
+    export_bag(tmp_path / "b.mcap", tmp_path / "bag")
+    overview = told(capsys, "info", tmp_path / "b.mcap")
+    for name in ("rows._CHECKED", "decoding._AT_ONCE", "traffic._AT_ONCE"):
+        room = "recording" if name.startswith("rows") else "recorder"
+        monkeypatch.setattr(f"acquisition.{room}.{name}", 70 if name.startswith("traffic") else 7)
+    assert told(capsys, "info", tmp_path / "b.mcap") == overview
+    decode_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
+    assert (
+        read_recording(tmp_path / "c.mcap").samples.tobytes() == read_recording(tmp_path / "b.mcap").samples.tobytes()
+    )
+    export_csv(tmp_path / "b.mcap", tmp_path / "c.csv")
+    assert (tmp_path / "c.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    export_bag(tmp_path / "b.mcap", tmp_path / "other")
+    assert messages(tmp_path / "other") == messages(tmp_path / "bag")
+
+
+def messages(bag) -> list[tuple[str, int, bytes | int]]:
+    """Of joint states the size: derivatives differ in the last bit."""
+    from rosbags.rosbag2 import Reader
+
+    with Reader(bag) as reader:
+        return [
+            (c.topic, stamp, len(data) if "joint" in c.topic else bytes(data)) for c, stamp, data in reader.messages()
+        ]

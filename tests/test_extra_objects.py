@@ -155,5 +155,6 @@ def test_a_clock_that_is_set_is_told_apart_from_one_that_goes_on():
         monotonic[0] += elapsed_ns
         found.append(clock.step_ns())
     assert found == [0, 0, 3_600_000_000_000, -50_000_000]
+    assert clock.now_ns() == 2_000_000_200  # as if it had never been set
     assert describe_step(found[2]) == "the clock was set forward by 3.6e+03 s"
     assert describe_step(found[3]) == "the clock was set back by 0.05 s"

@@ -9,7 +9,6 @@ import pytest
 from dry_sessions import DrySession, Through, dry_session, swing
 from made_up_buses import bus_text, robot_of
 
-import acquisition.session.pacing as pacing
 import acquisition.session.recording_session as record_module
 import acquisition.session.session as session_module
 from acquisition.commands.program import main
@@ -330,30 +329,6 @@ def test_a_slow_sync_may_be_three_periods_late():
             pace.sync(in_motion=False)
         else:
             pace.sync(in_motion=True)
-
-
-def test_a_clock_that_is_set_is_called_that(tmp_path, monkeypatch):
-    real = pacing.time.time_ns
-    shift = [0]
-
-    class Clocked:
-        time_ns = staticmethod(lambda: real() + shift[0])
-        monotonic_ns = staticmethod(pacing.time.monotonic_ns)
-
-    monkeypatch.setattr(pacing, "time", Clocked)
-
-    @dataclass(kw_only=True)
-    class Setting(Counting):
-        def receive(self, until_ns):
-            if self.syncs > 170:
-                shift[0] = -3_600_000_000_000
-            return super().receive(until_ns)
-
-    session = dry_session(tmp_path / "a.mcap", REST, through=Setting)
-    assert session.outcome.reason == "finished"
-    assert [t for t in session.events("warning") if "clock" in t] == [
-        "this computer's clock was set by -3.6e+03 s: the receive times of frames jump by that"
-    ]
 
 
 def test_ctrl_c_again_is_a_quick_stop(tmp_path):

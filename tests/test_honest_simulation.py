@@ -17,9 +17,8 @@ from identification.commands.program import PROGRAM
 from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
-from identification.study import Noise, closed_loop, study_truth
-from identification.study.noise import AR
-from identification.study.noise import coloured as own_coloured
+from identification.study import Noise, closed_loop, random_reference, study_truth, write_signals
+from identification.study.noise import AR, noise_parts
 
 NAMES = ("emps", "scara")
 SETTLED = slice(500, None)  # the two start differently under gravity and offset
@@ -139,6 +138,10 @@ def test_an_integral_that_nobody_described_is_that_of_a_description(name, struct
     assert apart(packaged(name), (effort, off)) > 0.05
 
 
+def own_coloured(rng, shape):
+    return np.concatenate([part for _, part in noise_parts(rng, shape, AR)])
+
+
 def test_coloured_noise_is_that_of_the_other_simulator():
     x = own_coloured(np.random.default_rng(1), (20_000, 3))
     y = coloured(np.random.default_rng(1), (3, 20_000, 1))
@@ -178,3 +181,23 @@ def test_without_noise_the_estimate_is_not_biased_by_the_integration():
     signals = closed_loop(robot, reference("emps").q[0], 1000.0, noise=Noise(), seed=1)
     fit = identify_iv(signals, Overrides(), Iteration())
     assert fit.beta[0] == pytest.approx(study_truth(robot)[1][0], rel=2e-4)
+
+
+def test_a_recording_made_span_by_span_is_the_same(monkeypatch, tmp_path):
+    """Reference, loop, noise and the recorded torque go on from span to span."""
+    noise = Noise(position=1e-6, effort_percent=2.0, coloured_percent=1.0, disturbance_percent=1.0, lag_samples=3)
+    robot = robot_named("scara")
+
+    def made() -> tuple[np.ndarray, ...]:
+        q_ref = random_reference(robot, duration_s=0.5, sample_rate_hz=1000.0, seed=1, period_s=0.5)
+        signals = closed_loop(robot, q_ref, 1000.0, noise=noise, seed=2)
+        write_signals(tmp_path / "a.mcap", signals, source="simulated")
+        return q_ref, signals.q, signals.effort, read_recording(tmp_path / "a.mcap").samples["effort"]
+
+    whole = made()
+    for name in ("noise.SPAN", "synthetic.SPAN"):
+        monkeypatch.setattr(f"identification.study.{name}", 70)
+    for name in ("noise.LONG", "synthetic.LONG"):
+        monkeypatch.setattr(f"identification.study.{name}", 1000)
+    for one, other in zip(made(), whole, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)

@@ -8,7 +8,7 @@ import sys
 import zlib
 from dataclasses import replace
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import pytest
@@ -288,3 +288,48 @@ def test_no_file_a_folder_or_no_description(tmp_path: Path) -> None:
     record(tmp_path / "a.mcap", GOOD, {"robot.toml": b"name = 1"}, [])
     with pytest.raises(AcquisitionError, match=r"a\.mcap: robot.toml: name = 1: expected `str`"):
         read_recording(tmp_path / "a.mcap")
+
+
+def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By an hour, in the recorder's process, which takes the session's clock; events have the same time."""
+    from functools import partial
+
+    from made_up_buses import bus_text, flat, robot_of, session
+
+    from acquisition.recorder import Recorder, process
+    from acquisition.transport import WallClock
+
+    true, now, wall = flat(session(syncs=60)), [0], [0]
+    monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
+    messages: list[Any] = [("clock", 0)]
+
+    class Connection:
+        poll = staticmethod(lambda timeout_s: bool(messages))
+        recv = staticmethod(lambda: messages.pop(0))
+        send = staticmethod(lambda message: None)
+
+    class Receiver:
+        error, sock, stopped = None, None, False
+        run = staticmethod(lambda: None)
+        blocks = iter(np.split(true, [50, 100]))
+
+        def take(self) -> Any:
+            block = next(self.blocks, true[:0]).copy()
+            if len(block):
+                now[0] = int(block["time_ns"][-1])
+            if len(block) > 0 and now[0] >= true["time_ns"][70]:
+                wall[0] = 3_600_000_000_000
+                block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += wall[0]
+            elif not len(block) and not self.stopped:
+                messages.append(("stop", now[0]))
+            return block
+
+    monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
+    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
+    done = process._record(Connection(), recorder, Receiver(), np.array([0x80]), None)  # type: ignore[arg-type]
+    assert (done.samples, done.warnings) == (60, ())
+    recording = read_recording(tmp_path / "a.mcap")
+    assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
+    (event,) = recording.events
+    assert event.text == "the clock was set forward by 3.6e+03 s: times go on as if it had not been"
+    assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]

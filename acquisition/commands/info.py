@@ -18,9 +18,11 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     """Print the recording's overview."""
     with Progress("reading"):
+        from ..importing import row_doubts
         from ..recording import as_tables, overview, read_recording
 
-        found = overview(read_recording(options.recording))
+        recording = read_recording(options.recording)
+        found = overview(recording, row_doubts(recording))
     if options.json:
         import msgspec
 

@@ -1,6 +1,7 @@
 """`robot-acquire recover`: a whole recording from one that was cut."""
 
 import argparse
+import sys
 from pathlib import Path
 
 from ..errors import one_line
@@ -19,11 +20,15 @@ def run(options: argparse.Namespace) -> None:
     """Write the undamaged part of the recording, and print what it holds."""
     with Progress("recovering"):
         from ..files import refuse_clash
-        from ..recording import recover
+        from ..importing import recover_recording
 
         refuse_clash([options.recording], options.output)
-        found = recover(options.recording, options.output)
-    samples = 0 if found.samples is None else len(found.samples)
+        found, decoded = recover_recording(options.recording, options.output)
+    samples = decoded.samples if decoded is not None else 0 if found.samples is None else len(found.samples)
+    for text in (
+        () if decoded is None else (*decoded.warnings, decoded.no_samples and f"no samples: {decoded.no_samples}")
+    ):
+        print(one_line(f"warning: {text}"), file=sys.stderr) if text else None
     frames = sum(len(block) for block in found.frames.values())
     held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{options.output}: {found.robot.name}, {held}"))

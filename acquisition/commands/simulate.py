@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> None:
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
-            raise AcquisitionError("holds no joint samples", place=str(options.replay), expected="some to replay")
+            raise AcquisitionError(recording.no_samples, place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
         mechanism = Mechanism(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # which have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))

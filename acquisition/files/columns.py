@@ -1,7 +1,7 @@
 """Columns of numbers from CSV and MAT files, without units or meaning."""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -56,22 +56,24 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     return values
 
 
-def write_columns(path: Path, names: Sequence[str], values: Array) -> None:
+def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
     """Write a CSV file of named columns, whole or not at all; `read_columns` reads the same numbers back, bit by bit.
 
     Parameters
     ----------
     path : of the file.
     names : (columns,) for its header.
-    values : (N, columns).
+    parts : rows, (k, columns) each.
 
     Raises
     ------
     AcquisitionError
         The file cannot be written.
     """
-    with atomic_write(path) as partial:
-        np.savetxt(partial, values, delimiter=",", header=",".join(names), comments="", fmt="%.17g")
+    with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(",".join(names) + "\n")
+        for values in parts:
+            np.savetxt(file, values, delimiter=",", fmt="%.17g")
 
 
 def _csv(data: bytes, columns: Sequence[str | int], place: str) -> tuple[Array, list[str]]:

@@ -12,7 +12,7 @@ _ROWS = 100_000  # gone through at a time
 
 
 class GrowingBytes:
-    """Bytes that grow, in memory or, beyond `HELD`, in a temporary file without a name."""
+    """Bytes that grow, in memory or, beyond an eighth of `HELD`, in a temporary file without a name."""
 
     def __init__(self) -> None:
         """None yet."""
@@ -25,7 +25,7 @@ class GrowingBytes:
     def extend(self, content: bytes) -> None:
         """Append. Raises `OSError` where the disk is full."""
         self._size += len(content)
-        if self._file is None and self._size > HELD:
+        if self._file is None and self._size > HELD // 8:
             self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the bytes)
             self._file.write(self._held)
             self._held = bytearray()
@@ -42,10 +42,10 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), self._size, access=mmap.ACCESS_READ)
 
 
-def room(shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """An array to be filled; one larger than `HELD` lies in a temporary file without a name."""
+def room(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:
+    """An array to be filled; one larger than `held`, or `HELD`, lies in a temporary file without a name."""
     size = 8 * int(np.prod(shape))
-    if size <= HELD:
+    if size <= (HELD if held is None else held):
         return np.empty(shape)
     with tempfile.TemporaryFile() as file:
         file.truncate(size)

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,8 +11,8 @@ import numpy as np
 from ..arrays import Array
 from ..errors import AcquisitionError
 from ..files import atomic_write, write_columns
-from ..recorder import Decoded, decode, written_by_master
-from ..recording import Block, Header, RecordingWriter, read_recording
+from ..recorder import UNCERTAIN, Decoded, Recorded, decode, write_decoded, written_by_master
+from ..recording import Block, Header, Recording, RecordingWriter, gaps, in_parts, read_recording, recover
 from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
 from ..ros import BagWriter, link_frames, quaternions, urdf_of
 from ..transport import SUFFIXES, Frame, block_of, read_log
@@ -53,6 +53,7 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
         raise AcquisitionError("holds no CAN frames", place=str(path), expected="a recording of drives")
     channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
     decoded, bus = _decoded(frames, robot, str(path), place)
+    decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
     header = replace(
         recording.header,
         robot=robot,
@@ -69,8 +70,48 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
                 writer.event(event.stamp_ns, event.kind, event.text)
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
-        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+        decoded.write(writer, int(frames["time_ns"][-1]))
     return _converted(robot, decoded, channel)
+
+
+def row_doubts(recording: Recording) -> str:
+    """What the frames of a recording of an older version say of its samples; empty where all of them stand."""
+    if not recording.frames or recording.samples is None or not _is_older(recording):
+        return ""
+    frames = max(recording.frames.values(), key=len)
+    try:
+        decoded, _ = _decoded(frames, recording.robot, "its frames", "its robot.toml")
+    except AcquisitionError as error:
+        return f"all {len(recording.samples)} fall: {error}"
+    return "; ".join(_fallen(recording, decoded))
+
+
+def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
+    """How many samples of an older version do not stand: their joints are not proven to be of one instant."""
+    if recording.samples is None or not _is_older(recording):
+        return []
+    count = int(np.count_nonzero(~np.isin(recording.samples["stamp_ns"], decoded.rows.stamps)))
+    text = (
+        f"{count} of {len(recording.samples)} rows of an older version fall: their joints may be of different instants"
+    )
+    return [text] if count else []
+
+
+def _is_older(recording: Recording) -> bool:
+    """Whether a version made the samples that did not count uncertain ones."""
+    return not any(UNCERTAIN in health.counters for health in recording.health)
+
+
+def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded | None]:
+    """As `recover`, with samples decoded from the frames if there are any; what was read, and what was decoded."""
+    found: list[Recorded] = []
+
+    def write(recording: Recording, writer: RecordingWriter) -> None:
+        frames = max(recording.frames.values(), key=len)
+        found.append(write_decoded(writer, frames, recording.robot, int(frames["time_ns"][-1]), str(path)))
+
+    recording = recover(path, out, write)
+    return recording, found[0] if found else None
 
 
 def is_log(path: Path) -> bool:
@@ -107,7 +148,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
     )
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
-        _write_decoded(writer, decoded, int(frames["time_ns"][-1]))
+        decoded.write(writer, int(frames["time_ns"][-1]))
     return _converted(robot, decoded, "log")
 
 
@@ -136,61 +177,75 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
-def export_csv(path: Path, out: Path) -> int:
+def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> int:
     """Write the joint samples of a recording as CSV, whole or not at all; returns their number.
 
     Columns: `time_s` from the first sample, then position, effort and what else was recorded of each joint in SI, and the extra
     objects of the drives; the unit is in the name of the column.
     """
-    samples, robot = _samples(path)
-    columns = [(samples["stamp_ns"] - samples["stamp_ns"][0]) * 1e-9]
+    samples, robot = _samples(path, warn)
     names = ["time_s"]
-    fields = samples.dtype.names or ()
-    for field in (field for field in fields if field not in ("stamp_ns", "extra")):
+    fields = [field for field in samples.dtype.names or () if field not in ("stamp_ns", "extra")]
+    for field in fields:
         for i, joint in enumerate(robot.joints):
             unit = _unit(robot, field, i)
             names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
-            columns.append(samples[field][:, i])
-    if "extra" in fields:
-        for k, column in enumerate(extra_columns(robot)):
-            names.append("_".join(" ".join((column.motor, column.name, column.unit)).split()))
-            columns.append(samples["extra"][:, k])
-    write_columns(out, names, np.column_stack(columns))
+    if "extra" in (samples.dtype.names or ()):
+        fields.append("extra")
+        names += ["_".join(" ".join((c.motor, c.name, c.unit)).split()) for c in extra_columns(robot)]
+    start_ns = samples["stamp_ns"][0]
+    write_columns(
+        out,
+        names,
+        (
+            np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
+            for part in in_parts(samples)
+        ),
+    )
     return len(samples)
 
 
-def export_bag(path: Path, out: Path) -> Mapping[str, int]:
+def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text: None) -> Mapping[str, int]:
     """Write the joint samples of a recording as a ROS 2 bag, a new folder; returns the number of messages by topic.
 
     All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
     differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
     or one made of the DH rows; /tf has the transform of each link from the one before, at most 100 a second.
     """
-    samples, robot = _samples(path)
+    samples, robot = _samples(path, warn)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
-    stamps, q = samples["stamp_ns"], samples["position"]
-    t_s = (stamps - stamps[0]) * np.float64(1e-9)
-    measured = samples["velocity"] if "velocity" in fields else _derivative(q, t_s)
-    reference = samples["reference"] if "reference" in fields else None
-    reference_speed = None if reference is None else _derivative(reference, t_s)
     frames = link_frames(robot, str(path))
+    t_s = (samples["stamp_ns"] - samples["stamp_ns"][0]) * np.float64(1e-9)
     rate_hz = 0.0 if len(t_s) < 2 else 1 / float(np.median(np.diff(t_s)))
-    step, counts = max(1, math.ceil(rate_hz / VIEWED_HZ - 1e-9)), Counter[str]()
-    shift, turn = frames.transforms(q[::step])
-    turn = quaternions(turn)
+    step, counts, first = max(1, math.ceil(rate_hz / VIEWED_HZ - 1e-9)), Counter[str](), 0
     with BagWriter(out) as bag:
-        bag.text(DESCRIPTION, int(stamps[0]), urdf_of(robot))
+        bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), urdf_of(robot))
         counts[DESCRIPTION] += 1
-        for k, stamp in enumerate(stamps):
-            effort = samples["effort"][k] if robot.gain_known else nothing  # N m or N by definition of the message
-            bag.joint_state(STATES, int(stamp), names, (q[k], measured[k], effort))
-            counts[STATES] += 1
-            if reference is not None and reference_speed is not None:
-                bag.joint_state(REFERENCE, int(stamp), names, (reference[k], reference_speed[k], nothing))
-                counts[REFERENCE] += 1
-            if k % step == 0:
-                bag.transforms(TRANSFORMS, int(stamp), frames.names, shift[k // step], turn[k // step])
-                counts[TRANSFORMS] += 1
+        for part in in_parts(samples):
+            around = slice(max(0, first - 1), first + len(part) + 1)
+            speeds = {
+                field: _derivative(samples[field][around], t_s[around])[first - around.start :]
+                for field in ("position", "reference")
+                if field in fields
+            }
+            if "velocity" in fields:
+                speeds["position"] = part["velocity"]
+            viewed = slice(-first % step, None, step)
+            shift, turn = frames.transforms(part["position"][viewed])
+            turn = quaternions(turn)
+            for k, row in enumerate(part):
+                stamp = int(row["stamp_ns"])
+                effort = row["effort"] if robot.gain_known else nothing  # N m or N by definition of the message
+                bag.joint_state(STATES, stamp, names, (row["position"], speeds["position"][k], effort))
+                counts[STATES] += 1
+                if "reference" in fields:
+                    bag.joint_state(REFERENCE, stamp, names, (row["reference"], speeds["reference"][k], nothing))
+                    counts[REFERENCE] += 1
+                if (first + k) % step == 0:
+                    at = (first + k) // step - -(-first // step)
+                    bag.transforms(TRANSFORMS, stamp, frames.names, shift[at], turn[at])
+                    counts[TRANSFORMS] += 1
+            first += len(part)
     return counts
 
 
@@ -198,11 +253,15 @@ def _derivative(q: Array, t_s: Array) -> Array:
     return np.asarray(np.gradient(q, t_s, axis=0)) if len(q) > 1 else np.zeros_like(q)
 
 
-def _samples(path: Path) -> tuple[Block, Robot]:
+def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
+    """Samples and robot; `warn` is given the number of missing samples."""
     recording = read_recording(path)
     if recording.samples is None:
         expected = "some; `robot-acquire decode` makes them of frames"
-        raise AcquisitionError("holds no joint samples", place=str(path), expected=expected)
+        raise AcquisitionError(recording.no_samples, place=str(path), expected=expected)
+    missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
+    if missing:
+        warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
     return recording.samples, recording.robot
 
 
@@ -219,23 +278,16 @@ def _unit(robot: Robot, field: str, joint: int) -> str:
 def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, Bus]:
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
-    samples = decoded.samples
-    warnings = check_recorded_positions(robot, samples["stamp_ns"] * 1e-9, samples["position"], name)
+    q = np.concatenate([block["position"] for block in decoded.rows.blocks()])
+    warnings = check_recorded_positions(robot, decoded.rows.stamps * np.float64(1e-9), q, name)
     return replace(decoded, warnings=decoded.warnings + warnings), bus
-
-
-def _write_decoded(writer: RecordingWriter, decoded: Decoded, end_ns: int) -> None:
-    writer.samples(decoded.samples)
-    writer.health(end_ns, decoded.counters)
-    for text in decoded.warnings:
-        writer.event(end_ns, "warning", text)
 
 
 def _converted(robot: Robot, decoded: Decoded, channel: str) -> Converted:
     return Converted(
         robot=robot.name,
-        samples=len(decoded.samples),
+        samples=len(decoded.rows.stamps),
         sample_rate_hz=1.0 / robot.bus.sync_period_s if robot.bus else 0.0,
-        has_reference="reference" in (decoded.samples.dtype.names or ()),
+        has_reference=decoded.rows.targets is not None,
         warnings=decoded.warnings,
     )

@@ -1,204 +1,194 @@
-"""Which PDO answers which SYNC: SYNC frames that were not recorded, and PDOs that are late, duplicate or missing.
+"""Which PDO answers which SYNC: SYNC frames that were not recorded, and PDOs that are late, doubled or missing.
 
-An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, so an interval without
-an answer is matched with a later interval that has two. Answers beyond that show a SYNC that was not recorded, if every drive
-has one and the interval lasts about as long as several periods.
+An interval is the time from one SYNC frame to the next. A drive answers every SYNC once and in order, some answers after the
+next SYNC. Order alone assigns answers to SYNCs as long as all of them are there: one that is lost shifts all later ones of its
+drive. So the frames are cut into stretches at places where nothing is pending, and a stretch gives rows only where every PDO
+came as often as SYNC did. Nothing is pending
+
+- between intervals with one PDO of every drive each, three in a row, unless a drive catches up later with what it was behind;
+- as often as the PDOs since such a place are as many as the SYNCs.
 """
 
-from bisect import bisect_left
-from collections import deque
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
-from ..recording import Block
+from ..recording import WHOLE
+from .sync_times import PAUSE, Rows, least_ahead
 
-LONGEST_LATE = 3  # SYNCs by which one PDO may be late; a later one counts as missing and duplicate
-LONGEST_RUN = 200  # SYNCs within which late PDOs must end; after more, one PDO counts as missing
+Bools = NDArray[np.bool_]
+LONGEST_RUN = 255  # SYNCs within which late PDOs must end, and SYNCs lost in a row; a longer silence is a pause
+IN_ORDER, LATE_IN_ORDER = 3, 8  # intervals in a row that prove the order; at most so many more where drives are late
+_IN_TIME = 0.75  # periods after SYNC: a later PDO may answer one that was not recorded
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SyncGrid:
-    """All SYNCs of a session in order, those included that were not recorded.
+class PdoFrames:
+    """The frames of one PDO after the first SYNC: rows, those of SYNC; and how many repeat the frame before."""
+
+    rows: Rows
+    sync_rows: Rows
+    repeats: int
+
+    @property
+    def interval(self) -> Rows:
+        """Interval of each frame; made anew each time, because those of all PDOs are much memory."""
+        return np.searchsorted(self.sync_rows, self.rows).astype(np.int32) - 1
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Association:
+    """The PDOs on the grid of all SYNCs, those included that were not recorded.
 
     Attributes:
-        before: (len(frames),) SYNC frames up to and with each frame.
-        index_of: (k,) grid index of each of the k SYNC frames.
-        size: SYNCs in all.
+        answered: (N,) grid indices of the SYNCs whose answers are all known.
+        rows: of each PDO the (N,) frames that answer them.
+        late, duplicate, missing: of each PDO; missing and duplicate ones in the span in which all drives answer.
+        missing_share: of the PDO of which most are missing, in that span.
     """
 
-    before: Ints
-    index_of: Ints
-    size: int
+    answered: Rows
+    rows: tuple[Rows, ...]
+    late: tuple[int, ...]
+    duplicate: tuple[int, ...]
+    missing: tuple[int, ...]
+    missing_share: float
 
 
-@dataclass(frozen=True, kw_only=True)
-class Answers:
-    """The PDOs of one identifier on the grid of SYNC.
+def pdo_frames(rows: Rows, sync_rows: Rows, data: NDArray[np.uint8]) -> PdoFrames:
+    """Assign frames `rows` with the bytes `data` (len(rows), 8) to intervals.
 
-    Attributes:
-        slot: (grid,) row of the frame that answers each SYNC, -1 where there is none.
-        late: frames received after the next SYNC.
-        duplicate: frames that answer a SYNC which has its answer already.
-        missing: SYNCs without an answer between the first and the last that have one.
+    A frame with the bytes of the one before in its interval repeats it, if the drive's bytes change before and after.
     """
+    interval = (np.searchsorted(sync_rows, rows) - 1).astype(np.int32)
+    again = np.flatnonzero((np.diff(interval) == 0) & (interval[1:] >= 0)) + 1
+    same = (data[again] == data[again - 1]).all(axis=1)
+    changed = (again < 2) | (data[again - 1] != data[again - 2]).any(axis=1)
+    after = np.minimum(again + 1, len(rows) - 1)
+    changed &= (again == len(rows) - 1) | (data[after] != data[again]).any(axis=1)
+    used = interval >= 0
+    used[again[same & changed]] = False
+    return PdoFrames(rows=rows[used], sync_rows=sync_rows, repeats=int(np.count_nonzero(same & changed)))
 
-    slot: Ints
-    late: int
-    duplicate: int
-    missing: int
 
+def sync_steps(
+    times: Ints, pdos: Sequence[PdoFrames], times_of: Callable[[Rows], Ints], *, ours: bool
+) -> tuple[Rows, Bools, Bools]:
+    """Periods from each SYNC frame to the next; whether it was a pause, and one with late PDOs in it; (k,) each.
 
-def sync_steps(syncs: Block, times: Ints, drives: list[Ints], before: Ints, frames: Block) -> Ints:
-    """Periods from each SYNC frame to the next: 1, or more where SYNCs were not recorded. One more entry for the last.
-
-    A counter in the SYNC frames (object 1019h) tells how many are missing. `drives` has the rows of each PDO in `frames`, all
-    frames, and `before` the number of SYNC frames up to and with each of them.
+    A step of whole periods of another producer is as many SYNCs. We may have sent SYNC late: then SYNCs are lost if most
+    drives have an answer to each of them, as after the last SYNC. `times_of` gives the times of frames.
     """
-    steps = np.ones(len(times), np.int64)
-    if (syncs["length"] >= 1).all():
-        counter = syncs["data"][:, 0].astype(np.int64)
-        top = int(counter.max())  # the counter goes from 1 to its overflow value
-        steps[:-1] = (np.diff(counter) - 1) % top + 1 if top > 1 else 1
-        return steps
-    if not drives:
-        return steps
-    gaps = np.diff(times)
-    periods = np.rint(gaps / (float(np.median(gaps)) or 1.0)).astype(np.int64)
-    long = np.flatnonzero(periods >= 2)
-    if not len(long):
-        return steps
-    found = [_surplus(_after_first_sync(rows, before), len(times), frames) for rows in drives]
-    for k in long.tolist():
-        near = slice(k, k + LONGEST_LATE + 1)
-        lost = min(int(surplus.late_or_lost[near].sum()) for surplus in found)
-        if not lost and all(surplus.count[k] >= 2 for surplus in found):
-            # One drive has more answers than SYNCs; the others lost an answer earlier.
-            lost = int(any(surplus.lost[near].any() for surplus in found))
-        lost = min(lost, int(periods[k]) - 1)
-        steps[k] += lost
-        for surplus in found:
-            surplus.take(k, lost)
+    steps, paused, torn = np.ones(len(times), np.int32), np.zeros(len(times), np.bool_), np.zeros(len(times), np.bool_)
+    period = float(np.median(np.diff(times))) or 1.0
+    end = max(int(times_of(pdo.rows[-1:])[0]) for pdo in pdos)
+    after_last = 1 + int((end - times[-1]) / period + 1 - _IN_TIME)
+    periods = np.append(np.diff(times) / period, after_last)
+    long = np.flatnonzero(periods > PAUSE)
+    lost = np.rint(periods[long]).astype(np.int64) - 1
+    after = np.empty((len(pdos), len(long)), np.int64)
+    for count, pdo in zip(after, pdos, strict=True):
+        interval = pdo.interval
+        here = np.isin(interval, long)
+        interval = interval[here]
+        interval = interval[times_of(pdo.rows[here]) - times[interval] > _IN_TIME * period]
+        count[:] = np.bincount(interval, minlength=len(times))[long]
+    known = np.sort(after, axis=0)[(len(pdos) - 1) // 2] >= lost
+    if not ours:
+        known |= (np.abs(periods[long] - lost - 1) <= WHOLE) & (long < len(times) - 1)
+    known &= lost < LONGEST_RUN
+    steps[long[known]] += lost[known]
+    paused[long], torn[long] = ~known, ~known & after.any(axis=0)
+    return steps, paused, torn
+
+
+def counted_steps(counter: NDArray[np.uint8]) -> Rows:
+    """Periods from each SYNC frame to the next by the counter in them (object 1019h): from 1 to its overflow value."""
+    top, steps = int(counter.max()), np.ones(len(counter), np.int32)
+    if top > 1:
+        steps[:-1] = np.mod(np.diff(counter.astype(np.int64)) - 1, top) + 1
     return steps
 
 
-def answers(rows: Ints, grid: SyncGrid, frames: Block) -> Answers:
-    """Assign the frames `rows` of one PDO to the SYNCs of the grid."""
-    rows, interval = _after_first_sync(rows, grid.before)
-    first = np.searchsorted(interval, interval)  # place of the first PDO in the same interval
-    place = np.arange(len(rows)) - first
-    # Where SYNCs were not recorded, the PDOs of one interval answer as many SYNCs.
-    span = np.append(np.diff(grid.index_of), 1)[interval]
-    on_time = grid.index_of[interval] + np.minimum(place, span - 1)
-    count = np.bincount(on_time, minlength=grid.size)
-    made_up, extra = _paired(rows, on_time, count, frames)
-    # Answers come in order: the first SYNC that has one gets the first frame, and so on.
-    answered = np.flatnonzero((count > 0) | made_up)
-    used = ~extra
-    slot = np.full(grid.size, -1, np.int64)
-    slot[answered] = rows[used]
-    missing = int(answered[-1] - answered[0] + 1 - len(answered)) if len(answered) else 0
-    late = int(np.count_nonzero(answered != on_time[used]))
-    return Answers(slot=slot, late=late, duplicate=int(np.count_nonzero(extra)), missing=missing)
+def associate(pdos: Sequence[PdoFrames], steps: Rows, paused: Bools, torn: Bools) -> Association:
+    """Assign PDOs to SYNCs where the order is proven; `steps`, `paused`, `torn` as of `sync_steps`."""
+    edges = _sums(steps)
+    alone, caught_up = (steps == 1) & ~torn, np.zeros(len(edges), np.bool_)
+    behind = []  # of each PDO: SYNCs without an answer so far
+    for pdo in pdos:
+        count = np.bincount(pdo.interval, minlength=len(steps))
+        alone &= count == 1
+        behind.append(edges - _sums(count))
+        del count
+        later, before = (least_ahead(x, LONGEST_RUN) for x in (behind[-1], behind[-1][::-1]))
+        # A drive that is less behind both before and later is late here.
+        caught_up |= (behind[-1] > later) & (behind[-1] > before[::-1])
+    if all(x[-1] == 0 for x in behind) and any(x.max() > 0 for x in behind):
+        torn = np.append(torn[:-1], False)  # nothing is lost, and some PDOs are late: so may the last ones be
+    # In a pause drives catch up: one that has not done so answers a SYNC that was not recorded.
+    torn = torn | paused & caught_up[1:]
+    # Late drives, too, have one PDO in each of some intervals, and a lost one may hide that they catch up.
+    hidden = min(_longest_run(alone & caught_up[1:] & caught_up[:-1]) + 1, LATE_IN_ORDER) if caught_up.any() else 0
+    in_order, sums = np.zeros(len(edges), np.bool_), _sums(alone)
+    runs = np.flatnonzero(sums[IN_ORDER + hidden :] - sums[: -IN_ORDER - hidden] == IN_ORDER + hidden)
+    for k in range(hidden, IN_ORDER + hidden + 1):
+        in_order[runs + k] = True
+    proven = in_order & ~caught_up
+    # The recording may have begun while answers were pending: then there are more of them than SYNCs.
+    begin = int(np.argmax(proven)) if proven.any() else len(edges) - 1
+    unknown = np.zeros(len(edges), np.int32)
+    unknown[0] = any(x[: begin + 1].min() < 0 for x in behind)
+    proven[[0, -1]] = True
+    starts = np.flatnonzero(proven).astype(np.int32)
+    balances = [*behind, unknown, _sums(torn)]  # an interval that is torn is in no stretch
+    unchanged = np.ones(len(edges), np.bool_)
+    for balance in balances:
+        lowest = np.minimum.reduceat(balance, starts)  # below the start: a SYNC was lost, or a PDO doubled, unnoticed
+        lowest[:-1] = np.minimum(lowest[:-1], balance[starts[1:]])
+        level = np.where(lowest < balance[starts], np.iinfo(np.int32).max, balance[starts])
+        unchanged &= balance == np.repeat(level, np.diff(starts, append=len(edges)))
+    cuts = np.flatnonzero(unchanged | proven).astype(np.int32)
+    whole = np.ones(len(cuts) - 1, np.bool_)
+    for balance in balances:
+        whole &= np.diff(balance[cuts]) == 0
+    first, end = np.searchsorted(pdos[0].sync_rows, [max(p.rows[0] for p in pdos), min(p.rows[-1] for p in pdos)])
+    span = np.clip(cuts, first - 1, max(first - 1, end))
+    missing, duplicate = [], []
+    for pdo, balance in zip(pdos, behind, strict=True):
+        grown = np.diff(balance[span])[~whole]
+        missing.append(int(grown[grown > 0].sum()))
+        duplicate.append(pdo.repeats - int(grown[grown < 0].sum()))
+    share = max(missing) / max(1, int(edges[span[-1]] - edges[span[0]]))
+    keep = np.repeat(whole, np.diff(cuts))
+    del behind, balances, balance, edges, sums, span  # of a long session these are much memory
+    asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
+    rows, late = [], []
+    for pdo in pdos:
+        interval = pdo.interval
+        used = keep[interval]
+        rows.append(pdo.rows[used])
+        late.append(int(np.count_nonzero(interval[used] != asked)))
+    return Association(
+        answered=np.flatnonzero(np.repeat(keep, steps)).astype(np.int32),
+        rows=tuple(rows),
+        late=tuple(late),
+        duplicate=tuple(duplicate),
+        missing=tuple(missing),
+        missing_share=share,
+    )
 
 
-def _after_first_sync(rows: Ints, before: Ints) -> tuple[Ints, Ints]:
-    """Rows and their intervals; frames before the first SYNC answer none and are left out."""
-    interval = before[rows] - 1
-    return rows[interval >= 0], interval[interval >= 0]
-
-
-def _paired(rows: Ints, at: Ints, count: Ints, frames: Block) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Empty intervals that a later frame fills (grid,), and frames that answer no SYNC (len(rows),)."""
-    made_up, extra = np.zeros(len(count), np.bool_), np.zeros(len(rows), np.bool_)
-    for place, _, empty in _more_than_one(rows, at, count, frames):
-        if empty is None:
-            extra[place] = True
-        else:
-            made_up[empty] = True
-    return made_up, extra
-
-
-def _more_than_one(rows: Ints, at: Ints, count: Ints, frames: Block) -> list[tuple[int, bool, int | None]]:
-    """Frames beyond one for each interval, as (place in `rows`, no sign of a lost SYNC, empty interval that it fills).
-
-    A frame is no sign of a lost SYNC if it repeats the one before or is too late. It fills the nearest empty interval before
-    it; None if there is none near enough.
-    """
-    found: list[tuple[int, bool, int | None]] = []
-    crowded = np.flatnonzero(count >= 2).tolist()
-    if not crowded:
-        return found
-    empty = np.flatnonzero(count == 0).tolist()
-    waiting: deque[int] = deque(maxlen=LONGEST_LATE)  # a PDO is late by no more than these
-    seen = 0
-    for k, begin in zip(crowded, np.searchsorted(at, crowded).tolist(), strict=True):
-        until = bisect_left(empty, k)
-        waiting.extend(empty[max(seen, until - LONGEST_LATE) : until])
-        too_late = until - seen > LONGEST_LATE
-        seen = until
-        places = range(begin, begin + int(count[k]))
-        repeats = [place for place in places[1:] if _repeats(frames, rows, place)]
-        found += [(place, True, None) for place in repeats]
-        single = [place for place in places if place not in repeats]
-        made_up: list[int] = []
-        while len(made_up) < len(single) - 1 and waiting and k - waiting[-1] <= LONGEST_RUN:
-            made_up.append(waiting.pop())
-        # Of duplicates the first is used; after a silence longer than a PDO may be late, the last ones are.
-        spare = len(single) - 1 - len(made_up)
-        own = len(single) - spare
-        surplus = single[:spare] if too_late else single[own:]
-        found += [(place, too_late, None) for place in surplus]
-        beyond_first = (single[spare:] if too_late else single[:own])[1:]
-        found += [(place, False, slot) for place, slot in zip(beyond_first, made_up, strict=True)]
+def _sums(values: NDArray[Any]) -> Rows:
+    """Sum of all values before each, and of all."""
+    found = np.zeros(len(values) + 1, np.int32)
+    np.cumsum(values, out=found[1:])
     return found
 
 
-def _repeats(frames: Block, rows: Ints, place: int) -> bool:
-    """Whether a frame repeats the one before: the same bytes, from a drive whose bytes change before and after."""
-    data = frames["data"][rows[max(place - 2, 0) : place + 2]]
-    here = min(place, 2)
-    if place < 2 or not (data[here] == data[here - 1]).all() or (data[here - 1] == data[here - 2]).all():
-        return False
-    return len(data) == here + 1 or bool((data[here + 1] != data[here]).any())
-
-
-@dataclass(kw_only=True)
-class _Surplus:
-    """Frames of one PDO that came beyond one for each SYNC, by interval.
-
-    Attributes:
-        count: frames in each interval.
-        lost: those that fill no empty interval: there were more answers than SYNCs.
-        late_or_lost: those, and frames whose empty interval lies so far back that its answer may be missing, not late.
-    """
-
-    count: Ints
-    lost: Ints
-    late_or_lost: Ints
-
-    def take(self, k: int, lost: int) -> None:
-        """Count `lost` frames from interval `k` on as answers to SYNCs that were not recorded."""
-        for field in (self.lost, self.late_or_lost):
-            left = lost
-            for j in range(k, min(k + LONGEST_LATE + 1, len(field))):
-                taken = min(left, int(field[j]))
-                field[j] -= taken
-                left -= taken
-
-
-def _surplus(found: tuple[Ints, Ints], syncs: int, frames: Block) -> _Surplus:
-    rows, interval = found
-    count = np.bincount(interval, minlength=syncs)
-    lost, late_or_lost = np.zeros(syncs, np.int64), np.zeros(syncs, np.int64)
-    for place, repeats, empty in _more_than_one(rows, interval, count, frames):
-        k = int(interval[place])
-        if repeats:
-            continue
-        if empty is None:
-            lost[k] += 1
-        if empty is None or k - empty > LONGEST_LATE:
-            late_or_lost[k] += 1
-    return _Surplus(count=count, lost=lost, late_or_lost=late_or_lost)
+def _longest_run(true: Bools) -> int:
+    ends = np.flatnonzero(np.diff(true, prepend=False, append=False))
+    return int((ends[1::2] - ends[::2]).max(initial=0))

@@ -72,7 +72,8 @@ class ProcessLog:
     Raises `AcquisitionError` where the process cannot open the bus or the file.
     """
 
-    def __init__(self, path: Path, robot: Robot, place: str, role: Role) -> None:
+    def __init__(self, path: Path, robot: Robot, place: str, role: Role, offset_ns: int | None = None) -> None:
+        """`offset_ns`: what the session's clock, of its events, is ahead of the monotonic one."""
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         watched, signs = context.Pipe() if role is Role.GUARD else (None, None)
@@ -90,6 +91,8 @@ class ProcessLog:
         other.close()
         if watched is not None:
             watched.close()
+        if offset_ns is not None:
+            self._send(("clock", offset_ns))
         self._expect("ready", START_S)
         self._heard_s, self._hangs = time.monotonic(), False
 

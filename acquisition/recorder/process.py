@@ -88,49 +88,62 @@ def _record(
         thread.start()
     connection.send(("ready", None))
     stop_ns, gone = None, False
-    clock = WallClock()
+    clock = WallClock()  # until the session's is known
     while stop_ns is None:
         try:
             if connection.poll(BLOCK_S):
                 message = connection.recv()
                 if message[0] == "event":
                     recorder.event(*message[1:])
+                elif message[0] == "clock":
+                    clock = WallClock(offset_ns=message[1])
                 elif message[0] == "frames":
-                    recorder.add(np.frombuffer(message[1], FRAME))
+                    block = np.frombuffer(message[1], FRAME).copy()
+                    _note_step(recorder, clock)
+                    received = (block["flags"] & SENT) == 0  # what the session sends has the session's own time
+                    block["time_ns"][received] = clock.continued(block["time_ns"][received])
+                    recorder.add(block)
                 elif message[0] == "granted":
                     recorder.granted = message[1]
                 elif message[0] == "stop":
                     stop_ns = message[1]
         except (EOFError, OSError):
             if not gone:
-                recorder.event(time.time_ns(), "fault", "the session's process is gone")
+                recorder.event(clock.now_ns(), "fault", "the session's process is gone")
             gone = True
             if dead_man is None or not dead_man.waiting:
-                stop_ns = time.time_ns()
+                stop_ns = clock.now_ns()
             else:
                 time.sleep(BLOCK_S / 5)  # the pipe of a session that is gone is always ready
         if dead_man is not None:
             while dead_man.events:
-                recorder.event(*dead_man.events.popleft())
+                stamp_ns, kind, text = dead_man.events.popleft()
+                recorder.event(stamp_ns - clock.shift_ns, kind, text)
         if receiver is not None:
             if stop_ns is not None:
                 receiver.stopped = True
                 assert thread is not None
                 thread.join(2 * DRAIN_S)
             block = receiver.take()
+            _note_step(recorder, clock)
+            block["time_ns"] = clock.continued(block["time_ns"])
             # The kernel marks what any program of this machine sent; here it counts who we are.
             by_us = np.where(np.isin(block["can_id"], ours), SENT, 0)
             block["flags"] = (block["flags"] & (0xFF ^ SENT)) | by_us
             recorder.add(block)
             if receiver.error is not None:
-                recorder.event(time.time_ns(), "fault", f"bus: cannot be read: {receiver.error}")
+                recorder.event(clock.now_ns(), "fault", f"bus: cannot be read: {receiver.error}")
                 raise AcquisitionError(f"cannot be read: {receiver.error}", place="bus")
-        if step_ns := clock.step_ns():
-            recorder.event(time.time_ns(), "mark", describe_step(step_ns))
-        status = recorder.tick(time.time_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
+        status = recorder.tick(clock.now_ns(), kernel_drops(receiver.sock) if receiver is not None else 0)
         if status is not None:
             try:
                 connection.send(("status", status))
             except OSError:
                 continue  # the next `poll` finds the session dead
     return recorder.finish(stop_ns)
+
+
+def _note_step(recorder: Recorder, clock: WallClock) -> None:
+    """Record that the computer's clock was set, after frames were taken: those before and after it are there."""
+    if step_ns := clock.step_ns():
+        recorder.event(clock.now_ns(), "mark", f"{describe_step(step_ns)}: times go on as if it had not been")

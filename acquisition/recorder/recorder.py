@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..recording import FRAME, Block, Header, RecordingWriter, read_recording
+from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, read_recording
 from ..robot import Bus, Robot, resolve
 from .decoding import Decoded, decode
 from .traffic import written_by_master
@@ -146,34 +146,33 @@ class Recorder:
         try:
             if self._bus is None:
                 self._bus = resolve(self._robot, self._place, written_by_master(frames))
-            return decode(frames, self._robot, self._bus, self._place)
+            return decode(frames, self._robot, self._bus, self._place, max_missing=1.0)
         except AcquisitionError:
             return None
 
     def finish(self, stamp_ns: int) -> Recorded:
         """Decode what was recorded, write the samples after the frames, and end the file."""
         self._writer.flush()
-        recording = read_recording(self._path)
-        frames = recording.frames.get(self.channel, np.zeros(0, FRAME))
-        warnings: tuple[str, ...] = ()
-        count, no_samples = 0, ""
-        try:
-            traffic = written_by_master(frames) if self._by_traffic else None
-            bus = resolve(self._robot, self._place, traffic)
-            decoded = decode(frames, self._robot, bus, str(self._path))
-            self._writer.samples(decoded.samples)
-            self._writer.health(stamp_ns, decoded.counters)
-            count, warnings = len(decoded.samples), decoded.warnings
-        except AcquisitionError as error:
-            no_samples = str(error)
-        for text in (*warnings, *([f"no samples: {no_samples}"] if no_samples else [])):
-            self._writer.event(stamp_ns, "warning", text)
+        frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
+        found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
         self._writer.close()
-        return Recorded(frames=len(frames), samples=count, warnings=warnings, no_samples=no_samples)
+        return found
 
     def close(self) -> None:
         """End the file as it is."""
         self._writer.close()
+
+
+def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> Recorded:
+    """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
+    try:
+        bus = resolve(robot, place, written_by_master(frames))
+        decoded = decode(frames, robot, bus, place)
+    except AcquisitionError as error:
+        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
+        return Recorded(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
+    decoded.write(writer, stamp_ns)
+    return Recorded(frames=len(frames), samples=len(decoded.rows.stamps), warnings=decoded.warnings)
 
 
 def _table(bus: Bus) -> dict[str, str]:

@@ -7,10 +7,15 @@ times as a gap.
 """
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array, Ints
+
+Rows = NDArray[np.int32]  # of frames or SYNCs: half the memory of Ints
+Number = TypeVar("Number", np.int32, np.float64)
 
 PAUSE = 1.5  # periods: a longer step between SYNCs is a pause
 _MUCH_DELAYED = 4.0  # times the usual delay: such SYNCs are not used for the period
@@ -88,14 +93,14 @@ def _even(index: Array, since: Array) -> tuple[Array, Ints, float]:
     period = float(np.median(np.diff(since) / np.diff(index)))
     ahead, run = 0, np.zeros(len(since), np.int64)
     for ahead in _LOOKED_AHEAD:  # with a better period, over more SYNCs
-        freed = _without_delay(since - index * period, ahead) + index * period
+        freed = least_ahead(since - index * period, ahead) + index * period
         paused = np.diff(freed) - np.diff(index) * period > (PAUSE - 1) * period
         run = np.concatenate([[0], np.cumsum(paused)])
         delay = since - freed
         usual = delay <= _MUCH_DELAYED * np.median(delay)
         if np.count_nonzero(usual) >= 2:
             period = _slope(index[usual], since[usual], run[usual])
-    return _without_delay(since - index * period, ahead) + index * period, run, period
+    return least_ahead(since - index * period, ahead) + index * period, run, period
 
 
 def _mean_of_run(values: Array, run: Ints) -> Array | float:
@@ -113,9 +118,9 @@ def _slope(index: Array, since: Array, run: Ints) -> float:
     return float(k @ (since - _mean_of_run(since, run))) / square if square > 0 else float(np.median(np.diff(since)))
 
 
-def _without_delay(lateness: Array, ahead: int) -> Array:
-    """Least of each value and those of the next `ahead` SYNCs, a power of two less one."""
-    least = lateness.copy()
+def least_ahead(values: NDArray[Number], ahead: int) -> NDArray[Number]:
+    """Least of each value and the next `ahead`, a power of two less one."""
+    least = values.copy()
     step = 1
     while step <= ahead:
         least[:-step] = np.minimum(least[:-step], least[step:])

@@ -21,6 +21,8 @@ from .schema import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, metada
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
+NO_SAMPLES = "no samples: "  # begins the event that says why
+
 
 class _EventText(msgspec.Struct):
     kind: str
@@ -84,6 +86,12 @@ class Recording:
         except ValueError:
             return None
         return created.astimezone(UTC) if created.tzinfo else created.replace(tzinfo=UTC)
+
+    @property
+    def no_samples(self) -> str:
+        """Why there are no samples, in the words of what recorded or decoded them."""
+        texts = [event.text for event in self.events if event.text.startswith(NO_SAMPLES)]
+        return texts[-1] if texts else "holds no joint samples"
 
     @property
     def effort_timing(self) -> EffortTiming:

@@ -1,5 +1,6 @@
 """A whole recording from one that was cut by a kill or a power failure."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,8 +10,12 @@ from .reader import Recording, read_recording
 from .writer import RecordingWriter
 
 
-def recover(cut_path: Path, out_path: Path) -> Recording:
+def recover(
+    cut_path: Path, out_path: Path, decode: Callable[[Recording, RecordingWriter], None] | None = None
+) -> Recording:
     """Write a whole recording of everything before the cut of one without its end; returns what was read.
+
+    `decode` writes the samples of a recording that has frames.
 
     An `AcquisitionError` as of `read_recording`; also if the file is not cut, or `out_path` cannot be written.
     """
@@ -20,12 +25,14 @@ def recover(cut_path: Path, out_path: Path) -> Recording:
     notes = {**recording.metadata, "recovered_from": recording.sha256}
     header = replace(recording.header, notes=notes)
     with atomic_write(out_path) as partial, RecordingWriter(partial, header) as writer:
-        if recording.samples is not None:
-            writer.samples(recording.samples)
         for channel, frames in recording.frames.items():
             writer.frames(channel, frames)
         for event in recording.events:
             writer.event(event.stamp_ns, event.kind, event.text)
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
+        if recording.frames and decode is not None:
+            decode(recording, writer)
+        elif recording.samples is not None:
+            writer.samples(recording.samples)
     return recording

@@ -1,12 +1,13 @@
 """Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes, and what every row must satisfy."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..arrays import Ints
 from ..errors import AcquisitionError
 from ..files import let_go
 
@@ -18,6 +19,7 @@ EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
 REMOTE_REQUEST = 8  # remote request
 _CHECKED = 100_000  # rows at a time
+WHOLE = 0.1  # periods by which a step over missing rows, or SYNCs of another producer, may be off whole ones
 LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
@@ -25,11 +27,12 @@ Block = NDArray[np.void]
 
 @dataclass(frozen=True, kw_only=True)
 class Gap:
-    """`missing` samples between row `row` and the next, at `stamp_ns` of row `row`."""
+    """Time for `missing` samples between row `row` and the next, at `stamp_ns` of row `row`; `late`: SYNC came late."""
 
     row: int
     stamp_ns: int
     missing: int
+    late: bool = False
 
 
 # Fields that rows may have besides, in their order: measured joint speeds in rad/s or m/s; torques on the joints that are known
@@ -49,19 +52,34 @@ def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collectio
     return np.dtype(fields + ([("extra", "<f8", (extra,))] if extra else []))
 
 
-def gaps(samples: Block, sample_rate_hz: float) -> tuple[Gap, ...]:
-    """Where consecutive stamps lie more than 1.5 periods apart."""
-    periods = np.diff(samples["stamp_ns"]) * (sample_rate_hz * 1e-9)
+def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> tuple[Gap, ...]:
+    """Where consecutive stamps lie more than 1.5 periods apart.
+
+    Late is a SYNC that no other one of `sync_ns`, those that we sent, came before; without them, after no whole periods.
+    """
+    stamps = samples["stamp_ns"]
+    periods = np.diff(stamps) * (sample_rate_hz * 1e-9)
     rows = np.flatnonzero(periods > 1.5)
+    late = np.abs(periods[rows] - np.rint(periods[rows])) > WHOLE
+    if sync_ns is not None:
+        late = np.searchsorted(sync_ns, stamps[rows + 1]) - np.searchsorted(sync_ns, stamps[rows], "right") == 0
     return tuple(
-        Gap(row=int(k), stamp_ns=int(samples["stamp_ns"][k]), missing=round(float(periods[k])) - 1) for k in rows
+        Gap(row=int(k), stamp_ns=int(stamps[k]), missing=round(float(periods[k])) - 1, late=bool(one))
+        for k, one in zip(rows, late, strict=True)
     )
+
+
+def in_parts(rows: Block) -> Iterator[Block]:
+    """Rows some at a time: many may lie on disk, and only these are in memory."""
+    for first in range(0, len(rows), _CHECKED):
+        yield rows[first : first + _CHECKED]
+        let_go(rows)
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
     """Refuse stamps that do not grow, from `after_ns` on, and values that are not finite; errors name `place`."""
-    for first in range(0, len(samples), _CHECKED):
-        rows = samples[first : first + _CHECKED]
+    first = 0
+    for rows in in_parts(samples):
         stamps = rows["stamp_ns"]
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
         if bad.any():
@@ -77,13 +95,17 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
                 value = rows[field][row, joint]
                 where, key = f"{place}: row {first + row + 1}", f"{field} of joint {joint + 1}"
                 raise AcquisitionError(place=where, key=key, value=float(value), expected="a finite number")
-        let_go(samples)
+        first += len(rows)
 
 
 def check_frames(frames: Block, place: str) -> None:
     """Refuse frames longer than 8 bytes and times before 0; errors name `place`."""
-    bad = (frames["length"] > 8) | (frames["time_ns"] < 0)
-    if bad.any():
-        row = int(np.argmax(bad))
-        problem = f"length = {frames['length'][row]}, time_ns = {frames['time_ns'][row]}"
-        raise AcquisitionError(problem, place=f"{place}: row {row + 1}", expected="8 bytes at most and a time from 0")
+    first = 0
+    for rows in in_parts(frames):
+        bad = (rows["length"] > 8) | (rows["time_ns"] < 0)
+        if bad.any():
+            row = int(np.argmax(bad))
+            problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
+            where = f"{place}: row {first + row + 1}"
+            raise AcquisitionError(problem, place=where, expected="8 bytes at most and a time from 0")
+        first += len(rows)

@@ -13,7 +13,7 @@ from ..arrays import Ints
 from ..errors import one_line
 from ..robot import extra_columns
 from .reader import Event, Health, Recording
-from .rows import SENT, Gap, gaps
+from .rows import SENT, Block, Gap, gaps, in_parts
 
 _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
@@ -56,6 +56,7 @@ class Overview:
     `step_jitter_s` is the standard deviation and the worst deviation of the steps between samples, gaps left out.
     `times` is what the times of an imported recording's rows were like before they were put on a uniform grid.
     `first_ns` is the stamp of the first sample, of the first frame where there are no samples, None without either.
+    `no_samples` is why there are none; `row_doubts` what the frames say of samples that an older version made of them.
     """
 
     robot: str
@@ -71,6 +72,8 @@ class Overview:
     joints: tuple[JointRange, ...]
     extras: tuple[ExtraRange, ...]
     step_jitter_s: tuple[float, float]
+    no_samples: str
+    row_doubts: str
     effort_provenance: str
     times: str
     gaps: tuple[Gap, ...]
@@ -81,22 +84,23 @@ class Overview:
     sha256: str
 
 
-def overview(recording: Recording) -> Overview:
+def overview(recording: Recording, row_doubts: str = "") -> Overview:
     """Sum up a recording. `health` is the last one recorded; `attachments` maps names to sizes in bytes."""
     samples, robot = recording.samples, recording.robot
     joints: list[JointRange] = []
-    firsts = [int(block["time_ns"].min()) for block in recording.frames.values() if len(block)]
+    spans = {channel: _ranges(block, "time_ns") for channel, block in recording.frames.items() if len(block)}
+    firsts = [int(span[0][0]) for span in spans.values()]
     if samples is not None:
         firsts = [int(samples["stamp_ns"][0])]
-        q, effort = samples["position"], samples["effort"]
+        q, effort = _ranges(samples, "position"), _ranges(samples, "effort")
         for i, joint in enumerate(robot.joints):
             joints.append(
                 JointRange(
                     name=joint.name,
                     position_unit=joint.position_unit,
-                    position=(float(q[:, i].min()), float(q[:, i].max())),
+                    position=q[i],
                     effort_unit=robot.effort_units[i],
-                    effort=(float(effort[:, i].min()), float(effort[:, i].max())),
+                    effort=effort[i],
                 )
             )
     return Overview(
@@ -113,15 +117,17 @@ def overview(recording: Recording) -> Overview:
         joints=tuple(joints),
         extras=_extras(recording),
         step_jitter_s=(0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
+        no_samples=recording.no_samples if samples is None else "",
+        row_doubts=row_doubts,
         effort_provenance=recording.metadata.get("effort_provenance", ""),
         times=recording.metadata.get("times", ""),
-        gaps=() if samples is None else gaps(samples, recording.sample_rate_hz),
+        gaps=() if samples is None else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),
         frames=tuple(
             FrameCount(
                 channel=channel,
                 frames=len(block),
-                sent=int(np.count_nonzero(block["flags"] & SENT)),
-                duration_s=float(np.ptp(block["time_ns"]) * 1e-9),
+                sent=sum(int(np.count_nonzero(part["flags"] & SENT)) for part in in_parts(block)),
+                duration_s=float(np.ptp(spans[channel]) * 1e-9) if len(block) else 0.0,
             )
             for channel, block in recording.frames.items()
         ),
@@ -137,9 +143,29 @@ def _extras(recording: Recording) -> tuple[ExtraRange, ...]:
     if samples is None or "extra" not in (samples.dtype.names or ()):
         return ()
     return tuple(
-        ExtraRange(motor=c.motor, name=c.name, unit=c.unit, value=(float(column.min()), float(column.max())))
-        for c, column in zip(extra_columns(recording.robot), samples["extra"].T, strict=True)
+        ExtraRange(motor=c.motor, name=c.name, unit=c.unit, value=value)
+        for c, value in zip(extra_columns(recording.robot), _ranges(samples, "extra"), strict=True)
     )
+
+
+def _ranges(rows: Block, field: str) -> list[tuple[float, float]]:
+    """Lowest and highest value of each column of a field."""
+    ends = [(part[field].min(axis=0), part[field].max(axis=0)) for part in in_parts(rows)]
+    lows, highs = (np.array(end).reshape(len(ends), -1) for end in zip(*ends, strict=True))
+    return list(zip(lows.min(axis=0).tolist(), highs.max(axis=0).tolist(), strict=True))
+
+
+def _own_syncs(recording: Recording) -> Ints | None:
+    """Times of the SYNCs that we sent; None where there are none."""
+    bus = recording.robot.bus
+    found = [
+        part["time_ns"][(part["can_id"] == bus.sync_can_id) & ((part["flags"] & SENT) != 0)]
+        for block in recording.frames.values()
+        for part in in_parts(block)
+        if bus is not None
+    ]
+    times = np.concatenate(found) if found else np.zeros(0, np.int64)
+    return np.sort(times) if len(times) else None
 
 
 def _step_jitter(stamps: Ints) -> tuple[float, float]:
@@ -173,7 +199,8 @@ def as_tables(found: Overview) -> Group:
     if found.gaps:
         holes = _table("gap after row", since, "samples missing")
         for gap in found.gaps[:_SHOWN]:
-            holes.add_row(str(gap.row + 1), _seconds(gap.stamp_ns, found), str(gap.missing))
+            missing = f"none: SYNC {gap.missing} periods late" if gap.late else str(gap.missing)
+            holes.add_row(str(gap.row + 1), _seconds(gap.stamp_ns, found), missing)
         parts.append(holes)
     if found.events:
         events = _table("event", since, "")
@@ -211,10 +238,15 @@ def _facts(found: Overview) -> Iterator[tuple[str, str]]:
     if found.samples:
         reference = "with reference" if found.has_reference else "without reference"
         yield "samples", f"{found.samples} at {found.sample_rate_hz:g} Hz, {found.duration_s:g} s, {reference}"
-        missing = sum(gap.missing for gap in found.gaps)
-        yield "gaps", f"{len(found.gaps)}, {missing} samples missing" if found.gaps else "none"
+        missing = sum(gap.missing for gap in found.gaps if not gap.late)
+        late = sum(gap.late for gap in found.gaps)
+        yield "gaps", f"{len(found.gaps)}, {missing} samples missing, {late} SYNC late" if found.gaps else "none"
         sd, worst = (1e3 * value for value in found.step_jitter_s)
         yield "steps", f"jitter sd {sd:.4f} ms, worst {worst:.4f} ms, gaps left out"
+    else:
+        yield "samples", found.no_samples
+    if found.row_doubts:
+        yield "rows", found.row_doubts
     if found.times:
         yield "times", found.times
     yield "effort", found.effort_provenance

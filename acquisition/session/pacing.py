@@ -1,6 +1,4 @@
-"""Timing of SYNC: when it is sent or awaited, when it is too late, and whether the computer's clock was set."""
-
-import time
+"""Timing of SYNC: when it is sent or awaited, and when it is too late."""
 
 from ..errors import AcquisitionError
 from ..master import Master
@@ -10,7 +8,6 @@ from ..robot import BusFile
 LATE_PERIODS, LATE_S = 3, 0.02
 ABSENT_PERIODS = 50  # at rest, without SYNC of the other producer
 ANSWER_SHARE = 0.7  # of a period: drives must answer SYNC within it
-CLOCK_STEP_S = 0.05  # a clock that is adjusted gradually changes by less from SYNC to SYNC
 
 
 def largest_delay_s(file: BusFile) -> float:
@@ -60,17 +57,3 @@ class Pace:
         if in_motion and late_ns > self._latest_ns:
             expected = f"{self._latest_ns * 1e-9:.3g} s at most: this computer was busy or stopped"
             raise AcquisitionError(f"SYNC {late_ns * 1e-9:.3g} s late in motion", expected=expected)
-
-
-class Clock:
-    """Detects that the computer's clock was set: kernel time stamps of frames jump then, SYNC and its deadlines do not."""
-
-    def __init__(self) -> None:
-        self._offset_ns = time.time_ns() - time.monotonic_ns()
-
-    def step_s(self) -> float:
-        """Seconds by which the clock was set since the last call, 0 where it was not."""
-        offset_ns = time.time_ns() - time.monotonic_ns()
-        step_s = (offset_ns - self._offset_ns) * 1e-9
-        self._offset_ns = offset_ns
-        return step_s if abs(step_s) > CLOCK_STEP_S else 0.0

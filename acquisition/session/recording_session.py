@@ -14,7 +14,7 @@ from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role
 from ..robot import Bus, Robot, refuse_load, resolve
 from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from ..trajectory import check_limits, table_reference
-from ..transport import SHARED, Link, open_link
+from ..transport import SHARED, Link, WallClock, open_link
 from .scheduling import refuse_jitter, steady
 from .session import run_active
 from .task import Outcome, Stop, Task
@@ -129,7 +129,7 @@ def _on_bus(bus: Bus, robot: Robot, out: Path, place: str, options: RecordOption
     shared = bus.file.interface in SHARED
     with closing(open_link(bus.file, passive=False, tap=None if shared else lambda frame: log.tap(frame))) as link:
         role = Role.FED if not shared else Role.OBSERVER if options.track is None else Role.GUARD
-        log = ProcessLog(out, robot, place, role)
+        log = ProcessLog(out, robot, place, role, link.now_ns() - time.monotonic_ns())
         with closing(log):
             yield link, log
 
@@ -151,17 +151,17 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
 
 def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator) -> tuple[Outcome, Recorded]:
     """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
-    stop = operator.stop
-    log = ProcessLog(out, robot, place, Role.LISTENER)
+    stop, clock = operator.stop, WallClock()
+    log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns())
     try:
         started_s = time.monotonic()
-        log.event(time.time_ns(), "phase", "record")
+        log.event(clock.now_ns(), "phase", "record")
         try:
             while not stop.reason:
                 elapsed_s = time.monotonic() - started_s
                 if task.duration_s is not None and elapsed_s >= task.duration_s:
                     break
-                status = log.poll(time.time_ns())
+                status = log.poll(clock.now_ns())
                 if status is not None:
                     operator.show(status, None if task.duration_s is None else task.duration_s - elapsed_s)
                     if status.disk_full:
@@ -169,12 +169,12 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
                 time.sleep(0.02)
         except AcquisitionError as error:
             with suppress(AcquisitionError):
-                log.event(time.time_ns(), "fault", str(error))
+                log.event(clock.now_ns(), "fault", str(error))
             raise
         reason = stop.reason or "finished"
         with suppress(AcquisitionError):
-            log.event(time.time_ns(), "end", reason)
-        return Outcome(reason=reason, fault=False), log.finish(time.time_ns())
+            log.event(clock.now_ns(), "end", reason)
+        return Outcome(reason=reason, fault=False), log.finish(clock.now_ns())
     finally:
         log.close()
 

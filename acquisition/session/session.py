@@ -30,7 +30,7 @@ from ..robot import Drive, Robot, check_carriers, refuse_out_of_range
 from ..trajectory import approach, check_limits, follow
 from .enabling import all_enabled, disable, enable
 from .guards import MotionState, motion_fault, node_fault
-from .pacing import Clock, Pace
+from .pacing import Pace
 from .task import Outcome, SessionLog, Stop, Task
 
 HOLD_S = 0.3  # the drives hold their position at the end of motion, before they are disabled
@@ -95,7 +95,7 @@ class _Session:
         self._robot, self._master, self._log, self._task, self._stop = robot, master, log, task, stop
         self._link, self._bus = master.link, master.bus
         self._period_s = master.bus.file.sync_period_s
-        self._pace, self._clock = Pace(master), Clock()
+        self._pace = Pace(master)
         self._heartbeat = MasterHeartbeat(master)
         self._until_ns: int | None = None
         self._motion: MotionState | None = None
@@ -191,10 +191,6 @@ class _Session:
             self._note(motion)
         if error is not None:
             raise error
-        step_s = self._clock.step_s()
-        if step_s:
-            warning = f"this computer's clock was set by {step_s:+.3g} s: the receive times of frames jump by that"
-            self._log.event(now_ns, "warning", warning)
         status = self._log.poll(now_ns)
         if status is not None and status.disk_full and not self._stop.reason:
             self._stop.reason = "disk nearly full"

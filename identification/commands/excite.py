@@ -77,7 +77,7 @@ def run(options: argparse.Namespace) -> None:
     document = excitation_document(found, warnings)
     try:
         time_s, q = found.table()
-        write_columns(options.out, ("time_s", *(joint.name for joint in robot.joints)), np.column_stack([time_s, q]))
+        write_columns(options.out, ("time_s", *(joint.name for joint in robot.joints)), [np.column_stack([time_s, q])])
         if options.rrd:
             from ..view import write_excitation_rrd
 

@@ -153,7 +153,7 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     samples = recording.samples
     if samples is None or len(samples) == 0:
         expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
-        raise IdentificationError("holds no joint samples", place=str(path), expected=expected)
+        raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
     stamps = field_of(samples, "stamp_ns")
     grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
     q, effort = (_at(grid, stamps, field_of(samples, name)) for name in ("position", "effort"))

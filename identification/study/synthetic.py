@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.files import atomic_write
+from acquisition.files import atomic_write, let_go, room
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import Robot
 from acquisition.trajectory import FourierReference, fourier_reference
@@ -20,9 +20,9 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
 from ..regression import differentiate
-from ..simulation import ControlLaw, Reference, has_controller, recorded_loop, simulate, surrogate_loop
+from ..simulation import ClosedLoop, ControlLaw, Reference, has_controller, recorded_loop, surrogate_loop
 from ..trust import inertias, poses_of
-from .noise import Noise
+from .noise import LONG, SPAN, Noise
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
@@ -81,8 +81,12 @@ def random_reference(
         raise IdentificationError(
             f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
         )
-    t_s = np.arange(round(samples) + 1) / sample_rate_hz
-    return periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s).at(t_s)[0]
+    reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
+    q = room((round(samples) + 1, robot.n), LONG)
+    for first in range(0, len(q), SPAN):
+        q[first : first + SPAN] = reference.at(np.arange(first, min(first + SPAN, len(q))) / sample_rate_hz)[0]
+        let_go(q)
+    return q
 
 
 def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noise, seed: int) -> Signals:
@@ -110,21 +114,31 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
             f"robot {robot.name}: controller.sample_rate_hz = {1 / loop.period_s:g}: expected {sample_rate_hz:g}, the "
             "rate of the simulated recording"
         )
-    dq_ref = differentiate(q_ref, sample_rate_hz)
-    ddq_ref = differentiate(dq_ref, sample_rate_hz)
-    rms = np.sqrt(np.mean(model.torque(q_ref[::10], dq_ref[::10], ddq_ref[::10]) ** 2, axis=0))
-    cell = noise.disturbances(rms, len(q_ref), seed)
+    # Span by span: a long recording, with the steps of the plant and its derivatives, is too much to be held in memory.
+    N, squares, fastest = len(q_ref), [], np.zeros(len(model.directions))
+    for first in range(0, N, SPAN):
+        span = _span(q_ref, first, sample_rate_hz)
+        squares.append(model.torque(span.q[::10], span.dq[::10], span.ddq[::10]) ** 2)
+        fastest = np.maximum(fastest, np.abs(span.dq @ model.directions.T).max(axis=0, initial=0.0))
+    cell = noise.disturbances(np.sqrt(np.mean(np.concatenate(squares), axis=0)), N, seed)
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
-    start = (q_ref[0], dq_ref[0])
-    reference = Reference(q_ref, dq_ref, ddq_ref, disturbances=cell)
-    done = simulate(model, loop, reference, start=start, bound=bound, substeps=SUBSTEPS)
-    if done.reason:
-        raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
+    start = (q_ref[0].copy(), _span(q_ref[:3], 0, sample_rate_hz).dq[0])
+    follower = ClosedLoop(model, loop, start, fastest=fastest, substeps=SUBSTEPS, cell=cell)
+    q, tau = room(q_ref.shape, LONG), room(q_ref.shape, LONG)
+    for first in range(0, N, SPAN):
+        here = slice(first, first + SPAN)
+        part = replace(cell, position=cell.position[here], torque=cell.torque[here])
+        done = follower.follow(replace(_span(q_ref, first, sample_rate_hz), disturbances=part), bound)
+        if done.reason:
+            raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
+        q[here], tau[here] = part.recorded(done.q[::SUBSTEPS]), done.tau[::SUBSTEPS]
+        for x in (q, tau, q_ref, cell.position, cell.torque):
+            let_go(x)
     return Signals(
-        t_s=np.arange(len(q_ref)) / sample_rate_hz,
-        q=cell.recorded(done.q[::SUBSTEPS]),
+        t_s=np.arange(N) / sample_rate_hz,
+        q=q,
         q_ref=q_ref,
-        effort=noise.on_effort(done.tau[::SUBSTEPS], seed),
+        effort=noise.on_effort(tau, seed),
         sample_rate_hz=sample_rate_hz,
         track=None,
         robot=robot,
@@ -132,6 +146,14 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         sha256="",
         effort_timing="mean" if noise.recorded == "mean" else "command",
     )
+
+
+def _span(q_ref: Array, first: int, sample_rate_hz: float) -> Reference:
+    """`SPAN` instants of a reference with its derivatives, which take two samples on each side."""
+    low = max(0, first - 2)
+    dq = differentiate(q_ref[low : first + SPAN + 2], sample_rate_hz)
+    ddq, rows = differentiate(dq, sample_rate_hz), slice(first - low, first - low + SPAN)
+    return Reference(q_ref[first : first + SPAN], dq[rows], ddq[rows])
 
 
 def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float, noise: Noise) -> ControlLaw:
@@ -164,13 +186,6 @@ def write_signals(
         provenance, cell = f"{provenance}, {noise.effort_text}", {"cell": noise.text}
     optional = {name: getattr(signals, name) for name in OPTIONAL if getattr(signals, name) is not None}
     layout = sample_dtype(signals.robot.n, reference=signals.q_ref is not None, optional=optional)
-    samples = np.empty(len(signals.q), layout)
-    samples["stamp_ns"] = np.round(signals.t_s * 1e9).astype(np.int64)
-    samples["position"], samples["effort"] = signals.q, signals.effort
-    if signals.q_ref is not None:
-        samples["reference"] = signals.q_ref
-    for name, values in optional.items():
-        samples[name] = values
     with (
         atomic_write(path) as partial,
         RecordingWriter(
@@ -185,4 +200,16 @@ def write_signals(
             ),
         ) as writer,
     ):
-        writer.samples(samples)
+        for first in range(0, len(signals.q), SPAN):
+            here = slice(first, first + SPAN)
+            samples = np.empty(len(signals.q[here]), layout)
+            samples["stamp_ns"] = np.round(signals.t_s[here] * 1e9).astype(np.int64)
+            samples["position"], samples["effort"] = signals.q[here], signals.effort[here]
+            if signals.q_ref is not None:
+                samples["reference"] = signals.q_ref[here]
+            for name, values in optional.items():
+                samples[name] = values[here]
+            writer.samples(samples)
+            for x in (signals.q, signals.effort, signals.q_ref):
+                if x is not None:
+                    let_go(x)
