@@ -70,7 +70,7 @@ def test_a_pcan_trace_by_hand(tmp_path):
 
 def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(bus_text())
-    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
+    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap"), "--overwrite"]
     write_log(tmp_path / "a.trc", flat(session()))
     assert main(["import", str(tmp_path / "a.trc"), *command]) == 0
     assert "a.mcap: made up, 50 samples at 500 Hz" in capsys.readouterr().out

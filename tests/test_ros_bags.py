@@ -197,7 +197,7 @@ def test_currents_of_the_motors_go_through_the_robots_rule(tmp_path, whole, caps
     toml.write_text("[[motor]]".join([head, *motors]))
     for unit, factor in (("A", [6, 15]), ("mA", [0.006, 0.015]), ("N m", [1, 1])):
         out = tmp_path / "out.mcap"
-        options = ["--topic", "/joint_states", "--effort-unit", unit, "-o", str(out)]
+        options = ["--topic", "/joint_states", "--effort-unit", unit, "-o", str(out), "--overwrite"]
         assert main(["import", str(whole), "--robot", str(toml), *options]) == 0
         assert read_recording(out).samples["effort"] == pytest.approx(EFFORT * factor, abs=1e-12)
     assert main(["import", str(whole), "--robot", str(toml), *options[:2], "--effort-unit", "V", *options[4:]]) == 1

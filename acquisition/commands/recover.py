@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from ..errors import one_line
-from .command_line import Commands, Progress
+from .command_line import Commands, Progress, add_overwrite
 
 
 def add(commands: Commands) -> None:
@@ -12,6 +12,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("recover", help="a whole recording from one that was cut")
     parser.add_argument("recording", type=Path, metavar="CUT.mcap")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+    add_overwrite(parser)
     parser.set_defaults(run=run)
 
 
@@ -21,7 +22,7 @@ def run(options: argparse.Namespace) -> None:
         from ..files import refuse_clash
         from ..recording import recover
 
-        refuse_clash([options.recording], options.output)
+        refuse_clash([options.recording], options.output, overwrite=options.overwrite)
         found = recover(options.recording, options.output)
     samples = 0 if found.samples is None else len(found.samples)
     frames = sum(len(block) for block in found.frames.values())
