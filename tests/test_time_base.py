@@ -1,6 +1,7 @@
 """Times of rows: what is interpolated, what is refused, what is told, against times made by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -153,6 +154,37 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     assert np.diff(stamps[sparse][rows_in_time(stamps[sparse], q[sparse])]).max() < 3 * 0.013 * 2
 
 
+def settling(t: np.ndarray) -> np.ndarray:
+    """Joint by joint: each moves fast for a while, settles, and stands; in text of four digits."""
+    after = np.maximum(t % 20 - np.array([[2.0], [12.0]]), 0).T
+    q = 0.3 * (1 - np.exp(-3 * after) * np.cos(20 * after))
+    return np.round(q + 3e-5 * np.random.default_rng(2).standard_normal(q.shape), 4)
+
+
+def test_true_rows_of_an_arm_that_settles_are_kept():
+    """Among even stamps all of them, also stamps in microseconds; among uneven stamps all but 0.5 %."""
+    even = np.arange(10_000) * 0.01
+    assert rows_in_time(even, settling(even)).all()
+    assert rows_in_time(np.round(even, 6), settling(even)).all()
+    uneven = np.cumsum(np.random.default_rng(1).choice([0.008, 0.010, 0.013], 10_000))
+    assert (~rows_in_time(uneven, settling(uneven))).mean() < 0.005
+
+
+def test_stamps_of_a_log_with_stalls_are_found():
+    """300 of 20 000 stamps are over half a period late, the others jitter by 20 µs."""
+    rng, t = np.random.default_rng(0), np.arange(20_000) * 0.01
+    q = motion(t) + 1e-5 * rng.standard_normal((20_000, 2))
+    stamps, wrong = t + 2e-5 * rng.standard_normal(20_000), rng.choice(np.arange(10, 19_980, 20), 300, replace=False)
+    stamps[wrong] += 0.01 * rng.uniform(0.5, 0.95, 300)
+    left_out = np.flatnonzero(~rows_in_time(stamps, q))
+    assert len(set(wrong) & set(left_out)) >= 0.98 * 300
+    assert len(set(left_out) - set(wrong)) < 0.2 * 300
+    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place="log").report
+    assert rate_doubts(found) == []
+    (doubt,) = rate_doubts(replace(found, off=500))
+    assert doubt.startswith("2.5 % of the rows are left out")
+
+
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     def doubts(rate_hz: float) -> list[str]:
         return rate_doubts(
@@ -275,4 +307,5 @@ def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
     off, rest = times.split("no doubled rows, ")[1].split(" rows left out whose stamps the motion contradicts, ")
     assert float(off) == pytest.approx(0.05 * 790, abs=12)
     assert rest == "interpolated to 100 Hz"
-    assert found.imported.warnings == ()
+    (warning,) = found.imported.warnings
+    assert "% of the rows are left out" in warning

@@ -10,6 +10,11 @@ ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their
 LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
 LEFT_OPEN = 3.0  # periods: no row is left out where a longer step would be left
 OFF_STAMP, FAR_DEVIATIONS = 0.05, 6.0  # periods, and deviations of the scatter: stamps further off are left out
+EVEN, REGULAR = (
+    1e-3,
+    0.25,
+)  # of a period: no stamp is off among steps as even; none by over a period among steps as regular
+MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
 _PASSES = 4  # a stamp that is off hides those beside it
 _LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
 
@@ -47,29 +52,43 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
 
     A stamp that is off by a tick puts all joints off their path by their speed times the tick. Left out are rows whose
     positions tell of an error of time over a twentieth of a period, far beyond the scatter of the others, one of any two
-    neighbours, and none where a gap would be left.
+    neighbours, and none where a gap would be left. A slow arm that settles is off its path as well, but by more time than lies
+    between the neighbouring stamps, by few quanta, or among even stamps: such rows are kept.
     """
-    kept = np.arange(len(time_s))
+    kept, quantum = np.arange(len(time_s)), _quantum(q)
     for _ in range(_PASSES):
         t, x = time_s[kept], q[kept]
         if len(t) < 20:
             break
-        period = float(np.median(np.diff(t)))
-        off, _ = _off_neighbours(t, x)
+        steps = np.diff(t)
+        period = float(np.median(steps))
+        off, size = _off_neighbours(t, x)
         speed = (x[3:-1] - x[1:-3]) / (t[3:-1] - t[1:-3])[:, None]
         scatter = np.median(np.abs(off), axis=0) / 0.6745
         weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
         information = speed**2 @ weight
         error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
-        deviations = np.abs(error_s) * np.sqrt(information)
-        around = np.concatenate([[0.0], deviations, [0.0]])
+        # Beside a stamp that is off, nodes are so close together that errors grow.
+        deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > FAR_DEVIATIONS) & (np.abs(error_s) > OFF_STAMP * period)
+        between = t[3:-1] - t[1:-3]
+        regular = np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < REGULAR * period
+        uneven = np.abs(steps / period - np.rint(steps / period)) > EVEN
+        late &= (between < LEFT_OPEN * period) & (np.abs(error_s) < np.where(regular, period, between))
+        late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
+        late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
+        around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
         late &= (deviations >= around[:-2]) & (deviations > around[2:])
-        late &= t[3:-1] - t[1:-3] < LEFT_OPEN * period
         if not late.any():
             break
         kept = np.delete(kept, np.flatnonzero(late) + 2)
     return np.isin(np.arange(len(time_s)), kept)
+
+
+def _quantum(q: Array) -> Array:
+    """The smallest difference (n,) of two positions q (N, n) that is no rounding; infinite for joints that stand."""
+    found = (np.diff(np.unique(x)) for x in q.T)
+    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in found])
 
 
 def row_numbers(time_s: Array) -> Array:
@@ -88,11 +107,11 @@ def row_numbers(time_s: Array) -> Array:
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
     """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
     off, size = _off_neighbours(time_s, q)
-    return np.asarray(np.sqrt(np.mean(off**2, axis=0)) / speed / size)
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
-def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, float]:
-    """How far each q (N, n) is off the cubic through two rows before and two after (N - 4, n), and what errors of 1 give."""
+def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, Array]:
+    """How far each q (N, n) is off the cubic through two rows before and two after, and what errors of 1 give (N - 4,)."""
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
     for i in range(4):
@@ -100,4 +119,4 @@ def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, float]:
             if i != j:
                 weights[i] *= nodes[j] / (nodes[j] - nodes[i])
     off = q[2:-2] - np.einsum("ik,ikn->kn", weights, np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]]))
-    return off, float(np.sqrt(1 + (weights**2).sum(axis=0).mean()))
+    return off, np.sqrt(1 + (weights**2).sum(axis=0))
