@@ -55,7 +55,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
     neighbours, and none where a gap would be left. A slow arm that settles is off its path as well, but by more time than lies
     between the neighbouring stamps, by few quanta, or among even stamps: such rows are kept.
     """
-    kept, quantum = np.arange(len(time_s)), _quantum(q)
+    kept, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
         t, x = time_s[kept], q[kept]
         if len(t) < 20:
@@ -85,7 +85,7 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
     return np.isin(np.arange(len(time_s)), kept)
 
 
-def _quantum(q: Array) -> Array:
+def smallest_difference(q: Array) -> Array:
     """The smallest difference (n,) of two positions q (N, n) that is no rounding; infinite for joints that stand."""
     found = (np.diff(np.unique(x)) for x in q.T)
     return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in found])
