@@ -11,7 +11,7 @@ from jittered_time import MAP, covered
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing.stamps import rows_in_time, stamps_warning
+from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
 from acquisition.importing.tables import import_tables
 from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
 from acquisition.recording import read_recording
@@ -246,6 +246,37 @@ def test_a_counter_is_the_time(tmp_path):
     assert len(by_stamps.warnings) == 1
     assert by_stamps.warnings[0].startswith("stamps jitter by ")
     assert [event.text for event in read_recording(by_stamps.out).events] == list(by_stamps.warnings)
+
+
+def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
+    """Ticks of 1 ms, 2 % of them missing and 2 % twice; stamps are up to 8 ms late, and the arm stands for a second."""
+    rng = np.random.default_rng(0)
+    ticks = np.repeat(np.arange(8000), rng.choice([0, 1, 2], 8000, p=[0.02, 0.96, 0.02]))
+    t = np.maximum(ticks * 1e-3 - np.clip(ticks * 1e-3 - 4, 0, 1), 0)  # of the motion
+    stand = (ticks > 4000) & (ticks < 5000)
+    v = np.where(stand[:, None], 0.0, np.stack([1.5 * np.cos(3 * t), -np.sin(5 * t)], axis=1))
+    q = np.stack([0.5 * np.sin(3 * t), 0.2 * np.cos(5 * t)], axis=1) + 1e-5 * rng.standard_normal((len(t), 2))
+    stamps = 70 + 1e-3 * ticks + np.minimum(rng.exponential(1.5e-3, len(t)), 8e-3)
+    stamps = np.maximum.accumulate(stamps)
+    found = ticks_from_velocity(stamps, q, v, 1e-3)
+    moving = ~(stand[1:] | stand[:-1])
+    assert (np.diff(found) == np.diff(ticks))[moving].mean() > 0.99
+    off = found - ticks
+    assert np.abs(off - np.median(off))[~stand].max() <= 2
+    named = {"t": stamps, "q1": q[:, 0], "q2": q[:, 1], "r1": q[:, 0], "r2": q[:, 1], "e1": q[:, 1], "e2": q[:, 0]}
+    path = table(tmp_path, {**named, "v1": v[:, 0], "v2": v[:, 1]})
+    of_speed = '[velocity]\ncolumns = ["v1", "v2"]\nunit = "rad/s"\n'
+    by_speed = MAP.replace('column = "t"', 'column = "t"\nticks = "from velocity"\ntick_s = 0.001').replace(
+        "= 100", "= 1000"
+    )
+    imported = run(tmp_path, path, by_speed + of_speed)
+    assert imported.times.startswith("ticks of ")
+    assert int(imported.times.split(" doubled rows")[0].split(", ")[-1]) == pytest.approx(
+        (np.diff(ticks) == 0).sum(), rel=0.3
+    )
+    with pytest.raises(AcquisitionError) as refused:
+        run(tmp_path, path, by_speed)
+    assert (refused.value.key, refused.value.value) == ("time.ticks", "from velocity")
 
 
 def test_times_that_cannot_be_read_that_way(tmp_path):

@@ -15,6 +15,7 @@ EVEN, REGULAR = (
     0.25,
 )  # of a period: no stamp is off among steps as even; none by over a period among steps as regular
 MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
+TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick: its ticks can be counted
 _PASSES = 4  # a stamp that is off hides those beside it
 _LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
 
@@ -83,6 +84,30 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
             break
         kept = np.delete(kept, np.flatnonzero(late) + 2)
     return np.isin(np.arange(len(time_s)), kept)
+
+
+def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
+    """Ticks (N,) of rows: between two, as many as speeds v (N, n) need for the step of q (N, n); evenly where joints stand.
+
+    Stretches of motion are counted through, and lie among the stamps by the median of all of theirs.
+    """
+    by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
+    noise = np.maximum(np.ptp(q, axis=0), 1e-300)
+    for _ in range(2):  # the second time with the noise that the first leaves
+        weighted = of_tick / noise
+        size = (weighted**2).sum(axis=1)
+        count = np.rint(np.divide((weighted * step / noise).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
+        left = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0)
+        noise = np.maximum(left, np.where(np.isfinite(smallest := smallest_difference(q)), 0.3 * smallest, 1e300))
+    known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > TICK_DEVIATIONS) & (count >= 0)
+    ticks, counted = np.rint(by_stamp), np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    for first, last in edges.reshape(-1, 2):
+        run = slice(first, last + 1)
+        ticks[run] = counted[run] + np.rint(np.median(by_stamp[run] - counted[run]))
+    rows = np.arange(len(q))
+    anchors = np.unique(np.concatenate([[0], np.flatnonzero(known), np.flatnonzero(known) + 1, [len(q) - 1]]))
+    return np.maximum.accumulate(np.rint(np.interp(rows, anchors, ticks[anchors])))
 
 
 def smallest_difference(q: Array) -> Array:
