@@ -321,7 +321,7 @@ KINDS = {
     "rate 1 %": Kind(change=rate, named=(("replay", ""),), unseen=BOTH),
     "controller gains × 0.5-2": Kind(change=controller_gains, named=(("replay", ""),)),
     "PI said to be P": Kind(change=undescribed_integral, named=(("replay", ""),)),
-    "0.2-2 % of rows lost": Kind(change=lost_rows, unseen=BOTH),
+    "0.2-2 % of rows lost": Kind(change=lost_rows, named=(("rows", "missing"),)),
     "12 bit over the range": Kind(change=twelve_bits),
     "slow motion": Kind(change=slow),
     "2 s": Kind(change=short),

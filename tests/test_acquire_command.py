@@ -176,13 +176,33 @@ def test_an_output_that_exists_stays_until_the_new_one_is_whole(
     log = folder / "log.mcap"
     log.write_bytes(b"old")
     (folder / "a.csv").write_text("1,2,3,4\n1,2,3,x\n")
-    assert "line 2: column 4 = 'x'" in refused(capsys, import_command(folder, log))
+    assert "line 2: column 4 = 'x'" in refused(capsys, [*import_command(folder, log), "--overwrite"])
     assert log.read_bytes() == b"old"
     (folder / "a.csv").write_text("1,2,3,4\n1,2,3,5\n")
-    assert main(import_command(folder, log)) == 0
+    assert main([*import_command(folder, log), "--overwrite"]) == 0
     recording = read_recording(log)
     assert recording.samples is not None
     assert len(recording.samples) == 2
+
+
+@pytest.mark.parametrize(
+    "command", ["decode", "recover", "import", "import --topic /t", "import --map m.toml", "export"]
+)
+@pytest.mark.parametrize("name", ["log.mcap", "log.bin"])
+def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str], command: str, name: str) -> None:
+    """By its suffix, or by what it holds; the option is asked for before anything is read."""
+    log = folder / name
+    log.write_bytes(b"\x89MCAP0")
+    of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
+    told = refused(capsys, [*command.split(), "missing", *of_robot, "-o", str(log)])
+    assert told.startswith(f"robot-acquire: {log}: exists already")
+    assert ("--overwrite" in told) == (command != "export")
+    assert log.read_bytes() == b"\x89MCAP0"
+    if command != "export":
+        assert "exists already" not in refused(
+            capsys, [*command.split(), "no", *of_robot, "-o", str(log), "--overwrite"]
+        )
+    assert log.read_bytes() == b"\x89MCAP0"
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(folder: Path) -> None:

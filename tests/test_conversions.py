@@ -74,7 +74,7 @@ def test_a_pcan_trace_by_hand(tmp_path):
 
 def test_import_of_a_trace_asks_for_no_map(tmp_path, capsys):
     (tmp_path / "r.toml").write_text(bus_text())
-    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap")]
+    command = ["--robot", str(tmp_path / "r.toml"), "-o", str(tmp_path / "a.mcap"), "--overwrite"]
     write_log(tmp_path / "a.trc", flat(session()))
     assert main(["import", str(tmp_path / "a.trc"), *command]) == 0
     assert "a.mcap: made up, 50 samples at 500 Hz" in capsys.readouterr().out
@@ -296,7 +296,9 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
 
 
 def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
-    """By exactly two periods; SYNC of another producer that is not recorded is missing, with the one before, whose answers may be its own."""
+    """By exactly two periods. SYNC of another producer that is not recorded is missing, and so is the one before: the answers
+    that follow may be those of either.
+    """
     frames = flat(session())
     late = frames.copy()
     late["time_ns"][75:] += 4_000_000

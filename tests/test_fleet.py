@@ -1,7 +1,7 @@
 """Fleets: a row per recording, runs that go on where they stopped, control limits, the table and its picture."""
 
 import shutil
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,7 +26,7 @@ from identification.methods.idim import identify
 from identification.regression.settings import Overrides
 from identification.study.noise import Noise
 from identification.study.synthetic import closed_loop, random_reference, write_signals
-from identification.work.work import Serial
+from identification.work.work import Serial, WorkersNotStartedError
 
 BEGAN = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
 WEEK_S = 7 * 86400.0
@@ -302,6 +302,22 @@ def test_a_recording_that_ends_its_worker_is_a_row_and_is_tried_again(fleet, tmp
     again = run(fleet, tmp_path / "kept")
     assert fits[COUNT - 1 :] == ["4.mcap"]
     assert all(row.is_fitted for row in again)
+
+
+@pytest.mark.parametrize("alone", [False, True])
+def test_workers_that_cannot_start_end_the_run(fleet, tmp_path, alone):
+    """At the first task, or at the one that is tried again alone."""
+    opened = []
+
+    class Startless(Serial):
+        def run(self, function, tasks):
+            opened.append(len(tasks))
+            raise IdentificationError("lost") if alone and len(opened) == 1 else WorkersNotStartedError("no")
+            yield
+
+    with pytest.raises(WorkersNotStartedError):
+        run(fleet, tmp_path / "kept", open_work=lambda tasks: nullcontext(Startless()))
+    assert len(opened) == 1 + alone
 
 
 def test_a_worker_that_does_not_find_the_file_gets_its_content(fleet, tmp_path):

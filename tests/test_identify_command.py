@@ -116,6 +116,22 @@ def test_simulation_is_repeatable(capsys, tmp_path):
     assert a.tobytes() == b.tobytes()
 
 
+def test_a_recording_is_replaced_only_where_that_is_asked_for(capsys, tmp_path):
+    log, scara = tmp_path / "session.mcap", REPLAY / "scara" / "robot.toml"
+    log.write_bytes(b"old")
+    simulate = ["simulate", scara, "--duration-s", 1, "-o", log]
+    told = refused(capsys, *simulate)
+    assert told.startswith(f"robot-identify: {log}: exists already")
+    assert told.rstrip().endswith("-o, or --overwrite")
+    told = refused(capsys, "demo", "--out", tmp_path)
+    assert str(log) in told
+    assert told.rstrip().endswith("--out, or --overwrite")
+    assert "--overwrite" not in refused(capsys, "fit", SESSION, "--json", log)
+    assert log.read_bytes() == b"old"
+    assert run(capsys, *simulate, "--overwrite")[0] == 0
+    assert log.stat().st_size > 1000
+
+
 def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
     with RecordingWriter(
         path, Header(robot=robot, source="test", sample_rate_hz=1000.0, effort_provenance="made for a test")

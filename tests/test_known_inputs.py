@@ -14,6 +14,8 @@ from independent_robots import Array, Plant, plant
 from independent_simulator import Imperfections, described_controller, designed_pd, references, simulate
 
 from acquisition.commands import main as acquire
+from acquisition.errors import AcquisitionError
+from acquisition.robot import check_recorded_velocities
 from acquisition.robot.robot import load_robot
 from identification.commands import main as identify
 from identification.data import Recordings
@@ -221,6 +223,19 @@ def test_columns_that_cannot_be(tmp_path, capsys, added, message):
     assert acquire(["import", str(tmp_path / "a.csv"), *arguments, "-o", str(tmp_path / "out.mcap")]) == 1
     assert message in capsys.readouterr().err
     assert not (tmp_path / "out.mcap").exists()
+
+
+def test_speeds_of_joints_that_stand_are_not_judged():
+    """The elbow creeps by 0.4 mrad in text of four digits, or stands in noise; one that moves by 60 digits is judged."""
+    rng, t = np.random.default_rng(0), np.arange(4000) / 400
+    fast, scara = 0.4 * np.sin(2 * t), robot_named("scara")
+    for elbow in (np.round(2e-4 * (1 - np.cos(0.6 * t)), 4), 1e-5 * rng.standard_normal(4000), 0 * t):
+        q, v = np.stack([fast, elbow], axis=1), np.stack([0.8 * np.cos(2 * t), 1e-4 + 0 * t], axis=1)
+        assert check_recorded_velocities(scara, q, v, 400.0, "log") == ()
+    slow = np.round(3e-3 * np.sin(0.6 * t), 4)
+    q, v = np.stack([fast, slow], axis=1), np.stack([0.8 * np.cos(2 * t), -1.8e-3 * np.cos(0.6 * t)], axis=1)
+    with pytest.raises(AcquisitionError, match="velocity of joint elbow"):
+        check_recorded_velocities(scara, q, v, 400.0, "log")
 
 
 def test_rates_of_torques_are_those_of_the_drives():

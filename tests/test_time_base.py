@@ -1,6 +1,7 @@
 """Times of rows: what is interpolated, what is refused, what is told, against times made by hand."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from jittered_time import MAP, covered
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing.stamps import rows_in_time, stamps_warning
+from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
 from acquisition.importing.tables import import_tables
 from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
 from acquisition.recording import read_recording
@@ -153,6 +154,37 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     assert np.diff(stamps[sparse][rows_in_time(stamps[sparse], q[sparse])]).max() < 3 * 0.013 * 2
 
 
+def settling(t: np.ndarray) -> np.ndarray:
+    """Joint by joint: each moves fast for a while, settles, and stands; in text of four digits."""
+    after = np.maximum(t % 20 - np.array([[2.0], [12.0]]), 0).T
+    q = 0.3 * (1 - np.exp(-3 * after) * np.cos(20 * after))
+    return np.round(q + 3e-5 * np.random.default_rng(2).standard_normal(q.shape), 4)
+
+
+def test_true_rows_of_an_arm_that_settles_are_kept():
+    """Among even stamps all of them, also stamps in microseconds; among uneven stamps all but 0.5 %."""
+    even = np.arange(10_000) * 0.01
+    assert rows_in_time(even, settling(even)).all()
+    assert rows_in_time(np.round(even, 6), settling(even)).all()
+    uneven = np.cumsum(np.random.default_rng(1).choice([0.008, 0.010, 0.013], 10_000))
+    assert (~rows_in_time(uneven, settling(uneven))).mean() < 0.005
+
+
+def test_stamps_of_a_log_with_stalls_are_found():
+    """300 of 20 000 stamps are over half a period late, the others jitter by 20 µs."""
+    rng, t = np.random.default_rng(0), np.arange(20_000) * 0.01
+    q = motion(t) + 1e-5 * rng.standard_normal((20_000, 2))
+    stamps, wrong = t + 2e-5 * rng.standard_normal(20_000), rng.choice(np.arange(10, 19_980, 20), 300, replace=False)
+    stamps[wrong] += 0.01 * rng.uniform(0.5, 0.95, 300)
+    left_out = np.flatnonzero(~rows_in_time(stamps, q))
+    assert len(set(wrong) & set(left_out)) >= 0.98 * 300
+    assert len(set(left_out) - set(wrong)) < 0.2 * 300
+    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place="log").report
+    assert rate_doubts(found) == []
+    (doubt,) = rate_doubts(replace(found, off=500))
+    assert doubt.startswith("2.5 % of the rows are left out")
+
+
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     def doubts(rate_hz: float) -> list[str]:
         return rate_doubts(
@@ -216,6 +248,37 @@ def test_a_counter_is_the_time(tmp_path):
     assert [event.text for event in read_recording(by_stamps.out).events] == list(by_stamps.warnings)
 
 
+def test_ticks_are_counted_by_speeds_where_a_pc_stamps_late(tmp_path):
+    """Ticks of 1 ms, 2 % of them missing and 2 % twice; stamps are up to 8 ms late, and the arm stands for a second."""
+    rng = np.random.default_rng(0)
+    ticks = np.repeat(np.arange(8000), rng.choice([0, 1, 2], 8000, p=[0.02, 0.96, 0.02]))
+    t = np.maximum(ticks * 1e-3 - np.clip(ticks * 1e-3 - 4, 0, 1), 0)  # of the motion
+    stand = (ticks > 4000) & (ticks < 5000)
+    v = np.where(stand[:, None], 0.0, np.stack([1.5 * np.cos(3 * t), -np.sin(5 * t)], axis=1))
+    q = np.stack([0.5 * np.sin(3 * t), 0.2 * np.cos(5 * t)], axis=1) + 1e-5 * rng.standard_normal((len(t), 2))
+    stamps = 70 + 1e-3 * ticks + np.minimum(rng.exponential(1.5e-3, len(t)), 8e-3)
+    stamps = np.maximum.accumulate(stamps)
+    found = ticks_from_velocity(stamps, q, v, 1e-3)
+    moving = ~(stand[1:] | stand[:-1])
+    assert (np.diff(found) == np.diff(ticks))[moving].mean() > 0.99
+    off = found - ticks
+    assert np.abs(off - np.median(off))[~stand].max() <= 2
+    named = {"t": stamps, "q1": q[:, 0], "q2": q[:, 1], "r1": q[:, 0], "r2": q[:, 1], "e1": q[:, 1], "e2": q[:, 0]}
+    path = table(tmp_path, {**named, "v1": v[:, 0], "v2": v[:, 1]})
+    of_speed = '[velocity]\ncolumns = ["v1", "v2"]\nunit = "rad/s"\n'
+    by_speed = MAP.replace('column = "t"', 'column = "t"\nticks = "from velocity"\ntick_s = 0.001').replace(
+        "= 100", "= 1000"
+    )
+    imported = run(tmp_path, path, by_speed + of_speed)
+    assert imported.times.startswith("ticks of ")
+    assert int(imported.times.split(" doubled rows")[0].split(", ")[-1]) == pytest.approx(
+        (np.diff(ticks) == 0).sum(), rel=0.3
+    )
+    with pytest.raises(AcquisitionError) as refused:
+        run(tmp_path, path, by_speed)
+    assert (refused.value.key, refused.value.value) == ("time.ticks", "from velocity")
+
+
 def test_times_that_cannot_be_read_that_way(tmp_path):
     def told(text: str, **more: np.ndarray) -> str:
         with pytest.raises(AcquisitionError) as caught:
@@ -275,4 +338,5 @@ def test_estimates_from_uneven_times_are_inside_their_intervals(tmp_path):
     off, rest = times.split("no doubled rows, ")[1].split(" rows left out whose stamps the motion contradicts, ")
     assert float(off) == pytest.approx(0.05 * 790, abs=12)
     assert rest == "interpolated to 100 Hz"
-    assert found.imported.warnings == ()
+    (warning,) = found.imported.warnings
+    assert "% of the rows are left out" in warning

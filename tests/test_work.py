@@ -2,6 +2,7 @@
 
 import os
 import signal
+import subprocess
 import sys
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -124,6 +125,24 @@ def test_a_task_that_kills_its_worker_three_times_is_an_error(tmp_path):
     ):
         list(work.run(killed_at_first, [(str(tmp_path), 3, 3)]))
     assert "--workers" in told.value.expected
+
+
+@pytest.mark.parametrize(("from_stdin", "problem"), [(False, "the script starts workers"), (True, "workers end while")])
+def test_workers_that_cannot_start_are_told_once(tmp_path, from_stdin, problem):
+    """A script without a guard starts workers in its workers; one from standard input cannot be found by them."""
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import math\nfrom identification.errors import IdentificationError\nfrom identification.work import processes\n"
+        "try:\n    with processes(2) as work:\n        list(work.run(math.sqrt, [(1.0,)] * 4))\n"
+        "except IdentificationError as error:\n    print(type(error).__name__, error)\n"
+    )
+    with script.open() as text:
+        arguments = [sys.executable, "-"] if from_stdin else [sys.executable, str(script)]
+        done = subprocess.run(arguments, stdin=text, capture_output=True, text=True, timeout=60)
+    assert done.stdout.startswith(f"WorkersNotStartedError {problem}")
+    assert done.stdout.count("\n") == 1
+    assert '__name__ == "__main__"' in done.stdout
+    assert done.stderr == "" or from_stdin
 
 
 def test_a_cluster_without_dask_says_how_to_install_it(monkeypatch):

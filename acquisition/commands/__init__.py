@@ -3,7 +3,7 @@
 from typing import TYPE_CHECKING
 
 from ..lazy import lazy_names
-from .command_line import STATUSES, Commands, Program, Progress, from_options, run_command
+from .command_line import STATUSES, Commands, Program, Progress, add_overwrite, from_options, run_command
 
 if TYPE_CHECKING:
     from .program import main

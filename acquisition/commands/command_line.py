@@ -94,6 +94,13 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
 
 
+def add_overwrite(parser: "argparse._ActionsContainer") -> None:
+    """Declare the option of commands that write recordings."""
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace an existing recording when the new one is whole"
+    )
+
+
 class Progress:
     """A line on standard error that shows progress; only on a terminal (`shown`)."""
 

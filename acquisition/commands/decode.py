@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import one_line
-from .command_line import Commands, Progress
+from .command_line import Commands, Progress, add_overwrite
 
 if TYPE_CHECKING:
     from ..importing import Converted
@@ -18,6 +18,7 @@ def add(commands: Commands) -> None:
     parser.add_argument("recording", type=Path, metavar="LOG.mcap")
     parser.add_argument("--robot", type=Path, metavar="CORRECTED.toml", help="in place of the description inside")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+    add_overwrite(parser)
     parser.set_defaults(run=run)
 
 
@@ -28,7 +29,7 @@ def run(options: argparse.Namespace) -> None:
         from ..importing import decode_recording
         from ..robot import load_robot
 
-        refuse_clash([options.recording, options.robot], options.output)
+        refuse_clash([options.recording, options.robot], options.output, overwrite=options.overwrite)
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError, one_line
-from .command_line import Commands, Progress
+from .command_line import Commands, Progress, add_overwrite
 from .decode import print_converted
 
 if TYPE_CHECKING:
@@ -44,11 +44,15 @@ def add(commands: Commands) -> None:
     )
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
+    add_overwrite(outputs)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Import a bag where a topic is given, tables where a map is, else a CAN log, and print what was imported."""
+    from ..files import refuse_clash
+
+    refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
     of_bag = {"--topic": options.topic, "--effort-unit": options.effort_unit, "--resample-hz": options.resample_hz}
     if options.topic is not None:
         _import_bag(options)
@@ -61,11 +65,9 @@ def run(options: argparse.Namespace) -> None:
         _import_log(options)
         return
     with Progress("importing"):
-        from ..files import refuse_clash
         from ..importing import import_tables
         from ..robot import load_robot
 
-        refuse_clash([options.robot, options.map, *options.tables], options.output)
         result = import_tables(options.tables, load_robot(options.robot), options.map, options.output)
     _print_imported(result)
 
@@ -95,11 +97,9 @@ def _import_bag(options: argparse.Namespace) -> None:
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
     with Progress("importing"):
-        from ..files import refuse_clash
         from ..importing import BagChoice, import_bag
         from ..robot import load_robot
 
-        refuse_clash([options.robot, *options.tables], options.output)
         units = tuple(unit.strip() for unit in options.effort_unit.split(","))
         choice = BagChoice(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
         result = import_bag(options.tables[0], load_robot(options.robot), choice, options.output)
@@ -108,7 +108,6 @@ def _import_bag(options: argparse.Namespace) -> None:
 
 def _import_log(options: argparse.Namespace) -> None:
     with Progress("importing"):
-        from ..files import refuse_clash
         from ..importing import import_log, is_bag, is_log
         from ..robot import load_robot
 
@@ -121,6 +120,5 @@ def _import_log(options: argparse.Namespace) -> None:
             raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)
         if len(options.tables) > 1:
             raise AcquisitionError("a second CAN log", place=str(options.tables[1]), expected="one")
-        refuse_clash([options.robot, *options.tables], options.output)
         found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
     print_converted(options.output, found)

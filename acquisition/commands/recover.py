@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from ..errors import one_line
-from .command_line import Commands, Progress
+from .command_line import Commands, Progress, add_overwrite
 
 
 def add(commands: Commands) -> None:
@@ -13,6 +13,7 @@ def add(commands: Commands) -> None:
     parser = commands.add_parser("recover", help="a whole recording from one that was cut")
     parser.add_argument("recording", type=Path, metavar="CUT.mcap")
     parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+    add_overwrite(parser)
     parser.set_defaults(run=run)
 
 
@@ -22,13 +23,14 @@ def run(options: argparse.Namespace) -> None:
         from ..files import refuse_clash
         from ..importing import recover_recording
 
-        refuse_clash([options.recording], options.output)
+        refuse_clash([options.recording], options.output, overwrite=options.overwrite)
         found, decoded = recover_recording(options.recording, options.output)
-    samples = decoded.samples if decoded is not None else 0 if found.samples is None else len(found.samples)
-    for text in (
-        () if decoded is None else (*decoded.warnings, decoded.no_samples and f"no samples: {decoded.no_samples}")
-    ):
-        print(one_line(f"warning: {text}"), file=sys.stderr) if text else None
+    samples = 0 if found.samples is None else len(found.samples)
+    if decoded is not None:
+        samples = decoded.samples
+        lost = [f"no samples: {decoded.no_samples}"] if decoded.no_samples else []
+        for text in (*decoded.warnings, *lost):
+            print(one_line(f"warning: {text}"), file=sys.stderr)
     frames = sum(len(block) for block in found.frames.values())
     held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{options.output}: {found.robot.name}, {held}"))

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from ..errors import AcquisitionError
 
+MAGIC = b"\x89MCAP"  # first bytes of a recording
+
 
 @contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
@@ -34,10 +36,13 @@ def atomic_write(path: Path) -> Iterator[Path]:
             partial.unlink()
 
 
-def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None) -> None:
-    """Raise `AcquisitionError` when writing one of `outputs` would replace one of `inputs`, or another output.
+def refuse_clash(
+    inputs: Sequence[Path | None], *outputs: Path | None, overwrite: bool | None = None, option: str = "-o"
+) -> None:
+    """Raise `AcquisitionError` when writing one of `outputs` would replace one of `inputs`, another output, or a recording.
 
-    None stands for a file that was not asked for. Files are the same by whatever link they are reached.
+    None stands for a file that was not asked for. Files are the same by whatever link they are reached. `overwrite`: whether
+    recordings may be replaced, by the option of that name; None where a command does not have it. `option` names the output.
     """
     given = [path for path in inputs if path is not None]
     earlier: list[Path] = []
@@ -49,6 +54,18 @@ def refuse_clash(inputs: Sequence[Path | None], *outputs: Path | None) -> None:
         if any(_same(output, path) for path in earlier):
             raise AcquisitionError("named twice; expected a file of its own for each output", place=str(output))
         earlier.append(output)
+        if not overwrite and _is_recording(output):
+            expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
+            raise AcquisitionError("exists already, and is a recording", place=str(output), expected=expected)
+
+
+def _is_recording(path: Path) -> bool:
+    """Whether a file exists that is a recording, by its suffix or its first bytes."""
+    if not path.is_file() or path.suffix.lower() == ".mcap":
+        return path.is_file()
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(len(MAGIC)) == MAGIC
+    return False
 
 
 def _same(a: Path, b: Path) -> bool:

@@ -11,11 +11,17 @@ from ..robot import Robot
 from ..ros import JointStates, read_joint_states
 from .quantities import effort_at_joint, effort_side, position_side, si_units
 from .samples import Imported, Samples, write_samples
-from .stamps import stamps_warning
+from .stamps import smallest_difference, stamps_warning
 from .table_map import EFFORT_UNITS, LARGEST_GAP_PERIODS
 from .time_base import rate_doubts, resample, stamps_ns
 
 SUFFIXES = (".mcap", ".db3")
+WINDOW, NYQUIST_RATIO = (
+    16,
+    100.0,
+)  # rows; noise and motion are 100 times as much at Nyquist in a few per cent of the windows
+MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows: more are of two publishers
+QUANTA = 3.0  # by which two publishers differ at least
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,6 +63,7 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
     position_side(robot, "joint", "position", place)
     states = read_joint_states(bag, choice.topic, joints)
     effort, provenance = _effort(robot, states, choice, place)
+    _refuse_several(states.position, effort, joints, place)
     parts = {"position": states.position, "effort": effort}
     doubts = []
     if states.velocity is not None and np.isfinite(states.velocity).all():
@@ -65,6 +72,10 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
         doubts.append("velocities that are not finite numbers are left out")
     if states.received:
         doubts.append("headers have no stamps: times are those of reception, which jitter more")
+    if states.publishers > 1:
+        doubts.append(
+            f"{choice.topic} has {states.publishers} publishers (connections or QoS profiles): record it with one"
+        )
     if states.others:
         doubts.append(f"{states.others} messages without any of the joints are left out")
     first_ns = int(states.stamps_ns[0])
@@ -88,6 +99,40 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
         doubts=(*doubts, *rate_doubts(grid.report), *([warning] if warning else [])),
     )
     return write_samples(samples, out)
+
+
+def _refuse_several(position: Array, effort: Array, joints: list[str], place: str) -> None:
+    """Refuse the states of two publishers in turns: rows with no effort at all among others, or every other row elsewhere."""
+    none = np.asarray(~effort.any(axis=1))
+    large = np.asarray((np.abs(effort) > QUANTA * smallest_difference(effort)).any(axis=1))
+    alone = none[1:-1] & large[:-2] & large[2:]
+    expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
+    if alone.sum() > MAX_WITHOUT_EFFORT * len(effort):
+        problem = f"{100 * alone.mean():.2g} % of the rows have no effort, between others that have"
+        raise AcquisitionError(problem, place=place, key="effort", expected=expected)
+    for key, x in (("position", position), ("effort", effort)):
+        share = _alternating(x)
+        if share.max() > MAX_ALTERNATING:
+            problem = f"every other row is elsewhere, in {100 * share.max():.2g} % of the time"
+            key = f"{key} of joint {joints[int(share.argmax())]}"
+            raise AcquisitionError(problem, place=place, key=key, expected=expected)
+
+
+def _alternating(x: Array) -> Array:
+    """Share (n,) of windows of x (N, n) whose second differences have by far most of their energy at the Nyquist frequency.
+
+    Compared with that at half of it. Values that are only rounded alternate by a quantum now and then: more are asked for.
+    Values that are held for a row, as of an encoder slower than the log, do not alternate.
+    """
+    rows = max(0, len(x) - 2) // WINDOW * WINDOW
+    steps, windows = (np.diff(x, n=n, axis=0)[:rows].reshape(-1, WINDOW, x.shape[1]) for n in (1, 2))
+    if not len(windows):
+        return np.zeros(x.shape[1])
+    energy = np.abs(np.fft.rfft(windows * np.hanning(WINDOW)[:, None], axis=1)) ** 2
+    half = energy[:, WINDOW // 4 - 1 : WINDOW // 4 + 2].sum(axis=1)
+    large = np.abs(windows).max(axis=1) > 4 * QUANTA * smallest_difference(x)
+    found = large & ((steps == 0).mean(axis=1) < 0.4) & (energy[:, -2:].sum(axis=1) > NYQUIST_RATIO * half)
+    return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / len(windows))  # two may be chance, in a short recording
 
 
 def _effort(robot: Robot, states: JointStates, choice: BagChoice, place: str) -> tuple[Array, str]:

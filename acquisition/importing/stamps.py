@@ -10,6 +10,12 @@ ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their
 LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
 LEFT_OPEN = 3.0  # periods: no row is left out where a longer step would be left
 OFF_STAMP, FAR_DEVIATIONS = 0.05, 6.0  # periods, and deviations of the scatter: stamps further off are left out
+EVEN, REGULAR = (
+    1e-3,
+    0.25,
+)  # of a period: no stamp is off among steps as even; none by over a period among steps as regular
+MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
+TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick: its ticks can be counted
 _PASSES = 4  # a stamp that is off hides those beside it
 _LOOKED_AT = 50_000  # rows of a long recording whose stamps are compared with the motion
 
@@ -47,29 +53,67 @@ def rows_in_time(time_s: Array, q: Array) -> NDArray[np.bool_]:
 
     A stamp that is off by a tick puts all joints off their path by their speed times the tick. Left out are rows whose
     positions tell of an error of time over a twentieth of a period, far beyond the scatter of the others, one of any two
-    neighbours, and none where a gap would be left.
+    neighbours, and none where a gap would be left. A slow arm that settles is off its path as well, but by more time than lies
+    between the neighbouring stamps, by few quanta, or among even stamps: such rows are kept.
     """
-    kept = np.arange(len(time_s))
+    kept, quantum = np.arange(len(time_s)), smallest_difference(q)
     for _ in range(_PASSES):
         t, x = time_s[kept], q[kept]
         if len(t) < 20:
             break
-        period = float(np.median(np.diff(t)))
-        off, _ = _off_neighbours(t, x)
+        steps = np.diff(t)
+        period = float(np.median(steps))
+        off, size = _off_neighbours(t, x)
         speed = (x[3:-1] - x[1:-3]) / (t[3:-1] - t[1:-3])[:, None]
         scatter = np.median(np.abs(off), axis=0) / 0.6745
         weight = np.divide(1.0, scatter**2, out=np.zeros_like(scatter), where=scatter > 0)
         information = speed**2 @ weight
         error_s = np.divide((speed * off) @ weight, information, out=np.zeros(len(off)), where=information > 0)
-        deviations = np.abs(error_s) * np.sqrt(information)
-        around = np.concatenate([[0.0], deviations, [0.0]])
+        # Beside a stamp that is off, nodes are so close together that errors grow.
+        deviations = np.abs(error_s) * np.sqrt(information) / size * np.median(size)
         late = (deviations > FAR_DEVIATIONS) & (np.abs(error_s) > OFF_STAMP * period)
+        between = t[3:-1] - t[1:-3]
+        regular = np.maximum(np.abs(steps[1:-2] - period), np.abs(steps[2:-1] - period)) < REGULAR * period
+        uneven = np.abs(steps / period - np.rint(steps / period)) > EVEN
+        late &= (between < LEFT_OPEN * period) & (np.abs(error_s) < np.where(regular, period, between))
+        late &= uneven[:-3] | uneven[1:-2] | uneven[2:-1] | uneven[3:]
+        late &= (np.abs(speed * error_s[:, None]) >= MIN_QUANTA * quantum).any(axis=1)
+        around = np.concatenate([[0.0], np.where(late, deviations, 0.0), [0.0]])
         late &= (deviations >= around[:-2]) & (deviations > around[2:])
-        late &= t[3:-1] - t[1:-3] < LEFT_OPEN * period
         if not late.any():
             break
         kept = np.delete(kept, np.flatnonzero(late) + 2)
     return np.isin(np.arange(len(time_s)), kept)
+
+
+def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Array:
+    """Ticks (N,) of rows: between two, as many as speeds v (N, n) need for the step of q (N, n); evenly where joints stand.
+
+    Stretches of motion are counted through, and lie among the stamps by the median of all of theirs.
+    """
+    by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
+    noise = np.maximum(np.ptp(q, axis=0), 1e-300)
+    for _ in range(2):  # the second time with the noise that the first leaves
+        weighted = of_tick / noise
+        size = (weighted**2).sum(axis=1)
+        count = np.rint(np.divide((weighted * step / noise).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
+        left = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0)
+        noise = np.maximum(left, np.where(np.isfinite(smallest := smallest_difference(q)), 0.3 * smallest, 1e300))
+    known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > TICK_DEVIATIONS) & (count >= 0)
+    ticks, counted = np.rint(by_stamp), np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))
+    for first, last in edges.reshape(-1, 2):
+        run = slice(first, last + 1)
+        ticks[run] = counted[run] + np.rint(np.median(by_stamp[run] - counted[run]))
+    rows = np.arange(len(q))
+    anchors = np.unique(np.concatenate([[0], np.flatnonzero(known), np.flatnonzero(known) + 1, [len(q) - 1]]))
+    return np.maximum.accumulate(np.rint(np.interp(rows, anchors, ticks[anchors])))
+
+
+def smallest_difference(q: Array) -> Array:
+    """The smallest difference (n,) of two positions q (N, n) that is no rounding; infinite for joints that stand."""
+    found = (np.diff(np.unique(x)) for x in q.T)
+    return np.array([min(x[x > 1e-9 * np.abs(q).max()], default=np.inf) for x in found])
 
 
 def row_numbers(time_s: Array) -> Array:
@@ -88,11 +132,11 @@ def row_numbers(time_s: Array) -> Array:
 def _time_error_s(time_s: Array, q: Array, speed: Array) -> Array:
     """Error of time (n,) that would bring each q (N, n) as far off the cubic through its four neighbours as it is."""
     off, size = _off_neighbours(time_s, q)
-    return np.asarray(np.sqrt(np.mean(off**2, axis=0)) / speed / size)
+    return np.asarray(np.sqrt(np.mean(off**2, axis=0) / np.mean(size**2)) / speed)
 
 
-def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, float]:
-    """How far each q (N, n) is off the cubic through two rows before and two after (N - 4, n), and what errors of 1 give."""
+def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, Array]:
+    """How far each q (N, n) is off the cubic through two rows before and two after, and what errors of 1 give (N - 4,)."""
     nodes = np.stack([time_s[:-4], time_s[1:-3], time_s[3:-1], time_s[4:]]) - time_s[2:-2]
     weights = np.ones_like(nodes)
     for i in range(4):
@@ -100,4 +144,4 @@ def _off_neighbours(time_s: Array, q: Array) -> tuple[Array, float]:
             if i != j:
                 weights[i] *= nodes[j] / (nodes[j] - nodes[i])
     off = q[2:-2] - np.einsum("ik,ikn->kn", weights, np.stack([q[:-4], q[1:-3], q[3:-1], q[4:]]))
-    return off, float(np.sqrt(1 + (weights**2).sum(axis=0).mean()))
+    return off, np.sqrt(1 + (weights**2).sum(axis=0))

@@ -38,6 +38,7 @@ EFFORT_UNITS = {
 TIME_UNITS = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)}
 
 LARGEST_GAP_PERIODS = 3.0
+FROM_VELOCITY = "from velocity"  # in place of the column of a counter
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -61,7 +62,8 @@ class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
     Attributes:
         column, unit: times of the rows.
-        ticks, tick_s: a counter and the time of one count; it is the time, `column` is then only compared with it.
+        ticks, tick_s: a counter and the time of one count; it is the time, `column` is then only compared with it. Ticks
+            `FROM_VELOCITY` are counted by positions and recorded speeds.
         resample_hz: rate of the grid that all values are interpolated to.
         largest_gap_periods: longest step between two rows that is interpolated over, in periods of the rows.
     """

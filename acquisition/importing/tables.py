@@ -16,8 +16,8 @@ from ..recording import OPTIONAL
 from ..robot import Robot, parse_toml
 from .quantities import Source
 from .samples import Imported, Samples, write_samples
-from .stamps import stamps_warning
-from .table_map import TIME_UNITS, TableMap, Time
+from .stamps import stamps_warning, ticks_from_velocity
+from .table_map import FROM_VELOCITY, TIME_UNITS, TableMap, Time
 from .time_base import OnGrid, rate_doubts, report_of, resample, stamps_ns, uniform_rate_hz
 
 TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
@@ -101,11 +101,15 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
     table = source.table("time.table", time.table)
     stamp_s, clock = _stamps(table, time, rows, place), "stamps"
     time_s = stamp_s
-    off_s = None
+    off_s, twice = None, 0
     label = str(time.column)
     if time.ticks is not None:
         assert time.tick_s is not None
-        ticks = _column(table, time.ticks, rows, place)
+        ticks = (
+            _column(table, time.ticks, rows, place)
+            if time.ticks != FROM_VELOCITY
+            else _counted(time, stamp_s, parts, place)
+        )
         if (ticks != np.rint(ticks)).any():
             row = int(np.argmax(ticks != np.rint(ticks)))
             raise AcquisitionError(
@@ -114,6 +118,9 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
         time_s, clock, label = ticks * time.tick_s, "ticks", str(time.ticks)
         if stamp_s is not None:
             off_s = _off_ticks(time_s, stamp_s, time.tick_s, place)
+        if time.ticks == FROM_VELOCITY:
+            new = np.concatenate([[True], np.diff(time_s) > 0])
+            time_s, parts, twice = time_s[new], {name: x[new] for name, x in parts.items()}, int((~new).sum())
     assert time_s is not None
     where = f"{table}: {label}"
     if time.resample_hz is None:
@@ -138,9 +145,18 @@ def _timed(source: Source, table_map: TableMap, time: Time, parts: Mapping[str, 
         parts=timed.parts,
         start_s=timed.start_s,
         rate_hz=timed.rate_hz,
-        report=replace(timed.report, clock=clock, stamps_off_s=off_s),
+        report=replace(timed.report, clock=clock, stamps_off_s=off_s, doubled=timed.report.doubled + twice),
         doubts=tuple(doubts),
     )
+
+
+def _counted(time: Time, stamp_s: Array | None, parts: Mapping[str, Array], place: str) -> Array:
+    """Ticks of rows that have stamps and speeds."""
+    assert time.tick_s is not None
+    if stamp_s is None or "velocity" not in parts:
+        expected = "time.column, the stamps, and [velocity] beside it"
+        raise AcquisitionError(place=place, key="time.ticks", value=time.ticks, expected=expected)
+    return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
 
 
 def _stamps(table: Path, time: Time, rows: int, place: str) -> Array | None:

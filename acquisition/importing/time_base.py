@@ -12,6 +12,7 @@ from .stamps import LONG_STEP, row_numbers, rows_in_time
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
+MANY_OFF = 0.02  # of the rows left out: more is warned of
 FINEST = 100.0  # times the rows' rate: a finer grid is a mistake
 
 
@@ -168,21 +169,28 @@ def _roundest(rate_hz: float, scatter: float) -> float:
 
 
 def rate_doubts(report: TimeReport | None) -> list[str]:
-    """Warnings about a grid that is coarser than the rows, or much finer."""
+    """Warnings about a grid that is coarser than the rows, or much finer, and about many rows that were left out."""
     if report is None or report.grid_hz is None:
         return []
-    ratio = report.grid_hz * report.period_s
+    doubts, ratio = [], report.grid_hz * report.period_s
+    if report.off > MANY_OFF * report.rows:
+        share = 100 * report.off / report.rows
+        doubts = [
+            f"{share:.2g} % of the rows are left out, whose {report.clock} the motion contradicts: take another clock"
+        ]
     if ratio < COARSER:
         return [
+            *doubts,
             f"resample_hz = {report.grid_hz:g} is below the rows' {1 / report.period_s:.4g} Hz: noise above half of it is "
-            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself",
         ]
     if ratio > FINER:
         return [
+            *doubts,
             f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {1 / report.period_s:.4g} Hz: samples between "
-            "rows are interpolated, they tell nothing new"
+            "rows are interpolated, they tell nothing new",
         ]
-    return []
+    return doubts
 
 
 def stamps_ns(start_s: float, rows: int, rate_hz: float, place: str) -> Ints:

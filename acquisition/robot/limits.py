@@ -22,6 +22,7 @@ UNSTATED_SPEED = {"revolute": 100.0, "prismatic": 30.0}  # rad/s, m/s: no robot'
 OVERSHOOT = 0.01  # of the range, and of the speed limit: below it there is no warning
 NOISE_DEVIATIONS = 8.0  # of a sample's noise: its difference over one sample is not taken for speed
 SPEED_WINDOW_S = 0.05  # over which positions and speeds are compared: noise of single samples matters less
+MIN_TRAVEL_STEPS, MIN_TRAVEL_RATIO = 50.0, 25.0  # typical steps, or squares of noise: a joint that moves less stands
 SPEED_OFF = 0.1  # of the change of position: speeds further off are told
 WRONG_SPEED = 2.0  # a factor that only a wrong unit, sign or column explains
 _JUMP = 3.0  # times the steps before and after it: a step that stands alone
@@ -110,7 +111,7 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
     doubts = []
     for j, joint in enumerate(robot.joints):
         moved = float(by_position[:, j] @ by_position[:, j])
-        if moved == 0.0:
+        if not _travels(q[:, j], moved):
             continue
         gain = float(by_position[:, j] @ by_speed[:, j]) / moved
         off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
@@ -121,6 +122,17 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
         if off > SPEED_OFF:
             doubts.append(text)
     return tuple(doubts)
+
+
+def _travels(q: Array, moved: float) -> bool:
+    """Whether positions q (N,) move, and are not only rounded or noisy; `moved`: squared changes over the window, summed up."""
+    steps, noise = (
+        np.abs(np.diff(q)),
+        float(np.sum(np.diff(q, n=3) ** 2)) / 20,
+    )  # noise of 1 gives third differences of sqrt(20)
+    if moved == 0.0 or moved > MIN_TRAVEL_RATIO * noise:
+        return moved > 0.0
+    return bool(np.ptp(q) > MIN_TRAVEL_STEPS * np.median(steps[steps > 0]))
 
 
 def _shown(joint: Joint, value: float) -> str:

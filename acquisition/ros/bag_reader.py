@@ -20,6 +20,7 @@ class JointStates:
         stamps_ns: (N,) of the headers; of reception where headers have none (`received`).
         position, velocity, effort: (N, n); the last two None where messages do not have them.
         others: messages of the topic that have none of the joints.
+        publishers: connections of the topic, or profiles of quality of service that it was offered with, if these are more.
     """
 
     stamps_ns: Ints
@@ -28,6 +29,7 @@ class JointStates:
     velocity: Array | None
     effort: Array | None
     others: int
+    publishers: int
 
 
 def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointStates:
@@ -54,6 +56,7 @@ def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointSta
             connections = [c for c in reader.connections if c.topic == topic]
             _refuse_topic(topic, {c.topic: c.msgtype for c in reader.connections}, str(path))
             parts = _Parts(joints, place)
+            parts.publishers = sum(max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections)
             for connection, received_ns, raw in reader.messages(connections=connections):
                 parts.add(received_ns, reader.deserialize(raw, connection.msgtype))
     except AcquisitionError:
@@ -94,7 +97,7 @@ class _Parts:
         self._received: list[int] = []
         self._stamps: list[int] = []
         self._values: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
-        self.count, self._others = 0, 0
+        self.count, self._others, self.publishers = 0, 0, 1
 
     def add(self, received_ns: int, message: Any) -> None:
         """Add a message."""
@@ -170,4 +173,5 @@ class _Parts:
             velocity=velocity,
             effort=effort,
             others=self._others,
+            publishers=self.publishers,
         )

@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from acquisition.commands import Commands, Progress
+from acquisition.commands import Commands, Progress, add_overwrite
 
 from .options import make_folder, not_negative
 from .results import print_results
@@ -19,13 +19,14 @@ def add(commands: Commands) -> None:
     parser.add_argument(
         "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
     )
+    add_overwrite(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Record, fit by both methods, draw, and print both fits against the truth."""
     with Progress("starting") as progress:
-        from acquisition.files import atomic_write
+        from acquisition.files import atomic_write, refuse_clash
         from acquisition.robot import load_robot
 
         from ..data import load_signals
@@ -36,6 +37,7 @@ def run(options: argparse.Namespace) -> None:
         from ..view import write_fit_rrd
 
         place, out = description(options.robot), options.out
+        refuse_clash([], out / "session.mcap", overwrite=options.overwrite, option="--out")
         robot = load_robot(place)
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:

@@ -187,14 +187,19 @@ def make_folder(out: Path) -> None:
         raise IdentificationError(f"cannot be made: {error.strerror}", place=str(out), expected="a folder") from error
 
 
-def refuse_outputs(inputs: Sequence[Path | None], *outputs: Path | None, picture: Path | None = None) -> None:
-    """Before any work: no output may replace an input or another output, or name a folder that is not there.
+def refuse_outputs(
+    inputs: Sequence[Path | None],
+    *outputs: Path | None,
+    picture: Path | None = None,
+    overwrite: bool | None = None,
+) -> None:
+    """Before any work: no output may replace an input, another output or a recording, or name a folder that is not there.
 
     The folder of a `picture` is not checked: the fit is printed even if its picture cannot be written.
     """
     from acquisition.files import refuse_clash
 
-    refuse_clash(inputs, *outputs, picture)
+    refuse_clash(inputs, *outputs, picture, overwrite=overwrite)
     for output in outputs:
         if output is not None and not output.absolute().parent.is_dir():
             raise IdentificationError(f"no folder {output.parent}", place=str(output), expected="a folder that exists")

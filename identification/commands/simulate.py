@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Commands, Progress, add_overwrite, from_options
 
 from .options import add_simulation_options, refuse_outputs
 from .results import print_results
@@ -17,12 +17,13 @@ def add(commands: Commands) -> None:
     add_simulation_options(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap", help="the recording to write")
+    add_overwrite(outputs)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and say what it holds."""
-    refuse_outputs([options.robot], options.out)
+    refuse_outputs([options.robot], options.out, overwrite=options.overwrite)
     with Progress("simulating"):
         from ..study import Noise, closed_loop, random_reference, write_signals
 

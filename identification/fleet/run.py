@@ -14,7 +14,7 @@ from acquisition.recording import has_reference
 
 from ..data import RecordingFile
 from ..errors import IdentificationError
-from ..work import Work
+from ..work import Work, WorkersNotStartedError
 from .rows import FleetSettings, Row, digest_of, fit_row
 
 Say = Callable[[int, str], None]
@@ -98,6 +98,7 @@ def run_fleet(
     Raises
     ------
     AcquisitionError : where a row cannot be kept.
+    WorkersNotStartedError : where no worker can start.
     """
     store = Kept(folder=kept, settings=settings.digest)
     rows: list[Row] = []
@@ -151,8 +152,9 @@ def _fits(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, boo
                 for result in results:
                     yield result or _sent(work, *tasks[done]), True
                     done += 1
-            except IdentificationError:
-                pass  # tasks do not raise: workers are lost
+            except IdentificationError as error:  # tasks do not raise: workers are lost
+                if isinstance(error, WorkersNotStartedError):
+                    raise
         if done < len(tasks):
             yield _alone(tasks[done], open_work)
             done += 1
@@ -172,4 +174,6 @@ def _alone(task: Task, open_work: OpenWork) -> tuple[Row, bool]:
             (result,) = work.run(fit_row, [task])
             return result or _sent(work, *task), True
         except IdentificationError as error:
+            if isinstance(error, WorkersNotStartedError):
+                raise
             return msgspec.structs.replace(task[2], status="failed", reason=str(error)), False

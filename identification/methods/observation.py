@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import ON_GRID, RecordingFile, Signals
+from ..data import ON_GRID, PositionSteps, RecordingFile, Signals, position_steps
 from ..errors import IdentificationError
 from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES
@@ -53,6 +53,7 @@ class Observation:
         regression: its W and Y.
         poses: (P, n) positions at which M is looked at.
         replay: its described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
+        steps: of its positions, which tell of missing rows.
         t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them; None where friction has the usual terms alone.
     """
@@ -62,6 +63,7 @@ class Observation:
     poses: Array
     replay: TrustLine
     replay_lag: KnownLag | None
+    steps: PositionSteps
     t_s: Array
     states: RowStates | None
 
@@ -74,6 +76,7 @@ class Observation:
             poses=self.poses,
             replay=self.replay,
             replay_lag=self.replay_lag,
+            steps=self.steps,
             states=self.states,
         )
 
@@ -105,7 +108,8 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     regression = regression_of_recording(problem, say, share=share)
     # Decimation keeps the last sample and every n_d-th before it.
     kept = settings.stop - 1 - settings.decimation * np.arange(len(regression.tau))[::-1]
-    poses, (replay, replay_lag) = poses_of(signals.q[settings.start : settings.stop]), replay_line(problem)
+    q = signals.q[settings.start : settings.stop]
+    poses, (replay, replay_lag) = poses_of(q), replay_line(problem)
     shaped = any(term in SHAPES for joint in signals.robot.joints for term in joint.terms)
     shaped |= any(joint.one_sided for joint in signals.robot.joints)
     states = row_states(problem) if shaped else None
@@ -117,6 +121,7 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
         poses=np.array(poses),
         replay=replay,
         replay_lag=replay_lag,
+        steps=position_steps(q),
         t_s=signals.t_s[kept],
         states=states,
     )

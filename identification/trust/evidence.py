@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 
 from ..arrays import Array
+from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..passes import RowStates
 from ..regression import Decimation, KnownLag, Motion, Problem, Regression
@@ -27,6 +28,7 @@ class Part:
         slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
+        steps: of its positions, which tell of missing rows.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
         simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
             `decimation` to the rows; None where there is none.
@@ -38,6 +40,7 @@ class Part:
     slip_noise: Array
     poses: Array
     replay: TrustLine
+    steps: PositionSteps
     replay_lag: KnownLag | None = None
     states: RowStates | None = None
     simulated: Motion | None = None

@@ -24,7 +24,7 @@ from ..estimation import (
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from .columns import added_columns_test
-from .evidence import Evidence, assumed
+from .evidence import Evidence, Part, assumed
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import ILL_CONDITIONED, Trust, TrustLine, not_made, worst_first
@@ -40,6 +40,9 @@ END_ROWS = 5  # rows at each end that a bad edge shows in
 SHARED = 1e-9  # of a column over all joints: less of it at a joint is rounding
 WEAK_F, SAME_F = 10.0, 1e10  # first-stage F of weak instruments, and of instruments that are W itself
 ORDER = 12  # of the autoregression that whitens a joint's residual, at most
+MISSING_PERCENT = 0.1  # of the moving rows
+HELD_SHARE = 0.3  # of held rows, that may be beside steps which do not quite make up for them
+COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or none: its encoder is slower than the log
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
@@ -234,7 +237,7 @@ def trust_in(evidence: Evidence) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [test(evidence) for test in (*OF_ALL, *(OF_INSTRUMENTS if evidence.method == "iv" else ()))]
     lines += [evidence.position_noise] if evidence.position_noise is not None else []
-    lines += _standing(evidence)
+    lines += [*_standing(evidence), *_rows(evidence)]
     return worst_first(_judged_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
 
 
@@ -247,6 +250,38 @@ def _standing(e: Evidence) -> list[TrustLine]:
     return [
         TrustLine(test="motion", level="caution", value=None, text=text, finding=f"{', '.join(names)} does not move")
     ]
+
+
+def _rows(e: Evidence) -> list[TrustLine]:
+    """A line of the recording that misses or repeats most rows; else one of encoders that are slower than the log."""
+    name = "rows"
+    shares = [100 * np.array([p.steps.lost, p.steps.repeated, p.steps.held]) / max(p.steps.moving, 1) for p in e.parts]
+    surplus = [x[:2] * (x[:2] > max(MISSING_PERCENT, HELD_SHARE * x[2])) for x in shares]
+    k = int(np.argmax([x.sum() for x in surplus]))
+    if surplus[k].any():
+        found = zip(surplus[k], ("missing", "repeated"), strict=True)
+        finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
+        text = f"{_place(e, e.parts[k])}{finding}, by steps of the position that are twice their neighbours', or none"
+        text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
+        return [TrustLine(test=name, level="caution", value=float(surplus[k].sum()), text=text, finding=finding)]
+    notes = [note for part, x in zip(e.parts, shares, strict=True) if (note := _slow_encoder(e, part, float(x[2])))]
+    return [TrustLine(test=name, level="ok", value=None, text=notes[0])] if notes else []
+
+
+def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:
+    """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
+    percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
+    both = (percent.min(axis=1) > MISSING_PERCENT) & (percent.sum(axis=1) > COARSE_PERCENT)
+    joints = part.problem.signals.robot.joints
+    names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
+    if held <= MISSING_PERCENT and not names:
+        return None
+    where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)
+    return f"{_place(e, part)}the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
+
+
+def _place(e: Evidence, part: Part) -> str:
+    return f"{part.problem.signals.recording}: " if len(e.parts) > 1 else ""
 
 
 def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:

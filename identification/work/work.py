@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from multiprocessing import active_children, get_context
+from multiprocessing import active_children, current_process, get_context
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol
 
@@ -17,7 +17,16 @@ from ..errors import IdentificationError
 
 LOST_WORKERS = 2  # times that tasks are given to new workers
 LOOK_S = 1.0  # between looks at whether workers live
+NO_GUARD, FAILED = (
+    71,
+    1,
+)  # exit codes of a worker that would start workers itself, and of one that ends by its script's error
+GUARD = 'the call below `if __name__ == "__main__":`, as workers run the script too, to find its functions'
 Task = tuple[Any, ...]  # positional arguments of a task
+
+
+class WorkersNotStartedError(IdentificationError):
+    """Workers that end before they are given a task; others would end likewise."""
 
 
 class Work(Protocol):
@@ -60,12 +69,14 @@ class Pool:
         Raises
         ------
         IdentificationError : where workers died with the same task three times.
+        WorkersNotStartedError : where they cannot start.
         """
         futures = [self._executor.submit(function, *task) for task in tasks]
         self._look_for_workers()
         lost = 0
         for k in range(len(tasks)):
             while not self._is_done(futures[k]):
+                self._refuse_no_start()
                 lost += 1
                 if lost > LOST_WORKERS:
                     problem = f"workers ended {lost} times before task {k + 1} of {len(tasks)} was done: out of memory?"
@@ -86,6 +97,15 @@ class Pool:
                 return future.cancelled() or not isinstance(future.exception(), self._lost)
             if any(not worker.is_alive() for worker in self._workers):
                 return False
+
+    def _refuse_no_start(self) -> None:
+        codes = {worker.exitcode for worker in self._workers}
+        if NO_GUARD in codes:
+            raise WorkersNotStartedError("the script starts workers whenever it is imported", expected=GUARD)
+        if FAILED in codes:  # errors of tasks do not end a worker
+            raise WorkersNotStartedError(
+                "workers end while they start", expected=f"a script that can be imported; {GUARD}"
+            )
 
     def _look_for_workers(self) -> None:
         self._workers = [child for child in active_children() if child not in self._others]
@@ -117,6 +137,8 @@ def processes(workers: int) -> Iterator[Work]:
     if workers == 1:
         yield Serial()
         return
+    if getattr(current_process(), "_inheriting", False):  # a worker that imports its script, which has no guard
+        os._exit(NO_GUARD)
     pool = Pool(lambda: _spawned(workers))
     try:
         yield pool
