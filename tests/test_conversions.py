@@ -296,7 +296,7 @@ def test_a_recording_that_was_cut_is_recovered_with_its_samples(tmp_path, capsys
 
 
 def test_a_late_sync_of_ours_is_called_late(tmp_path, capsys):
-    """By exactly two periods; SYNC of another producer that is not recorded is missing, with the one before, whose answers may be its own."""
+    """By exactly two periods; SYNC of another producer that is not recorded is missing, and the row before it."""
     frames = flat(session())
     late = frames.copy()
     late["time_ns"][75:] += 4_000_000
