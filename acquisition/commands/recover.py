@@ -24,11 +24,8 @@ def run(options: argparse.Namespace) -> None:
 
         refuse_clash([options.recording], options.output)
         found, decoded = recover_recording(options.recording, options.output)
-    samples = decoded.samples if decoded is not None else 0 if found.samples is None else len(found.samples)
-    for text in (
-        () if decoded is None else (*decoded.warnings, decoded.no_samples and f"no samples: {decoded.no_samples}")
-    ):
-        print(one_line(f"warning: {text}"), file=sys.stderr) if text else None
+    for text in decoded.warnings or [f"no samples: {decoded.no_samples}"] * bool(decoded.no_samples):
+        print(one_line(f"warning: {text}"), file=sys.stderr)
     frames = sum(len(block) for block in found.frames.values())
-    held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
+    held = f"{decoded.samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{options.output}: {found.robot.name}, {held}"))
