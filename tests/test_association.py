@@ -87,6 +87,10 @@ FIRST, LAST = [[k, k] for k in range(1, 5)], [[k, k] for k in range(7, 10)]
         ("S 2:5 S 2:6 S 2:61 S 2:62 1:5 1:6 1:61 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
         # A drive late by one for a while.
         ("S 2:5 S 1:5 2:6 S 1:6 2:61 S 1:61 2:62 1:62", [[5, 5], [6, 6], [61, 61], [62, 62]], 0),
+        # 2:6 and 2:60 are missing, 2:5 is late: one interval with a PDO of each drive proves nothing.
+        ("S 1:5 S 1:6 2:5 S 1:60 S 1:61 2:61", [[61, 61]], 0),
+        # A SYNC that is not recorded, unnoticed, and then late answers: as many as SYNCs, but not to these.
+        ("S 1:5 2:5 1:6 2:6 S+2.4 S 1:55 2:55 1:56 2:56 S 1:60 2:60 S 1:61 2:61", [[61, 61]], 0),
         # Where drives are late, one that is missing may hide that a late one came in its place: 2:6, in the interval of 2:61.
         (
             "S 1:5 S 1:55 2:5 2:55 S 1:6 S 1:61 2:6 S 1:62 2:62 S 1:63 2:63 S 1:64 2:64",
@@ -101,6 +105,18 @@ def test_sequences_with_known_answers(between, samples, lost):
 
 def test_a_first_answer_that_is_late_belongs_to_the_first_sync():
     assert told(f"S 2:0 S 1:0 2:10 1:10 {BEFORE} {AFTER}") == ([[0, 0], [10, 10], *FIRST, *LAST], 0)
+
+
+def test_answers_that_were_pending_when_the_recording_began_shift_nothing():
+    """2:0 is one, and 2:3 is lost: until then every SYNC has an answer."""
+    rest = " ".join(f"S 1:{k} 2:{k}" for k in range(4, 12))
+    assert told(f"S 1:1 2:0 S 1:2 2:1 2:2 S 1:3 {rest}") == ([[k, k] for k in range(4, 12)], 0)
+
+
+def test_a_drive_late_by_one_for_long_is_in_order():
+    shifted = " ".join(f"S 1:{k} 2:{k - 1}" for k in range(6, 40))
+    between = f"S 1:5 {shifted} S 1:40 2:39 2:40"
+    assert told(f"{BEFORE} {between} S 1:41 2:41") == ([[k, k] for k in range(1, 42)], 0)
 
 
 def test_a_counter_tells_what_was_lost():

@@ -257,7 +257,7 @@ def test_rows_of_an_older_version_that_do_not_stand_are_counted(tmp_path, capsys
     log, out = tmp_path / "a.mcap", tmp_path / "b.mcap"
     whole = decode(flat(session(syncs=400, targets=True)), ROBOT, bus_of(ROBOT), "x").samples
     recorded(log, lossy(1 / 32), whole)
-    fall = "12 of 400 rows of an older version fall: their joints may be of different instants"
+    fall = "12 of 400 rows of an older version fall: their joints may differ in their instants"
     assert f"rows      {fall}" in told(capsys, "info", log)
     assert fall in told(capsys, "decode", log, "-o", out)
     assert len(read_recording(out).samples) == 388

@@ -291,7 +291,7 @@ def test_no_file_a_folder_or_no_description(tmp_path: Path) -> None:
 
 
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """By an hour, in the recorder's process, which takes the session's clock; events have the same time."""
+    """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
     from functools import partial
 
     from made_up_buses import bus_text, flat, robot_of, session
@@ -299,7 +299,8 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     from acquisition.recorder import Recorder, process
     from acquisition.transport import WallClock
 
-    true, now, wall = flat(session(syncs=60)), [0], [0]
+    before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
+    true, now, wall = flat(session(syncs=60)), [0], [before_ns]
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
     messages: list[Any] = [("clock", 0)]
 
@@ -318,10 +319,11 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
             if len(block):
                 now[0] = int(block["time_ns"][-1])
             if len(block) > 0 and now[0] >= true["time_ns"][70]:
-                wall[0] = 3_600_000_000_000
-                block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += wall[0]
+                wall[0] = before_ns + further_ns
+                block["time_ns"][block["time_ns"] >= true["time_ns"][70]] += further_ns
             elif not len(block) and not self.stopped:
                 messages.append(("stop", now[0]))
+            block["time_ns"] += before_ns
             return block
 
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
@@ -330,6 +332,6 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     assert (done.samples, done.warnings) == (60, ())
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
-    (event,) = recording.events
-    assert event.text == "the clock was set forward by 3.6e+03 s: times go on as if it had not been"
-    assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]
+    for event, by in zip(recording.events, ("1.8e+03", "3.6e+03"), strict=True):
+        assert event.text == f"the clock was set forward by {by} s: times go on as if it had not been"
+        assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]

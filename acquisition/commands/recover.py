@@ -32,5 +32,5 @@ def run(options: argparse.Namespace) -> None:
         for text in (*decoded.warnings, *lost):
             print(one_line(f"warning: {text}"), file=sys.stderr)
     frames = sum(len(block) for block in found.frames.values())
-    held = f"{samples} samples, {frames} CAN frames, {len(found.events)} events"
+    held = f"{decoded.samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{options.output}: {found.robot.name}, {held}"))

@@ -92,7 +92,7 @@ def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
         return []
     count = int(np.count_nonzero(~np.isin(recording.samples["stamp_ns"], decoded.rows.stamps)))
     text = (
-        f"{count} of {len(recording.samples)} rows of an older version fall: their joints may be of different instants"
+        f"{count} of {len(recording.samples)} rows of an older version fall: their joints may differ in their instants"
     )
     return [text] if count else []
 
@@ -102,8 +102,8 @@ def _is_older(recording: Recording) -> bool:
     return not any(UNCERTAIN in health.counters for health in recording.health)
 
 
-def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded | None]:
-    """As `recover`, with samples decoded from the frames if there are any; what was read, and what was decoded."""
+def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded]:
+    """As `recover`, with samples decoded from the frames if there are any; what was read, and what samples there are."""
     found: list[Recorded] = []
 
     def write(recording: Recording, writer: RecordingWriter) -> None:
@@ -111,7 +111,8 @@ def recover_recording(path: Path, out: Path) -> tuple[Recording, Recorded | None
         found.append(write_decoded(writer, frames, recording.robot, int(frames["time_ns"][-1]), str(path)))
 
     recording = recover(path, out, write)
-    return recording, found[0] if found else None
+    samples = 0 if recording.samples is None else len(recording.samples)
+    return recording, found[0] if found else Recorded(frames=0, samples=samples, warnings=())
 
 
 def is_log(path: Path) -> bool:
