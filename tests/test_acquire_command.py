@@ -192,17 +192,18 @@ def test_an_output_that_exists_stays_until_the_new_one_is_whole(
 def test_a_recording_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str], command: str, name: str) -> None:
     """By its suffix, or by what it holds; the option is asked for before anything is read."""
     log = folder / name
-    log.write_bytes(b"\x89MCAP0")
+    content = b"old" if name == "log.mcap" else b"\x89MCAP0"
+    log.write_bytes(content)
     of_robot = ["--robot", str(SCARA)] if command.startswith("import") else []
     told = refused(capsys, [*command.split(), "missing", *of_robot, "-o", str(log)])
     assert told.startswith(f"robot-acquire: {log}: exists already")
     assert ("--overwrite" in told) == (command != "export")
-    assert log.read_bytes() == b"\x89MCAP0"
+    assert log.read_bytes() == content
     if command != "export":
         assert "exists already" not in refused(
             capsys, [*command.split(), "no", *of_robot, "-o", str(log), "--overwrite"]
         )
-    assert log.read_bytes() == b"\x89MCAP0"
+    assert log.read_bytes() == content
 
 
 def test_a_full_disk_is_one_line_and_leaves_nothing(folder: Path) -> None:

@@ -68,6 +68,13 @@ def test_nothing_is_found_in_coarse_or_slow_motion(what, step):
     assert shares(setup.recording(7).q).max() == 0
 
 
+def test_abrupt_stops_are_no_missing_rows():
+    """Of two steps at a stop one is twice the median of its neighbours, and the other none of it."""
+    speed = np.repeat([1.0, 0.0, -1.0, 0.0] * 50, 40) * 1e-3
+    q = np.cumsum(speed)[:, None] + 1e-6 * np.random.default_rng(0).standard_normal((len(speed), 1))
+    assert shares(q).max() == 0
+
+
 @pytest.mark.parametrize("name", ["emps", "scara", "tx40"])
 def test_nothing_is_found_in_shipped_sessions_at_any_rate(name):
     q = load_signals(REPLAY / name / "session.mcap").q

@@ -239,11 +239,12 @@ def test_what_is_wrong_with_a_bag_is_told(tmp_path, whole, capsys):
     assert "has gripper: expected the joints shoulder, elbow of robot.toml" in foreign
 
 
-def in_turns(**other):
+def in_turns(every=1, **other):
     """The states of the driver, and 5 ms after each one of a second node with the same names and `other` parts."""
     for k in range(N):
         yield message(k)
-        yield message(k, stamp_ns=FIRST_NS + k * 10_000_000 + 5_000_000, **other)
+        if k % every == 0:
+            yield message(k, stamp_ns=FIRST_NS + k * 10_000_000 + 5_000_000, **other)
 
 
 @pytest.mark.parametrize(
@@ -252,9 +253,10 @@ def in_turns(**other):
         ("position", {"position": np.roll(Q, 3, axis=0)}),
         ("position", {"position": np.repeat(Q[:1], N, axis=0)}),
         ("effort", {"effort": 0 * EFFORT}),
+        ("effort", {"effort": 0 * EFFORT, "every": 7}),
         ("effort", {"effort": 0.9 * EFFORT}),
     ],
-    ids=["late copies", "frozen", "no effort", "other efforts"],
+    ids=["late copies", "frozen", "no effort", "no effort now and then", "other efforts"],
 )
 def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
@@ -274,6 +276,7 @@ def test_true_states_are_of_one_publisher(tmp_path):
             (np.round(Q, 2), np.round(EFFORT, 1)),
             (Q + 1e-3 * rng.standard_normal(Q.shape), EFFORT + 0.3 * rng.standard_normal(Q.shape)),
             (Q, np.where(off, 0.0, EFFORT)),
+            (np.round(np.outer(np.arange(N), [0.015, 0.01]), 2), EFFORT),  # steps of one and two digits in turns
             (Q, np.rint(EFFORT * [5.0, 0.0])),
         ]
     ):

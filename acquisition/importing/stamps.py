@@ -92,13 +92,11 @@ def ticks_from_velocity(stamp_s: Array, q: Array, v: Array, tick_s: float) -> Ar
     Stretches of motion are counted through, and lie among the stamps by the median of all of theirs.
     """
     by_stamp, step, of_tick = stamp_s / tick_s, np.diff(q, axis=0), 0.5 * tick_s * (v[1:] + v[:-1])
-    noise = np.maximum(np.ptp(q, axis=0), 1e-300)
-    for _ in range(2):  # the second time with the noise that the first leaves
-        weighted = of_tick / noise
-        size = (weighted**2).sum(axis=1)
-        count = np.rint(np.divide((weighted * step / noise).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
-        left = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0)
-        noise = np.maximum(left, np.where(np.isfinite(smallest := smallest_difference(q)), 0.3 * smallest, 1e300))
+    weighted = of_tick / np.maximum(np.ptp(q, axis=0), 1e-300) ** 2
+    size = (weighted * of_tick).sum(axis=1)
+    count = np.rint(np.divide((weighted * step).sum(axis=1), size, out=np.ones(len(size)), where=size > 0))
+    noise, smallest = 1.4826 * np.median(np.abs(step - count[:, None] * of_tick), axis=0), smallest_difference(q)
+    noise = np.maximum(noise, np.where(np.isfinite(smallest), 0.3 * smallest, 1e300))
     known = (np.sqrt(((of_tick / noise) ** 2).sum(axis=1)) > TICK_DEVIATIONS) & (count >= 0)
     ticks, counted = np.rint(by_stamp), np.concatenate([[0.0], np.cumsum(np.where(known, count, 0.0))])
     edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(int)))

@@ -115,18 +115,8 @@ def excite(
 ) -> Excitation:
     """The reference within a robot's limits that tells most of its base parameters.
 
-    Parameters
-    ----------
-    robot : with limits of position, speed and acceleration.
-    settings : period, harmonics, seed.
-    knowledge : what is known of its parameters, its noise, and from earlier recordings.
-    place : the name of the description in errors.
-    say : called with a line of text as the search goes on.
-
-    Raises
-    ------
-    IdentificationError : where the limits leave no reference, or the drives would not follow it.
-    AcquisitionError : where the drives cannot represent its positions.
+    Raises `IdentificationError`: where the limits leave no reference, or the drives would not follow it. Raises
+    `AcquisitionError`: where the drives cannot represent its positions.
     """
     _refuse_fast(robot, settings, place)
     model = InverseModel(robot)

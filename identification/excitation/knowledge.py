@@ -54,21 +54,8 @@ def knowledge_of(
 ) -> tuple[Knowledge, list[str]]:
     """What files and options know of a robot: a fit's parameters, else those of the description.
 
-    Parameters
-    ----------
-    robot : the described robot.
-    folder : of its description, where meshes are looked for first.
-    fit : a fit's JSON file.
-    noise : deviation of the torque, one for all joints or one for each.
-    after : earlier recordings.
-
-    Returns
-    -------
-    What is known, and warnings about the fit.
-
-    Raises
-    ------
-    IdentificationError : where a file cannot be read, or is not of this robot.
+    Returns what is known, and warnings about the fit. Raises `IdentificationError`: where a file cannot be read, or is
+    not of this robot.
     """
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"

@@ -150,10 +150,8 @@ def limits_of(
 
     The torque is limited where the `model`, with its parameters, is known; `place` names the description in errors.
 
-    Raises
-    ------
-    IdentificationError : where a joint states no limit, or friction alone needs more than a joint's or motor's effort.
-    AcquisitionError : where the bus is described wrongly.
+    Raises `IdentificationError`: where a joint states no limit, or friction alone needs more than a joint's or motor's
+    effort. Raises `AcquisitionError`: where the bus is described wrongly.
     """
     for i, joint in enumerate(robot.joints):
         for kind, tail in zip(KINDS, ("", "_s", "_s2"), strict=True):

@@ -49,15 +49,7 @@ class Exported:
 def export_model(stored: StoredModel, outputs: Outputs, source: str) -> Exported:
     """The model of a fit in the formats asked for.
 
-    Parameters
-    ----------
-    stored : of the fit.
-    outputs : the files.
-    source : name of the fit's file, for the remark in a robot.toml.
-
-    Raises
-    ------
-    IdentificationError : where a description cannot be patched.
+    Raises `IdentificationError`: where a description cannot be patched.
     """
     m, texts = stored.mechanism, dict[Path, str]()
     sections = [Section(lines=stored.lines)]

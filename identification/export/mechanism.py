@@ -53,10 +53,8 @@ class Mechanism:
 def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
     """Take the standard parameters chi (p,) of a model apart.
 
-    Raises
-    ------
-    IdentificationError : where a link is no body, a rotor inertia is negative, or friction feeds energy: simulators take that
-        without a word. `place` names the parameters' file.
+    Raises `IdentificationError`: where a link is no body, a rotor inertia is negative, or friction feeds energy:
+    simulators take that without a word. `place` names the parameters' file.
     """
     n = model.robot.n
     own = {kind: np.zeros(n) for kind in RESISTING}

@@ -90,15 +90,7 @@ def digest_of(digests: Sequence[str]) -> str:
 def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Row) -> Row | None:
     """Fit a recording, or several of one robot together.
 
-    Parameters
-    ----------
-    sources : the recordings.
-    settings : of the fleet.
-    row : what is known of the recording before it is read.
-
-    Returns
-    -------
-    The row of the fit, or the reason why there is none; None where this process does not find a file.
+    Returns the row of the fit, or the reason why there is none; None where this process does not find a file.
     """
     if not all(source.found for source in sources):
         return None

@@ -82,23 +82,9 @@ def run_fleet(
 ) -> list[Row]:
     """One fit per recording, or per folder of recordings.
 
-    Parameters
-    ----------
-    recordings : folders of the fleet and paths, as of `found_recordings`.
-    settings : of all fits.
-    kept : folder of the rows that earlier runs made; each row is kept there as soon as it is made.
-    open_work : where so many tasks are done; called again after workers were lost.
-    say : called with the number of rows that are there, and the file of the last.
-
-    Returns
-    -------
-    A row per path, in the order of their start; those without one last. A recording that cannot be fitted has a row
-    with the reason, and so has one with the same content as another.
-
-    Raises
-    ------
-    AcquisitionError : where a row cannot be kept.
-    WorkersNotStartedError : where no worker can start.
+    Returns a row per path, in the order of their start; those without one last. A recording that cannot be fitted has a
+    row with the reason, and so has one with the same content as another. Raises `AcquisitionError`: where a row cannot
+    be kept. Raises `WorkersNotStartedError`: where no worker can start.
     """
     store = Kept(folder=kept, settings=settings.digest)
     rows: list[Row] = []

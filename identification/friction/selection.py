@@ -69,20 +69,8 @@ def choose_terms(
 ) -> TermChoice:
     """Try sets of friction terms on a recording, or on several of one robot, in this process.
 
-    Parameters
-    ----------
-    signals : the recording, of which fifths are held out, or several, which are held out one by one.
-    overrides : settings in place of those of the description.
-    say : called with a line of text for each step.
-
-    Returns
-    -------
-    The sets with their errors, and the recommended one.
-
-    Raises
-    ------
-    IdentificationError : where recordings are too long or too short, excite too little, are not of one robot, or where the
-        others cannot predict at least two parts.
+    Returns the sets with their errors, and the recommended one. Raises `IdentificationError`: where recordings are too
+    long or too short, excite too little, are not of one robot, or where the others cannot predict at least two parts.
     """
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)

@@ -19,16 +19,8 @@ _KEY = re.compile(r"^\s*(friction|viscous|coulomb|offset|stribeck_speed_deg_s|st
 def write_friction(path: Path, terms: Lists, files: Mapping[str, bytes]) -> None:
     """Put the terms into the description at `path`.
 
-    Parameters
-    ----------
-    path : of robot.toml.
-    terms : by joint, in the order of the description.
-    files : that the description names, and itself, as `Robot.files` has them.
-
-    Raises
-    ------
-    IdentificationError : where the file is laid out so that lines cannot be replaced; it stays as it was.
-    AcquisitionError : where it cannot be read or written.
+    Raises `IdentificationError`: where the file is laid out so that lines cannot be replaced; it stays as it was.
+    Raises `AcquisitionError`: where it cannot be read or written.
     """
     try:
         text = path.read_text(encoding="utf-8")

@@ -186,14 +186,7 @@ def regular_start(model: InverseModel, base: BaseParameters, J: Array | None = N
     With a coupled wrist the Ia of a joint counts all motors that turn with it: Ia5 = 2 on the TX40. A joint without Ia has
     a link with that inertia about every axis, or that mass.
 
-    Parameters
-    ----------
-    model, base : the robot's inverse dynamic model and base parameters.
-    J : (n,) in kg m² or kg; 1 by default.
-
-    Returns
-    -------
-    (b,) values in the order of `base`.
+    Returns (b,) values in the order of `base`.
     """
     chi, robot = np.zeros(model.p), model.robot
     J = np.ones(robot.n) if J is None else J

@@ -86,14 +86,7 @@ def _with_lags(observed: Observed, values_s: Sequence[float]) -> Observed:
 
 
 def timed(observed: Observed, result: IterationResult, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Timed:
-    """The recordings corrected by the lags of their torques, which the instruments of the result find.
-
-    Parameters
-    ----------
-    observed, result : the recordings, and how the passes ended.
-    solve : the estimate along instruments.
-    lab_of : recordings laid out for simulation.
-    """
+    """The recordings corrected by the lags of their torques, which the instruments of the result find."""
     whole = Along(observed=observed, z=result.z, estimate=result.estimate, replicas=result.final)
     if not observed.regression.reduced:
         whole, lags = _in_time(whole, solve)

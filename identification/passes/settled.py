@@ -40,14 +40,7 @@ class Settled:
 def settled_least_squares(linearised: Linearised, method: Literal["ols", "wls"] = "wls") -> Settled:
     """Least squares of all parameters that recordings tell together.
 
-    Parameters
-    ----------
-    linearised : the recordings' W and Y.
-    method : `wls` or `ols`.
-
-    Raises
-    ------
-    IdentificationError : as of the estimators.
+    Raises `IdentificationError`: as of the estimators.
     """
     linearised = leave_out_untold(linearised)
     while True:

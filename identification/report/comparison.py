@@ -202,9 +202,7 @@ def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -
 def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
     """Two sets of parameters side by side, with `warnings` about them.
 
-    Raises
-    ------
-    IdentificationError : as `differences` does.
+    Raises `IdentificationError`: as `differences` does.
     """
     compared = comparison_section(a, b)
     return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))

@@ -166,14 +166,7 @@ def fit_schema() -> dict[str, Any]:
 
 
 def fit_file(signals: Signals, fit: Fit, report: Document) -> FitFile:
-    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null.
-
-    Parameters
-    ----------
-    signals : the recording that was fitted; its description goes into the file.
-    fit : of either method.
-    report : as the terminal shows it.
-    """
+    """A fit as it goes into its JSON file; a number that does not exist (no standing rows, say) is null."""
     e, reduction = fit.estimate, fit.essential
     return FitFile(
         **_on_recording(Validated(signals, fit.settings, fit.errors), fit.warnings, report),

@@ -11,14 +11,7 @@ from .recording_report import error_line, errors_section, headline, recording_li
 
 
 def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
-    """A fit as a report, the verdict first.
-
-    Parameters
-    ----------
-    signals : the recording that was fitted, the first of several.
-    fit : of either method.
-    everything : show all parameters and what the regrouped ones stand for, not the essential ones alone.
-    """
+    """A fit as a report, the verdict first."""
     settings = Section(
         title="settings and tests",
         lines=(

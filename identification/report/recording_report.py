@@ -16,14 +16,7 @@ ERROR_COLUMNS = ("all rows", "moving", "standing")
 
 
 def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
-    """What is known of a recording before a fit.
-
-    Parameters
-    ----------
-    signals : the recording.
-    settings : what a fit would do with it; None where it cannot be fitted.
-    refusal : why it cannot be fitted; None where it can.
-    """
+    """What is known of a recording before a fit."""
     robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
     lines = (
         *([f"cannot be fitted: {refusal}"] if refusal else []),
@@ -70,15 +63,7 @@ def validation_document(
     warnings: tuple[str, ...],
     consistent: tuple[TorqueError, ...] = (),
 ) -> Document:
-    """The torque errors of a fit on recordings that it was not made from.
-
-    Parameters
-    ----------
-    recordings : one by one.
-    fit : name of the file of the parameters.
-    errors, warnings : of all recordings together, and what was noticed.
-    consistent : errors of the fit's consistent set, to stand beside those of the fit.
-    """
+    """The torque errors of a fit on recordings that it was not made from."""
     units = recordings[0].signals.robot.effort_units
     beside = "relative torque error of the consistent set, %"
     names = ", ".join(one.signals.recording for one in recordings)

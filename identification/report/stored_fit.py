@@ -280,9 +280,7 @@ def doubts(stored: StoredFit, place: str) -> list[str]:
 def read_fit(path: Path) -> StoredFit:
     """Read a fit's JSON file, or one of known values.
 
-    Raises
-    ------
-    IdentificationError : where it cannot be read, or is no fit of this format; `place` is the file.
+    Raises `IdentificationError`: where it cannot be read, or is no fit of this format; `place` is the file.
     """
     try:
         stored = msgspec.json.decode(path.read_bytes(), type=StoredFit)

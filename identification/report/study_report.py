@@ -64,14 +64,7 @@ def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Ar
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
-    """The base parameters of a robot with the sums of standard parameters that they stand for, and its joints by number.
-
-    Parameters
-    ----------
-    base : its base parameters.
-    robot : its description.
-    true : (b,) known values, SI; None where there are none.
-    """
+    """The base parameters of a robot with the sums of standard parameters that they stand for, and its joints by number."""
     names = zip(base.names, base.expressions, base.units, strict=True)
     values: list[tuple[Number, ...]] = [()] * base.b if true is None else [(Number(float(x), ".6g"),) for x in true]
     table = Table(
@@ -90,12 +83,6 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
     """Estimates beside the values that a recording was simulated with.
 
     Each has half its 95 % interval, and by how many of these halves it is off.
-
-    Parameters
-    ----------
-    robot : its name.
-    fits : of one recording.
-    true : (b,) the values, SI.
     """
     halves = [fit.intervals.half for fit in fits]
     rows: list[Row] = []
@@ -122,14 +109,7 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
 
 
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
-    """A study's summaries, one row per cut-off and method, and what it varied.
-
-    Parameters
-    ----------
-    robot : its name.
-    study, runs : what was varied, and what came of it.
-    true : (b,) the values simulated with, SI.
-    """
+    """A study's summaries, one row per cut-off and method, and what it varied."""
     rows = summaries(runs, true)
     percents = ("bias %", "spread %", "median error %", "worst error %")
     shares = ("sigma / spread", "converged %", "passes", "false %")

@@ -36,17 +36,8 @@ class Rehearsal:
 def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Callable[[str], None]) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
-    Parameters
-    ----------
-    robot : described with `[bus]` and `[parameters]`.
-    place : its description, as errors name it.
-    out : the recording to write.
-    rehearsal : length, seed and noise.
-    say : called with a line of text for each step.
-
-    Raises
-    ------
-    IdentificationError, AcquisitionError : where the description lacks `[bus]` or values, or the session fails.
+    Raises `IdentificationError` or `AcquisitionError`: where the description lacks `[bus]` or values, or the session
+    fails.
     """
     if robot.bus is None:
         raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")

@@ -80,19 +80,8 @@ class Run:
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
     """All runs of a study.
 
-    Parameters
-    ----------
-    robot : described with `[parameters]`.
-    study : what is varied.
-    work : where the runs are made, each a task.
-
-    Returns
-    -------
-    The runs in order; one that fails has a `reason`.
-
-    Raises
-    ------
-    IdentificationError : where no run can succeed: no values in the description, a cut-off above half the rate.
+    Returns the runs in order; one that fails has a `reason`. Raises `IdentificationError`: where no run can succeed: no
+    values in the description, a cut-off above half the rate.
     """
     fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
     study_truth(robot)

@@ -60,16 +60,7 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
     `torque/<joint>/measured`, `model_idm`, `model_ddm`, `residual`; `robot`, `parameters`, `trust`, `passes`,
     `friction`, `residual`, `spectrum`, `session`, `events`, `health`, `extra/<object>/<motor>`, `report`.
 
-    Parameters
-    ----------
-    path : of the file; it is written whole or not at all.
-    signals : the recording that was fitted.
-    fit : of either method.
-    truth : (b,) known values of the base parameters, SI; None where there are none.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
+    Raises `AcquisitionError`: where the file cannot be written.
     """
     # A viewer holds one layout per application, and a layout is of its data: each fit is an application of its own.
     compared = truth.tobytes() if truth is not None else b""
@@ -83,9 +74,7 @@ def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) 
 
     Entities are `friction/<joint>/usual`, `friction/<joint>/recommended`, and `report`.
 
-    Raises
-    ------
-    AcquisitionError : where the file `path` cannot be written.
+    Raises `AcquisitionError`: where the file `path` cannot be written.
     """
     robot = before.problem.signals.robot.name
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
@@ -104,15 +93,7 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 
     Entities as in `write_fit_rrd`.
 
-    Parameters
-    ----------
-    path : of the file; it is written whole or not at all.
-    signals : the recording.
-    overrides : settings in place of those of the description.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
+    Raises `AcquisitionError`: where the file cannot be written.
     """
     refusal, settings = None, None
     try:
@@ -131,10 +112,8 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
     """Write two sets of parameters as a Rerun file: entities `trust` and `report`.
 
-    Raises
-    ------
-    AcquisitionError : where the file `path` cannot be written.
-    IdentificationError : where the sets do not belong together, as `report.differences` has it.
+    Raises `AcquisitionError`: where the file `path` cannot be written. Raises `IdentificationError`: where the sets do
+    not belong together, as `report.differences` has it.
     """
     document, name = comparison_document(own, other), f"{own.label} and {other.label}"
     drawing = deviation_drawing(own, [other])
@@ -146,17 +125,7 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
 def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, document: Document) -> None:
     """Write a study as a Rerun file: entities `study`, every run's error and their medians, and `report`.
 
-    Parameters
-    ----------
-    path : of the file; it is written whole or not at all.
-    robot : its name.
-    runs : of the study.
-    true : (b,) the values simulated with, SI.
-    document : the study's report.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
+    Raises `AcquisitionError`: where the file cannot be written.
     """
     drawing, identity = study_drawing(runs, true), repr([(run.number, run.error_iv, run.error_ls) for run in runs])
     write_pages(
@@ -174,15 +143,7 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
     Entities are `q/<joint>`, `dq/<joint>` and, where it is known, `torque/<joint>`, each with `reference`, `low` and `high`;
     `robot`, `intervals`, `report`.
 
-    Parameters
-    ----------
-    path : of the file; it is written whole or not at all.
-    excitation : the reference, and what is expected of it.
-    document : its report.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
+    Raises `AcquisitionError`: where the file cannot be written.
     """
     robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
     name = f"{robot}, excitation"
@@ -194,15 +155,7 @@ def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> 
 
     Times are those from the first recording charted, on the timeline `time`.
 
-    Parameters
-    ----------
-    path : of the file; it is written whole or not at all.
-    series : of the fits that can be charted; without any there is the report alone.
-    document : the report.
-
-    Raises
-    ------
-    AcquisitionError : where the file cannot be written.
+    Raises `AcquisitionError`: where the file cannot be written.
     """
     names = ", ".join(drift.name for drift in series)
     identity = repr([(row.sha256, row.parameters) for drift in series for row in drift.rows])
