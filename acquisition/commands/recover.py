@@ -25,12 +25,8 @@ def run(options: argparse.Namespace) -> None:
 
         refuse_clash([options.recording], options.output, overwrite=options.overwrite)
         found, decoded = recover_recording(options.recording, options.output)
-    samples = 0 if found.samples is None else len(found.samples)
-    if decoded is not None:
-        samples = decoded.samples
-        lost = [f"no samples: {decoded.no_samples}"] if decoded.no_samples else []
-        for text in (*decoded.warnings, *lost):
-            print(one_line(f"warning: {text}"), file=sys.stderr)
+    for text in decoded.warnings or [f"no samples: {decoded.no_samples}"] * bool(decoded.no_samples):
+        print(one_line(f"warning: {text}"), file=sys.stderr)
     frames = sum(len(block) for block in found.frames.values())
     held = f"{decoded.samples} samples, {frames} CAN frames, {len(found.events)} events"
     print(one_line(f"{options.output}: {found.robot.name}, {held}"))
