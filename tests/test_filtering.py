@@ -6,6 +6,7 @@ from scipy import signal
 
 from identification.errors import IdentificationError
 from identification.regression.filtering import (
+    Decimation,
     decimate,
     decimation_passes,
     decimation_reach,
@@ -157,3 +158,23 @@ def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
         (decimation_reach(10), signal.cheby1(8, 0.05, 0.08, output="zpk")),
     ):
         assert np.abs(zpk[1]).max() ** found <= 1e-14 < np.abs(zpk[1]).max() ** (found - 2)
+
+
+@pytest.mark.parametrize("samples", [40000, 40007])
+def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_do(samples):
+    decimation, rate_hz = Decimation(factor=100), 5000.0
+    x = lowpass(np.random.default_rng(1).normal(size=(samples, 3)), 50.0, rate_hz).T
+    stride = decimation.stride_behind(50.0, rate_hz)
+    assert stride == 10
+    whole, strided = decimation.filtered(x), decimation.filtered(x[:, (samples - 1) % stride :: stride], stride)
+    assert whole.shape == strided.shape
+    error = np.abs(whole - strided).max(axis=0) / np.abs(whole).max()
+    assert error[100:-100].max() < 1e-6  # the filter's gain at frequency 0 alone would be 1 %
+    assert error.max() < 0.05  # a line through other samples reflects the ends
+
+
+def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():
+    assert Decimation(factor=100).stride_behind(None, 5000.0) == 1
+    assert Decimation(factor=100).stride_behind(400.0, 5000.0) == 1
+    assert Decimation(factor=8).stride_behind(5.0, 5000.0) == 1  # one pass
+    assert Decimation(factor=100, smooth_ends=False).stride_behind(50.0, 5000.0) == 1

@@ -18,6 +18,7 @@ BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
 LARGEST_PASS = 13  # a decimation by more goes in several passes
+FOLDED = 1e-3  # of the amplitude in the band that is kept: most that may fold into it
 NOTHING = 1e-14  # of an input: less than rounding leaves of it
 
 
@@ -59,9 +60,34 @@ class Decimation:
         """Number of rows that so many samples give."""
         return -(-samples // self.factor)
 
-    def filtered(self, x: Array) -> Array:
-        """x decimated along its last axis: low-pass, then every `factor`-th sample."""
-        return decimate(x, self.factor, smooth_ends=self.smooth_ends)
+    def filtered(self, x: Array, stride: int = 1) -> Array:
+        """x decimated along its last axis: low-pass, then every `factor`-th sample.
+
+        x may be every `stride`-th sample alone, counted from the last one (`stride_behind`).
+        """
+        if stride == 1:
+            return decimate(x, self.factor, smooth_ends=self.smooth_ends)
+        first, *others = decimation_passes(self.factor)
+        assert stride == first
+        assert self.smooth_ends
+        for r in others:
+            x, first = _decimated(x, r, first), 1
+        return np.ascontiguousarray(x)
+
+    def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
+        """Samples that can be skipped of what follows smoothly from a position behind the low-pass: the first pass, or 1.
+
+        Noise of an acceleration rises with the square of frequency, up to the low-pass. What of it folds into the band that is
+        kept may have a thousandth of the amplitude that stands there.
+        """
+        passes = decimation_passes(self.factor)
+        if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
+            return 1
+        f = np.linspace(0.0, 0.5 * sample_rate_hz, 2001)
+        kept_hz, size = 0.8 * 0.5 * sample_rate_hz / self.factor, 2 * (len(f) - 1)
+        amplitude = f**2 * np.abs(_butterworth(cutoff_hz, sample_rate_hz).response(size)) ** 2
+        folded = amplitude[f >= sample_rate_hz / passes[0] - kept_hz]
+        return passes[0] if folded.max(initial=0.0) <= FOLDED * amplitude[f <= kept_hz].max() else 1
 
     def kept(self, x: Array) -> Array:
         """The samples of x (N, n) at the instants that are kept, unfiltered."""
@@ -104,9 +130,13 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     return np.ascontiguousarray(x)
 
 
-def _decimated(x: Array, r: int) -> Array:
-    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length."""
-    N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
+def _decimated(x: Array, r: int, before: int = 1) -> Array:
+    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length.
+
+    Of every `before`-th sample, the pass by `before` that has not been made is made with it.
+    """
+    N, near = x.shape[-1], min(6 * r, x.shape[-1])
+    reach = _chebyshev(r).reach + (-(-_chebyshev(before).reach // before) if before > 1 else 0)
     first_kept = (N - 1) % r
     lead = reach + (-(reach + first_kept)) % r  # a multiple of r before the first sample that is kept
     rows = _fast_size(-(-(lead + N + reach) // r))
@@ -119,7 +149,7 @@ def _decimated(x: Array, r: int) -> Array:
     extended[..., begin:lead] = 2 * first[..., None] - x[..., lead - begin : 0 : -1]
     extended[..., lead + N : end] = 2 * last[..., None] - x[..., -2 : N - 2 - end + lead : -1]
     extended[..., :begin], extended[..., end:] = extended[..., begin, None], extended[..., end - 1, None]
-    gain = _gain(r, rows)
+    gain = _gain(r, rows, before)
     spectrum = np.fft.rfft(extended)[..., : len(gain)] * gain
     folded = np.zeros((*x.shape[:-1], rows // 2 + 1), dtype=complex)
     for start in range(0, len(gain), rows):
@@ -136,9 +166,14 @@ def _decimated_by_matlab(x: Array, r: int, padding: int) -> Array:
 
 
 @lru_cache
-def _gain(r: int, rows: int) -> Array:
-    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing."""
+def _gain(r: int, rows: int, before: int) -> Array:
+    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing.
+
+    These are every `before`-th of others, whose filter's gain is in it.
+    """
     gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
+    if before > 1:
+        gain *= np.abs(_chebyshev(before).response(rows * r * before)[: len(gain)]) ** 2
     last = int(np.flatnonzero(gain > 1e-3 * NOTHING)[-1])
     above = -(-last // rows) * rows  # the part that ends here is folded back whole
     return np.asarray(gain[: above + 1 if above - rows // 2 <= last else last + 1])
