@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import interpolate, signal
 
 from identification.errors import IdentificationError
 from identification.regression.filtering import (
@@ -14,7 +14,7 @@ from identification.regression.filtering import (
     lowpass,
     lowpass_reach,
 )
-from identification.regression.motion import differentiate, motion_between
+from identification.regression.motion import differentiate, motion_between, sampled_at
 
 FS = 1000.0
 T = np.arange(8000) / FS
@@ -178,3 +178,15 @@ def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept(
     assert Decimation(factor=100).stride_behind(400.0, 5000.0) == 1
     assert Decimation(factor=8).stride_behind(5.0, 5000.0) == 1  # one pass
     assert Decimation(factor=100, smooth_ends=False).stride_behind(50.0, 5000.0) == 1
+
+
+@pytest.mark.parametrize("by", [0.25, -0.7, 1.5])
+def test_samples_in_between_are_those_of_a_cubic_spline(by):
+    x, at = np.random.default_rng(2).normal(size=(300, 2)).cumsum(axis=0), np.arange(300) + by
+    spline = interpolate.CubicSpline(np.arange(300), x)
+    np.testing.assert_allclose(sampled_at(at, x)[40:-40], spline(at)[40:-40], atol=1e-12)
+    sine = np.sin(2 * np.pi * T[:, None] / 0.05)  # at the ends too: 50 samples a period
+    assert (
+        np.abs(sampled_at(np.arange(len(T)) + by, sine)[:, 0] - np.sin(2 * np.pi * (T + by / FS) / 0.05))[2:-2].max()
+        < 1e-3
+    )

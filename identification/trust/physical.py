@@ -21,6 +21,7 @@ from ..estimation import (
     Consistent,
     Estimate,
     Intervals,
+    chi_squared_quantile,
     consistent_parameters,
     intervals,
     intervals_of_blocks,
@@ -267,8 +268,6 @@ def nearest_consistent(problem: Problem, beta: Array, covariance: Array, power: 
 
 def consistent_test(evidence: Evidence) -> TrustLine:
     """How far the nearest consistent parameters are: in chi-squared, and the largest move in half-widths of the intervals."""
-    from scipy.special import chdtri
-
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
@@ -282,7 +281,7 @@ def consistent_test(evidence: Evidence) -> TrustLine:
         nearest = nearest_consistent(problem, beta, covariance[np.ix_(first, first)], recorded_power(moved, beta))
     except IdentificationError as error:
         return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
-    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, float(chdtri(len(names), FAR_LEVEL))
+    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
