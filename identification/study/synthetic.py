@@ -18,10 +18,9 @@ from acquisition.trajectory import FourierReference, fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
+from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of
 from ..regression import differentiate
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop, simulate, surrogate_loop
-from ..trust import inertias, poses_of
 from .noise import Noise
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
