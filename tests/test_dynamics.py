@@ -9,9 +9,8 @@ from urdfs import ARM, LIMIT, joint, urdf
 from acquisition.robot import Robot
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.errors import IdentificationError
-from identification.model.base import base_parameters
+from identification.model.base import base_parameters, known_parameters
 from identification.model.inverse import FROM_PINOCCHIO, InverseModel
-from identification.study.synthetic import known_parameters
 
 KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)

@@ -1,6 +1,6 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
-from .base import BaseParameters, base_parameters, load_parameters
+from .base import BaseParameters, base_parameters, load_parameters, truth
 from .derivatives import regressor_gradient, sliding_apart, torque_of_links
 from .direct import DirectModel, Shapes, direct_model, inertias, not_positive, pose_step, poses_of
 from .inverse import LINK, InverseModel
