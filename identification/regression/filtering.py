@@ -60,19 +60,31 @@ class Decimation:
         """Number of rows that so many samples give."""
         return -(-samples // self.factor)
 
-    def filtered(self, x: Array, stride: int = 1) -> Array:
-        """x decimated along its last axis: low-pass, then every `factor`-th sample.
+    def filtered(self, x: Array) -> Array:
+        """x decimated along its last axis: low-pass, then every `factor`-th sample."""
+        return decimate(x, self.factor, smooth_ends=self.smooth_ends)
 
-        x may be every `stride`-th sample alone, counted from the last one (`stride_behind`).
+    def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
+        """What `filtered` gives of a series of which x is every `stride_behind`-th sample, counted from the last one.
+
+        `head` and `tail` are all of its first samples, up to one of x, and of its last: `end_samples` and up to a stride more.
         """
-        if stride == 1:
-            return decimate(x, self.factor, smooth_ends=self.smooth_ends)
-        first, *others = decimation_passes(self.factor)
-        assert stride == first
-        assert self.smooth_ends
+        r, *others = decimation_passes(self.factor)
+        k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
+        size = _fast_size(N + 2 * k)
+        extended = np.concatenate([x, np.repeat(x[..., -1:], size - N, -1)], axis=-1)
+        gain = np.abs(_chebyshev(r).response(size * r)[: size // 2 + 1]) ** 2
+        passed = np.fft.irfft(np.fft.rfft(extended) * gain, size)[..., k : N - k]
+        y = np.concatenate([_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1)
         for r in others:
-            x, first = _decimated(x, r, first), 1
-        return np.ascontiguousarray(x)
+            y = _decimated(y, r)
+        return np.ascontiguousarray(y)
+
+    @property
+    def end_samples(self) -> int:
+        """Samples at each end of which `filtered_strided` takes all: twice as many as the first pass reaches."""
+        r = decimation_passes(self.factor)[0]
+        return 2 * r * (_chebyshev(r).reach // r + 1)
 
     def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
         """Samples that can be skipped of what follows smoothly from a position behind the low-pass: the first pass, or 1.
@@ -130,13 +142,9 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
     return np.ascontiguousarray(x)
 
 
-def _decimated(x: Array, r: int, before: int = 1) -> Array:
-    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length.
-
-    Of every `before`-th sample, the pass by `before` that has not been made is made with it.
-    """
-    N, near = x.shape[-1], min(6 * r, x.shape[-1])
-    reach = _chebyshev(r).reach + (-(-_chebyshev(before).reach // before) if before > 1 else 0)
+def _decimated(x: Array, r: int) -> Array:
+    """One pass by r with smooth ends. Of a spectrum, every r-th sample is the sum of its r parts of equal length."""
+    N, reach, near = x.shape[-1], _chebyshev(r).reach, min(6 * r, x.shape[-1])
     first_kept = (N - 1) % r
     lead = reach + (-(reach + first_kept)) % r  # a multiple of r before the first sample that is kept
     rows = _fast_size(-(-(lead + N + reach) // r))
@@ -149,7 +157,7 @@ def _decimated(x: Array, r: int, before: int = 1) -> Array:
     extended[..., begin:lead] = 2 * first[..., None] - x[..., lead - begin : 0 : -1]
     extended[..., lead + N : end] = 2 * last[..., None] - x[..., -2 : N - 2 - end + lead : -1]
     extended[..., :begin], extended[..., end:] = extended[..., begin, None], extended[..., end - 1, None]
-    gain = _gain(r, rows, before)
+    gain = _gain(r, rows)
     spectrum = np.fft.rfft(extended)[..., : len(gain)] * gain
     folded = np.zeros((*x.shape[:-1], rows // 2 + 1), dtype=complex)
     for start in range(0, len(gain), rows):
@@ -166,14 +174,9 @@ def _decimated_by_matlab(x: Array, r: int, padding: int) -> Array:
 
 
 @lru_cache
-def _gain(r: int, rows: int, before: int) -> Array:
-    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing.
-
-    These are every `before`-th of others, whose filter's gain is in it.
-    """
+def _gain(r: int, rows: int) -> Array:
+    """|H|² before decimation by r at the frequencies of `rows` r samples, as far as it is more than nothing."""
     gain = np.abs(_chebyshev(r).response(rows * r)) ** 2
-    if before > 1:
-        gain *= np.abs(_chebyshev(before).response(rows * r * before)[: len(gain)]) ** 2
     last = int(np.flatnonzero(gain > 1e-3 * NOTHING)[-1])
     above = -(-last // rows) * rows  # the part that ends here is folded back whole
     return np.asarray(gain[: above + 1 if above - rows // 2 <= last else last + 1])

@@ -219,19 +219,29 @@ def _decimated(
     """Regressor (n, b, rows), the links' columns computed at every `stride`-th sample; and what was at full rate, the
     entries (E, 2) of joint and place in `base` with their series (E, N).
     """
-    W, links = np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q)))), base.links & (stride > 1)
-    for step, places in ((stride, np.flatnonzero(links)), (1, np.flatnonzero(~links))):
-        at, columns = slice((len(motion.q) - 1) % step, None, step), base.columns[places]
-        entries, series = (
-            dynamics.entries(columns),
-            dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns),
-        )
-        entries[:, 1] = places[entries[:, 1]]
-        size = max(1, _FILTERED // series.shape[1])
-        for k in range(0, len(entries), size):
-            group = slice(k, k + size)
-            W[entries[group, 0], entries[group, 1]] = decimation.filtered(series[group], step)
+    N, W = len(motion.q), np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q))))
+    links = base.links & (1 < stride < N / decimation.end_samples) if stride > 1 else np.zeros(base.b, dtype=bool)
+    if links.any():
+        at, end = (N - 1) % stride, decimation.end_samples
+        spans = (slice(at, None, stride), slice(0, at + end + 1), slice(N - end - 1, None))
+        entries, parts = _series(motion, dynamics, base, np.flatnonzero(links), spans)
+        W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
+    entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
+    size = max(1, _FILTERED // N)
+    for k in range(0, len(entries), size):
+        group = slice(k, k + size)
+        W[entries[group, 0], entries[group, 1]] = decimation.filtered(series[group])
     return W, entries, series
+
+
+def _series(
+    motion: Motion, dynamics: InverseModel, base: BaseParameters, places: NDArray[np.intp], spans: Sequence[slice]
+) -> tuple[NDArray[np.intp], list[Array]]:
+    """Entries (E, 2), joint and place in `base`, of the parameters at `places`; their series (E, N) in spans of a motion."""
+    columns = base.columns[places]
+    entries = dynamics.entries(columns)
+    entries[:, 1] = places[entries[:, 1]]
+    return entries, [dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
