@@ -21,9 +21,9 @@ from independent_simulator import (
 from identification.estimation.estimators import one_thread
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import truth
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
-from identification.study.synthetic import truth
 
 Array = np.ndarray
 CHUNK = 20  # runs simulated side by side

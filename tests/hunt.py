@@ -14,9 +14,8 @@ from identification.data import Signals
 from identification.errors import IdentificationError
 from identification.estimation import one_thread
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters
+from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides
-from identification.study.synthetic import truth
 
 HALF_WIDTHS, PERCENT = 3.0, 2.0  # an essential parameter that is further off than both is harmed
 

@@ -15,9 +15,8 @@ from acquisition.importing import Imported, import_tables
 from acquisition.robot.robot import Robot, load_robot
 from identification.data.signals import load_signals
 from identification.methods import identify_ls
-from identification.model import InverseModel
+from identification.model import InverseModel, truth
 from identification.regression import Overrides
-from identification.study.synthetic import truth
 
 STEPS_MS, SHARES = (8, 9, 10, 11, 12, 13), (0.1, 0.2, 0.4, 0.15, 0.1, 0.05)
 OFF, TICK_S = 0.05, 0.001

@@ -27,9 +27,8 @@ from independent_simulator import (
 
 from identification.estimation import one_thread
 from identification.methods import Fit
-from identification.model import InverseModel
+from identification.model import InverseModel, truth
 from identification.regression import Overrides
-from identification.study.synthetic import truth
 
 Array = np.ndarray
 LAGS = (0.0, 1.0, 2.0, 2.5)  # samples

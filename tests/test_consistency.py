@@ -21,11 +21,10 @@ from identification.estimation.consistency import (
 )
 from identification.estimation.link_inertias import pseudo_inertia
 from identification.methods.consistent import FROM_PRIOR
-from identification.model.base import base_parameters
+from identification.model.base import base_parameters, known_parameters
 from identification.model.inverse import FROM_PINOCCHIO, InverseModel
 from identification.model.joint_terms import corner_speeds
 from identification.model.physical import physical_parameters, requirements
-from identification.study.synthetic import known_parameters
 
 rng = np.random.default_rng(8)
 

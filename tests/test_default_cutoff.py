@@ -22,10 +22,10 @@ from independent_simulator import (
 from acquisition.robot.robot import Robot
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import truth
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
-from identification.study.synthetic import truth
 
 SEEDS = 20
 NEXT_TO_IT = 1.0001

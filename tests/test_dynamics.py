@@ -4,13 +4,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
+from urdfs import ARM, LIMIT, joint, urdf
 
+from acquisition.robot import Robot
 from acquisition.robot.robot import load_robot, robot_from_files
 from identification.errors import IdentificationError
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
-from identification.study.synthetic import known_parameters
+from identification.model.base import base_parameters, known_parameters
+from identification.model.inverse import FROM_PINOCCHIO, InverseModel
 
+KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)
 
 
@@ -36,6 +38,33 @@ def test_regressor_gives_the_torques_of_newton_euler(name):
     data = model.createData()
     expected = np.array([pin.rnea(model, data, *state) for state in zip(q, dq, ddq, strict=True)])
     assert np.abs(tau - expected).max() < 1e-12 * np.abs(expected).max()
+
+
+def tilted_arm() -> Robot:
+    """Two turning joints and a slide, none of whose axes is that of a frame, under gravity that is tilted too."""
+    joints = "".join(f'[[joint]]\nname = "{name}"\ntype = "{kind}"\n' for name, kind in zip(ARM, KINDS, strict=True))
+    motors = "".join(
+        f'[[motor]]\nname = "m_{name}"\neffort_unit = "{unit}"\n' for name, unit in zip(ARM, UNITS, strict=True)
+    )
+    head = 'name = "arm"\ngravity_m_s2 = [1.0, -2.0, -9.5]\nurdf = "arm.urdf"\n[controller]\nbandwidth_hz = 5\n'
+    tilted = urdf(lift=joint("lift", "revolute", "column", "arm", LIMIT, axis="0.3 0.9 -0.2"))
+    return robot_from_files(
+        {"robot.toml": (head + joints + motors).encode(), "robot.urdf": tilted.encode()}, "arm.toml"
+    )
+
+
+@pytest.mark.parametrize("robot", ["tx40", "emps", "arm"])
+def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot):
+    """The arm has tilted axes, a slide and gravity that is tilted too; 4099 samples are two blocks and three."""
+    dynamics = InverseModel(tilted_arm() if robot == "arm" else robot_named(robot))
+    n, links = dynamics.robot.n, [c for c in range(dynamics.p) if dynamics.is_link_parameter(c)]
+    q, dq, ddq = states(n, 4099)
+    W = dynamics.regressor(q, dq, ddq)
+    data, order = dynamics.model.createData(), list(FROM_PINOCCHIO)
+    for k in (0, 1, 2047, 2048, 4095, 4096, 4098):
+        expected = pin.computeJointTorqueRegressor(dynamics.model, data, q[k], dq[k], ddq[k]).reshape(n, n, 10)
+        got = W[k][:, links].reshape(n, n, 10)
+        assert np.abs(got - expected[..., order]).max() < 1e-13 * np.abs(expected).max()
 
 
 def test_scara_is_the_closed_form_of_the_paper():

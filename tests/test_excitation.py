@@ -21,11 +21,11 @@ from identification.excitation.information import Information
 from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
 from identification.excitation.limits import limits_of
 from identification.excitation.series import Series, motion_of
-from identification.model import InverseModel, base_parameters, direct_model, obstacles_of
+from identification.model import InverseModel, base_parameters, direct_model, obstacles_of, truth
 from identification.model.derivatives import regressor_gradient, sliding_apart, torque_of_links
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, truth, write_signals
+from identification.study.synthetic import closed_loop, write_signals
 from identification.view.design_panels import excitation_plots, intervals_drawing
 from identification.view.panels import GREY, ORANGE
 from identification.view.robot_drawing import excitation_scene

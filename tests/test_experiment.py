@@ -18,6 +18,7 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
+from identification.model import truth
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression import regression_of_recording, row_blocks
@@ -26,7 +27,6 @@ from identification.regression.settings import Overrides
 from identification.replica.experiment import make_experiment
 from identification.replica.instruments import Counting, simulate_instruments
 from identification.replica.motion import simulated_motion
-from identification.study.synthetic import truth
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
-from scipy import signal
+from scipy import interpolate, signal
 
 from identification.errors import IdentificationError
 from identification.regression.filtering import (
+    Decimation,
     decimate,
     decimation_passes,
     decimation_reach,
@@ -13,7 +14,7 @@ from identification.regression.filtering import (
     lowpass,
     lowpass_reach,
 )
-from identification.regression.motion import differentiate, motion_between
+from identification.regression.motion import differentiate, motion_between, sampled_at
 
 FS = 1000.0
 T = np.arange(8000) / FS
@@ -157,3 +158,33 @@ def test_the_reach_of_a_filter_is_that_of_its_slowest_pole():
         (decimation_reach(10), signal.cheby1(8, 0.05, 0.08, output="zpk")),
     ):
         assert np.abs(zpk[1]).max() ** found <= 1e-14 < np.abs(zpk[1]).max() ** (found - 2)
+
+
+@pytest.mark.parametrize("samples", [40000, 40007])
+def test_every_tenth_sample_of_what_a_low_pass_leaves_decimates_as_all_samples_do(samples):
+    decimation, rate_hz = Decimation(factor=100), 5000.0
+    x = lowpass(np.random.default_rng(1).normal(size=(samples, 3)), 50.0, rate_hz).T
+    stride = decimation.stride_behind(50.0, rate_hz)
+    assert stride == 10
+    at, end = (samples - 1) % stride, decimation.end_samples
+    strided = decimation.filtered_strided(x[:, at::stride], x[:, : at + end + 1], x[:, -end - 1 :])
+    np.testing.assert_allclose(strided, decimation.filtered(x), atol=1e-6 * np.abs(x).max())  # the ends too
+
+
+def test_no_sample_is_skipped_where_noise_would_fold_into_the_band_that_is_kept():
+    assert Decimation(factor=100).stride_behind(None, 5000.0) == 1
+    assert Decimation(factor=100).stride_behind(400.0, 5000.0) == 1
+    assert Decimation(factor=8).stride_behind(5.0, 5000.0) == 1  # one pass
+    assert Decimation(factor=100, smooth_ends=False).stride_behind(50.0, 5000.0) == 1
+
+
+@pytest.mark.parametrize("by", [0.25, -0.7, 1.5])
+def test_samples_in_between_are_those_of_a_cubic_spline(by):
+    x, at = np.random.default_rng(2).normal(size=(300, 2)).cumsum(axis=0), np.arange(300) + by
+    spline = interpolate.CubicSpline(np.arange(300), x)
+    np.testing.assert_allclose(sampled_at(at, x)[40:-40], spline(at)[40:-40], atol=1e-12)
+    sine = np.sin(2 * np.pi * T[:, None] / 0.05)  # at the ends too: 50 samples a period
+    assert (
+        np.abs(sampled_at(np.arange(len(T)) + by, sine)[:, 0] - np.sin(2 * np.pi * (T + by / FS) / 0.05))[2:-2].max()
+        < 1e-3
+    )

@@ -22,6 +22,7 @@ from identification.friction import Trials, choose_terms, friction_of_joints, pa
 from identification.methods.consistent import Prior, with_consistent
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import truth
 from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
@@ -36,7 +37,7 @@ from identification.regression.system import regression_of_recording
 from identification.simulation.closed_loop import simulate
 from identification.simulation.control_law import Reference, surrogate_loop
 from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, periodic_reference, random_reference, truth, write_signals
+from identification.study.synthetic import closed_loop, periodic_reference, random_reference, write_signals
 from identification.work import processes
 
 USUAL = ["viscous", "coulomb", "offset"]

@@ -14,9 +14,8 @@ from acquisition.robot import Robot
 from identification.data import Signals
 from identification.errors import IdentificationError
 from identification.methods import Iteration, identify_iv
-from identification.model import InverseModel, base_parameters
+from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, largest_of_type
-from identification.study import truth
 
 CELL = Imperfections(encoder_noise=2e-5, encoder_step=1e-5, torque_noise_percent=1.0)
 

@@ -18,14 +18,14 @@ from identification.errors import IdentificationError
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import not_positive, truth
 from identification.model.base import base_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.simulation.control_law import recorded_loop
 from identification.study import Run, summaries
-from identification.study.synthetic import Noise, closed_loop, random_reference, truth
-from identification.trust.physical import not_positive
+from identification.study.synthetic import Noise, closed_loop, random_reference
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"

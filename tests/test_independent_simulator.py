@@ -24,8 +24,8 @@ from independent_simulator import (
 from scipy.integrate import solve_ivp
 
 from identification.data.signals import load_signals
+from identification.model.base import known_parameters
 from identification.model.inverse import InverseModel
-from identification.study.synthetic import known_parameters
 
 NAMES = ("emps", "scara", "tx40")
 NOTHING = Imperfections()

@@ -21,6 +21,7 @@ from identification.data.signals import Signals, load_signals
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import truth
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
 from identification.regression.problem import make_problem
@@ -28,7 +29,6 @@ from identification.regression.settings import Overrides
 from identification.replica.experiment import make_experiment
 from identification.replica.instruments import Counting, simulate_instruments
 from identification.replica.motion import simulated_robot
-from identification.study.synthetic import truth
 
 SETTLED = ("converged", "not_confirmed")
 SENSOR_ARM = Path(__file__).with_name("torque_sensor_arm.toml")

@@ -23,9 +23,9 @@ from identification.data.signals import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.methods.idim import validate
-from identification.model import InverseModel
+from identification.model import InverseModel, truth
 from identification.regression import Overrides, make_problem, torque_rate
-from identification.study.synthetic import truth, write_signals
+from identification.study.synthetic import write_signals
 from identification.trust.columns import Lack
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m

@@ -14,8 +14,8 @@ from acquisition.robot.robot import load_robot
 from acquisition.session.recording_session import Operator, RecordOptions, record
 from acquisition.simulated.mechanism import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
+from identification.model.base import known_parameters
 from identification.model.inverse import InverseModel
-from identification.study.synthetic import known_parameters
 
 
 @pytest.mark.parametrize("name", ["tx40", "scara"])

@@ -11,9 +11,9 @@ from fits_of_records import iv_of, signals_of
 
 from identification.commands.program import main
 from identification.data.signals import load_signals
+from identification.model import truth
 from identification.model.base import base_parameters
 from identification.model.inverse import InverseModel
-from identification.study.synthetic import truth
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
@@ -89,7 +89,16 @@ def compare_with_shipped(name: str, made: Path) -> None:
     assert np.linalg.norm(again.effort - shipped.effort) < 0.01 * np.linalg.norm(shipped.effort)
     for key in ("effort_timing", "provenance", "sample_rate_hz", "track"):
         assert getattr(again, key) == getattr(shipped, key), key
-    assert again.robot.files == shipped.robot.files
+    assert again.robot.files["robot.toml"] == shipped.robot.files["robot.toml"]
+    assert rounded(again.robot.files) == rounded(shipped.robot.files)
+
+
+def rounded(files: dict[str, bytes]) -> dict[str, str]:
+    """Files with their decimal fractions to ten digits: gains follow from inertias, whose rounding differs."""
+    return {
+        name: re.sub(r"\d+\.\d{6,}", lambda found: f"{float(found[0]):.10g}", text.decode())
+        for name, text in files.items()
+    }
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

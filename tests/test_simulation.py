@@ -11,14 +11,14 @@ from acquisition.robot.robot import robot_from_files
 from identification.errors import IdentificationError
 from identification.methods.idim import identify_iv
 from identification.methods.iteration import Iteration, regular_start
-from identification.model.base import base_parameters
+from identification.model import inertias, not_positive, truth
+from identification.model.base import base_parameters, known_parameters
 from identification.model.direct import DirectModel, direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.simulation.closed_loop import ClosedLoop, simulate
 from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
-from identification.study.synthetic import Noise, closed_loop, known_parameters, random_reference, truth
-from identification.trust.physical import inertias, not_positive
+from identification.study.synthetic import Noise, closed_loop, random_reference
 
 RATE = 1000.0
 

@@ -20,13 +20,14 @@ from identification.estimation.system import System
 from identification.methods.fit import Fit
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
+from identification.model import truth
 from identification.model.inverse import InverseModel
 from identification.regression.low_speed import fast_rows, measured_slip
 from identification.regression.motion import FilteredMotion
 from identification.regression.problem import make_problem
 from identification.regression.settings import Overrides
 from identification.regression.system import regression_of_recording
-from identification.study.synthetic import Noise, closed_loop, random_reference, truth
+from identification.study.synthetic import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
 TX40 = REPLAY / "tx40" / "session.mcap"

@@ -30,6 +30,7 @@ from .diagnostics import (
     torque_errors,
     whitened,
 )
+from .distributions import chi_squared_quantile, f_tail, independent_share, t_quantile
 from .estimators import (
     Estimate,
     Reduction,
@@ -39,7 +40,6 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .f_test import f_tail, independent_share
 from .link_inertias import link_parameters, pseudo_inertia
 from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
 from .time_blocks import BlockSums, InstrumentBlocks, TimeBlocks, intervals_of_blocks, sums_of_blocks

@@ -11,6 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from ..arrays import Array
+from .distributions import t_quantile
 from .estimators import Estimate
 
 LEVEL = 0.95
@@ -169,6 +170,4 @@ def cosines(T: int) -> int:
 
 
 def _reach(freedom: int) -> float:
-    from scipy.special import stdtrit
-
-    return float(stdtrit(freedom, 0.5 + LEVEL / 2))
+    return t_quantile(0.5 + LEVEL / 2, freedom)

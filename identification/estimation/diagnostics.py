@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from .confidence import slices
-from .f_test import f_tail, independent_share
+from .distributions import f_tail, independent_share
 from .system import System, orthonormal, r_factor
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .f_test import f_tail, independent_share
+from .distributions import f_tail, independent_share
 from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
 F = TypeVar("F", bound=Callable[..., Any])

@@ -11,10 +11,9 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, load_parameters
+from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, load_parameters, truth
 from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
 from ..report import doubts, read_fit
-from ..study import truth
 from .series import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, where no noise is known

@@ -21,6 +21,7 @@ from ..estimation import (
     lag_one,
     ordinary_least_squares,
     relative_error_percent,
+    t_quantile,
     weighted_least_squares,
 )
 from ..passes import Linearised, load_passes
@@ -75,10 +76,8 @@ class Trial:
 
     def excludes_zero(self, name: str, level: float) -> bool:
         """Whether the interval of a parameter does; that of load friction must lie above, no friction falls with the load."""
-        from scipy.special import stdtrit
-
         t = self.t[name] if name.startswith("mu") else abs(self.t[name])
-        return t > float(stdtrit(self.freedom, 0.5 + level / 2))
+        return t > t_quantile(0.5 + level / 2, self.freedom)
 
 
 class Trials:

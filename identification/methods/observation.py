@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..data import ON_GRID, PositionSteps, RecordingFile, Signals, position_steps
 from ..errors import IdentificationError
 from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
-from ..model import SHAPES
+from ..model import SHAPES, poses_of
 from ..passes import RowStates, row_states
 from ..regression import (
     HELD,
@@ -30,7 +30,7 @@ from ..regression import (
     torque_of_recording,
 )
 from ..replica import Place
-from ..trust import Part, TrustLine, poses_of, replay_line
+from ..trust import Part, TrustLine, replay_line
 from .fit import LeastSquares, Method
 
 Say = Callable[[str], None]

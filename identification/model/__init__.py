@@ -1,8 +1,8 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
-from .base import BaseParameters, base_parameters, load_parameters
+from .base import BaseParameters, base_parameters, load_parameters, truth
 from .derivatives import regressor_gradient, sliding_apart, torque_of_links
-from .direct import DirectModel, Shapes, direct_model
+from .direct import DirectModel, Shapes, direct_model, inertias, not_positive, pose_step, poses_of
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
@@ -14,6 +14,7 @@ from .physical import (
     friction_power,
     is_a_body,
     link_columns,
+    nearest_consistent,
     physical_parameters,
     requirements,
     shaped_states,

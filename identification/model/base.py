@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..errors import IdentificationError
 from .inverse import InverseModel
 from .joint_terms import SHAPES, JointTerm
 
@@ -133,3 +134,25 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
             term = f"{size:.6g} ({inside})" if len(members) > 1 else f"{size:.6g} {inside}"
         text += (" - " if coefficient < 0 else " + " if text else "") + term
     return text
+
+
+def known_parameters(dynamics: InverseModel) -> Array:
+    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent.
+
+    Raises `IdentificationError` for a name that the robot does not have, or a description without values.
+    """
+    values, names = dynamics.robot.parameters, dynamics.names
+    if not values:
+        raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")
+    for name, value in values.items():
+        if name not in names:
+            raise IdentificationError(
+                f"robot {dynamics.robot.name}: parameters.{name} = {value:g}: not a standard parameter of this robot; "
+                f"expected names such as {', '.join(names[:3])} ... {names[-1]}"
+            )
+    return np.array([values.get(name, 0.0) for name in names])
+
+
+def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
+    """Base parameters (b,) of the description's `[parameters]`: K chi."""
+    return np.asarray(base.K @ known_parameters(dynamics))

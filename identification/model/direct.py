@@ -10,6 +10,8 @@ from ..arrays import Array
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import JointTerm
 
+_POSES = 300  # positions of a trajectory at which M is looked at
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shapes:
@@ -175,4 +177,31 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         down=levels[1],
         shapes=Shapes(root=levels[2], stribeck=levels[3], speed=levels[4], load=levels[5]),
         offset=offset,
+    )
+
+
+def poses_of(q: Array) -> Array:
+    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is looked at."""
+    return q[:: pose_step(len(q))]
+
+
+def pose_step(N: int) -> int:
+    """From how many of N positions on one is taken for a pose."""
+    return max(1, N // _POSES)
+
+
+def inertias(model: DirectModel, poses: Array) -> Array:
+    """J_j (n,) in kg m² or kg: the largest diagonal entry of M for each joint over the poses (P, n)."""
+    M = model.inertia(poses)
+    return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
+
+
+def not_positive(model: DirectModel, poses: Array) -> str | None:
+    """None where M is positive definite at all poses (P, n), else a line that says so."""
+    M = model.inertia(poses)
+    if not np.isfinite(M).all():
+        return "the inertia matrix is not finite on the trajectory"
+    lowest = float(np.linalg.eigvalsh(M).min())
+    return (
+        None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
     )

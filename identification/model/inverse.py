@@ -8,6 +8,7 @@ parameters, are zero here.
 """
 
 import xml.etree.ElementTree as ET
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -21,8 +22,9 @@ from ..errors import IdentificationError
 from .joint_terms import SLIDING, JointTerm, joint_terms
 
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
+_PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of XX XY XZ YY YZ ZZ
 FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
-_CHUNK = 256  # samples per copy out of pinocchio: 256 regressors of six joints stay in the cache
+_BLOCK = 2048  # samples at a time: the twists of six joints stay in the cache
 
 
 class InverseModel:
@@ -63,18 +65,16 @@ class InverseModel:
 
     def series(self, q: Array, dq: Array, ddq: Array, columns: NDArray[np.intp]) -> Array:
         """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n), in one pass over the samples."""
-        n, N = self.robot.n, len(q)
         entries = self.entries(columns)
-        out = np.empty((len(entries), N))
-        places, picks = [], []
+        out = np.empty((len(entries), len(q)))
+        places: dict[tuple[int, int], list[int]] = {}
         for e, (j, c) in enumerate(entries):
             source = self.sources[columns[c]]
             if isinstance(source, JointTerm):
                 out[e] = source.entry(int(j), dq, ddq)
             else:
-                places.append(e)
-                picks.append((10 * source[0] + FROM_PINOCCHIO[source[1]]) * n + int(j))
-        self._link_series(q, dq, ddq, np.array(places, dtype=np.intp), np.array(picks, dtype=np.intp), out)
+                places.setdefault(source, []).append(e)
+        self._link_series((q, dq, ddq), places, out)
         return out
 
     def regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
@@ -93,12 +93,12 @@ class InverseModel:
         inertias = list(self.model.inertias)[1:]
         return np.array([inertia.toDynamicParameters() for inertia in inertias])[:, FROM_PINOCCHIO]
 
-    @property
+    @cached_property
     def parents(self) -> tuple[int, ...]:
         """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
-    @property
+    @cached_property
     def joint_frames(self) -> tuple[Array, Array, Array]:
         """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in that of the link it sits on,
         and its axis (n, 3) in its link's frame.
@@ -122,23 +122,69 @@ class InverseModel:
         return origins, rotations
 
     def _link_series(
-        self, q: Array, dq: Array, ddq: Array, places: NDArray[np.intp], picks: NDArray[np.intp], out: Array
+        self, motion: tuple[Array, Array, Array], places: dict[tuple[int, int], list[int]], out: Array
     ) -> None:
-        """Fill out[places] with the entries `picks` of pinocchio's regressor, stored by columns."""
-        if not len(places):
-            return
-        compute, model, data = pin.computeJointTorqueRegressor, self.model, self._data
-        regressor = data.jointTorqueRegressor.T  # a view: filled anew by each call, by rows when transposed
-        buffer = np.empty((_CHUNK, *regressor.shape))
-        flat = buffer.reshape(_CHUNK, -1)
-        q, dq, ddq = (np.ascontiguousarray(x) for x in (q, dq, ddq))
-        for k in range(0, len(q), _CHUNK):
-            chunk = slice(k, k + _CHUNK)
-            rows = q[chunk]
-            for qk, vk, ak, target in zip(rows, dq[chunk], ddq[chunk], buffer, strict=False):
-                compute(model, data, qk, vk, ak)
-                target[:] = regressor
-            out[places, chunk] = flat[: len(rows), picks].T
+        """Fill out[places[link, place in LINK]], one row for each joint that carries the link, in ascending order.
+
+        The torque of a joint is v·f + w·n: the velocities v, w that it gives the link at unit speed, and the force f and
+        moment n that the link takes (Khalil2002).
+        """
+        by_link = {i: [place for link, place in places if link == i] for i in sorted({link for link, _ in places})}
+        rows = {i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()}
+        for k in range(0, len(motion[0]), _BLOCK):
+            block = slice(k, k + _BLOCK)
+            q, dq, ddq = (np.ascontiguousarray(x[block].T) for x in motion)
+            twists = list[Array]()
+            for i in range(1 + max(by_link, default=-1)):
+                twists.append(self._carried(i, twists, q[i], dq[i], ddq[i]))
+                if i in by_link:
+                    out[rows[i], block] = _link_torques(twists[i], by_link[i])
+
+    def _carried(self, i: int, twists: list[Array], q: Array, dq: Array, ddq: Array) -> Array:
+        """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its velocity, its acceleration
+        and that of gravity, and its velocity for each of these joints at unit speed.
+        """
+        before = twists[self.parents[i] - 1] if self.parents[i] else self._base_twists
+        origin, axis, R, by_sin, by_cos = self._placements[i]
+        prismatic = int(self.robot.joints[i].type == "prismatic")
+        if prismatic:
+            origin = origin + (R[..., 0] @ axis)[:, None] * q
+        else:
+            R = R + by_sin * np.sin(q) + by_cos * np.cos(q)
+        linear = before[0] + np.zeros(len(q))
+        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # the links' origins apart: v + w x r
+            if origin[c].any():
+                linear[a] += before[1, b] * origin[c]
+                linear[b] -= before[1, a] * origin[c]
+        count = before.shape[2]
+        twist = np.empty((2, 3, count + 1, len(q)))
+        for part, of in ((0, linear), (1, before[1])):
+            np.einsum("ban,bjn->ajn", R, of, out=twist[part, :, :count])
+        own, (v, w) = axis[:, None] * dq, twist[:, :, 0]
+        twist[1 - prismatic, :, 0] += own
+        twist[1 - prismatic, :, 1] += axis[:, None] * ddq
+        twist[0, :, 1] += _cross(w if prismatic else v, own)
+        if not prismatic:
+            twist[1, :, 1] += _cross(w, own)
+        twist[:, :, count] = 0.0
+        twist[1 - prismatic, :, count] = axis[:, None]
+        return twist
+
+    @cached_property
+    def _placements(self) -> list[tuple[Array, ...]]:
+        """By joint: origin (3, 1), axis (3,); R, by_sin, by_cos (3, 3, 1) of its rotation R + by_sin sin q + by_cos cos q."""
+        made = []
+        for joint, origin, R, axis in zip(self.robot.joints, *self.joint_frames, strict=True):
+            K = np.cross(np.eye(3), axis) * (joint.type == "revolute")
+            made.append((origin[:, None], axis, *(x[..., None] for x in (R + R @ K @ K, R @ K, -R @ K @ K))))
+        return made
+
+    @cached_property
+    def _base_twists(self) -> Array:
+        """Velocity and acceleration (2, 3, 2, 1) of the base, which is that of its fall turned round."""
+        twist = np.zeros((2, 3, 2, 1))
+        twist[0, :, 1, 0] = -np.array(self.robot.gravity)
+        return twist
 
     def _structure(self) -> NDArray[np.bool_]:
         """Which entries (n, p) of the regressor can be other than zero: joint j feels link i if j carries it."""
@@ -150,6 +196,55 @@ class InverseModel:
                 carriers = [joint - 1 for joint in self.model.supports[source[0] + 1] if joint > 0]
                 nonzero[carriers, c] = True
         return nonzero
+
+
+def _link_torques(twist: Array, places: list[int]) -> Array:
+    """Torques (P * joints, N) of the joints that carry a link, for its parameters at `places` (P,) in LINK, each 1.
+
+    A joint feels v·f + w·n: the velocity v, w that it gives the link at unit speed, and the force and the moment about the
+    origin of the link's frame that the link needs, f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002).
+    """
+    (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
+    of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
+    N, pushed = of.shape[1], [k for k, place in enumerate(places) if place >= 6]
+    n = (_MOMENTS[places].reshape(-1, 12) @ of).reshape(-1, 3, N)
+    out = np.einsum("cjn,pcn->pjn", twist[1, :, 2:], n)
+    if pushed:
+        f = (_FORCES[[places[k] for k in pushed]].reshape(-1, 12) @ of).reshape(-1, 3, N)
+        out[pushed] += np.einsum("cjn,pcn->pjn", twist[0, :, 2:], f)
+    return np.asarray(out.reshape(-1, N))
+
+
+def _unit_wrenches() -> tuple[Array, Array]:
+    """Force and moment (10, 3, 12) that a link needs by parameter of LINK, linear in its acceleration a, its angular
+    acceleration dw, and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
+    """
+    forces, moments = np.zeros((2, 10, 3, 12))
+    S = np.cross(np.eye(3)[:, None], np.eye(3)[None])  # S[i, k]: e_i x e_k
+    product = {pair: 6 + k for k, (i, j) in enumerate(_PAIRS) for pair in ((i, j), (j, i))}
+    for place, (i, j) in enumerate(_PAIRS):
+        inertia = np.zeros((3, 3))
+        inertia[i, j] = inertia[j, i] = 1.0
+        moments[place, :, 3:6] = inertia
+        for b, c in np.ndindex(3, 3):
+            moments[place, :, product[b, c]] += np.cross(np.eye(3)[b], inertia[:, c])
+    for k in range(3):
+        moments[6 + k, :, :3] = S[k].T
+        forces[6 + k, :, 3:6] = S[:, k].T
+        for b, c in np.ndindex(3, 3):
+            forces[6 + k, :, product[b, c]] += np.cross(np.eye(3)[b], S[c, k])
+    forces[9, :, :3] = np.eye(3)
+    return forces, moments
+
+
+def _cross(x: Array, y: Array) -> Array:
+    """Cross products along axis 0."""
+    out = x[[1, 2, 0]] * y[[2, 0, 1]]
+    out -= x[[2, 0, 1]] * y[[1, 2, 0]]
+    return np.asarray(out)
+
+
+_FORCES, _MOMENTS = _unit_wrenches()
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:

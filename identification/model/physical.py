@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import PhysicalParameters, link_parameters, pseudo_inertia
+from ..estimation import Consistent, PhysicalParameters, consistent_parameters, link_parameters, pseudo_inertia
+from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 
@@ -288,3 +289,13 @@ def is_a_body(parameters: Array, least: float = LEAST_EIGENVALUE) -> bool:
     if not (diagonal > 0).all():
         return False
     return float(np.linalg.eigvalsh(P / np.sqrt(np.outer(diagonal, diagonal))).min()) > least
+
+
+def nearest_consistent(
+    model: InverseModel, base: BaseParameters, beta: Array, covariance: Array, power: Array | None = None
+) -> Consistent:
+    """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
+
+    `power` as of `physical_parameters`. Raises `IdentificationError` where there are none to be found.
+    """
+    return consistent_parameters(beta, covariance, base.K, physical_parameters(model, power=power))

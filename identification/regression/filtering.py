@@ -18,6 +18,7 @@ BUTTERWORTH_ORDER = 4
 CHEBYSHEV_ORDER = 8
 CHEBYSHEV_RIPPLE_DB = 0.05
 LARGEST_PASS = 13  # a decimation by more goes in several passes
+FOLDED = 1e-3  # of the amplitude in the band that is kept: most that may fold into it
 NOTHING = 1e-14  # of an input: less than rounding leaves of it
 
 
@@ -62,6 +63,43 @@ class Decimation:
     def filtered(self, x: Array) -> Array:
         """x decimated along its last axis: low-pass, then every `factor`-th sample."""
         return decimate(x, self.factor, smooth_ends=self.smooth_ends)
+
+    def filtered_strided(self, x: Array, head: Array, tail: Array) -> Array:
+        """What `filtered` gives of a series of which x is every `stride_behind`-th sample, counted from the last one.
+
+        `head` and `tail` are all of its first samples, up to one of x, and of its last: `end_samples` and up to a stride more.
+        """
+        r, *others = decimation_passes(self.factor)
+        k, N = _chebyshev(r).reach // r + 1, x.shape[-1]
+        size = _fast_size(N + 2 * k)
+        extended = np.concatenate([x, np.repeat(x[..., -1:], size - N, -1)], axis=-1)
+        gain = np.abs(_chebyshev(r).response(size * r)[: size // 2 + 1]) ** 2
+        passed = np.fft.irfft(np.fft.rfft(extended) * gain, size)[..., k : N - k]
+        y = np.concatenate([_decimated(head, r)[..., :k], passed, _decimated(tail, r)[..., -k:]], axis=-1)
+        for r in others:
+            y = _decimated(y, r)
+        return np.ascontiguousarray(y)
+
+    @property
+    def end_samples(self) -> int:
+        """Samples at each end of which `filtered_strided` takes all: twice as many as the first pass reaches."""
+        r = decimation_passes(self.factor)[0]
+        return 2 * r * (_chebyshev(r).reach // r + 1)
+
+    def stride_behind(self, cutoff_hz: float | None, sample_rate_hz: float) -> int:
+        """Samples that can be skipped of what follows smoothly from a position behind the low-pass: the first pass, or 1.
+
+        Noise of an acceleration rises with the square of frequency, up to the low-pass. What of it folds into the band that is
+        kept may have a thousandth of the amplitude that stands there.
+        """
+        passes = decimation_passes(self.factor)
+        if cutoff_hz is None or len(passes) < 2 or not self.smooth_ends:
+            return 1
+        f = np.linspace(0.0, 0.5 * sample_rate_hz, 2001)
+        kept_hz, size = 0.8 * 0.5 * sample_rate_hz / self.factor, 2 * (len(f) - 1)
+        amplitude = f**2 * np.abs(_butterworth(cutoff_hz, sample_rate_hz).response(size)) ** 2
+        folded = amplitude[f >= sample_rate_hz / passes[0] - kept_hz]
+        return passes[0] if folded.max(initial=0.0) <= FOLDED * amplitude[f <= kept_hz].max() else 1
 
     def kept(self, x: Array) -> Array:
         """The samples of x (N, n) at the instants that are kept, unfiltered."""

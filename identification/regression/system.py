@@ -206,23 +206,42 @@ def decimated_regressor(
 
     Columns of load friction are zero. With parameters `beta` (b,) it is the one about them, as of `load`.
     """
-    series = dynamics.series(motion.q, motion.dq, motion.ddq, base.columns)
-    W, load = _decimated(series, dynamics, base, decimation), load_friction(dynamics, base)
+    load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
     if load and beta is not None:
-        rigid = load.torque_of_links(dynamics.entries(base.columns), series, beta)
+        rigid = load.torque_of_links(entries, series, beta)
         load.linearise(W, None, load.columns(rigid, motion.dq, decimation), beta)
     return W
 
 
-def _decimated(series: Array, dynamics: InverseModel, base: BaseParameters, decimation: Decimation) -> Array:
-    """Regressor (n, b, rows) from the series (E, N) of its entries."""
-    entries = dynamics.entries(base.columns)
-    W = np.zeros((dynamics.robot.n, base.b, decimation.rows(series.shape[1])))
-    size = max(1, _FILTERED // series.shape[1])
+def _decimated(
+    motion: Motion, dynamics: InverseModel, base: BaseParameters, decimation: Decimation, stride: int = 1
+) -> tuple[Array, NDArray[np.intp], Array]:
+    """Regressor (n, b, rows), the links' columns computed at every `stride`-th sample; and what was at full rate, the
+    entries (E, 2) of joint and place in `base` with their series (E, N).
+    """
+    N, W = len(motion.q), np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q))))
+    links = base.links & (1 < stride < N / decimation.end_samples) if stride > 1 else np.zeros(base.b, dtype=bool)
+    if links.any():
+        at, end = (N - 1) % stride, decimation.end_samples
+        spans = (slice(at, None, stride), slice(0, at + end + 1), slice(N - end - 1, None))
+        entries, parts = _series(motion, dynamics, base, np.flatnonzero(links), spans)
+        W[entries[:, 0], entries[:, 1]] = decimation.filtered_strided(*parts)
+    entries, (series,) = _series(motion, dynamics, base, np.flatnonzero(~links), (slice(None),))
+    size = max(1, _FILTERED // N)
     for k in range(0, len(entries), size):
         group = slice(k, k + size)
         W[entries[group, 0], entries[group, 1]] = decimation.filtered(series[group])
-    return W
+    return W, entries, series
+
+
+def _series(
+    motion: Motion, dynamics: InverseModel, base: BaseParameters, places: NDArray[np.intp], spans: Sequence[slice]
+) -> tuple[NDArray[np.intp], list[Array]]:
+    """Entries (E, 2), joint and place in `base`, of the parameters at `places`; their series (E, N) in spans of a motion."""
+    columns = base.columns[places]
+    entries = dynamics.entries(columns)
+    entries[:, 1] = places[entries[:, 1]]
+    return entries, [dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -239,9 +258,10 @@ def _block(problem: Problem, at: RowBlock, beta: Array | None) -> tuple[_Block, 
     """A block, about the parameters `beta` (b,) or its columns of load friction zero; and what these depend on."""
     motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base
-    series, load = model.series(motion.q, motion.dq, motion.ddq, base.columns), load_friction(model, base)
-    W, tau = _decimated(series, model, base, decimation), decimation.filtered(motion.tau.T)
-    links, Y = load.series_of_links(model.entries(base.columns), series, motion.dq, inside), tau.copy()
+    load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)
+    stride = 1 if load else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
+    W, entries, series = _decimated(motion, model, base, decimation, stride)
+    links, Y = load.series_of_links(entries, series, motion.dq, inside), tau.copy()
     if load and beta is not None:
         rigid = load.torque_of_links(links.entries, links.series, beta)
         load.linearise(W, Y, load.columns(rigid, motion.dq, decimation), beta)

@@ -18,7 +18,7 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import direct_model
+from ..model import direct_model, inertias, pose_step
 from ..regression import (
     Decimation,
     Motion,
@@ -31,7 +31,6 @@ from ..regression import (
     sampled_at,
 )
 from ..simulation import ControlLaw, Reference, has_controller, recorded_loop
-from ..trust import inertias, pose_step
 from .layout import Layout, make_layout
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import Factors, InstrumentBlocks, System
-from ..model import direct_model
+from ..model import direct_model, not_positive
 from ..regression import decimated_regressor, fast_rows, lowest_nearby, rows_of_block
-from ..trust import not_positive
 from .experiment import Experiment
 from .motion import (
     Followed,

@@ -9,10 +9,9 @@ from acquisition.files import let_go
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import direct_model
+from ..model import direct_model, inertias, nearest_consistent, not_positive
 from ..regression import Decimation, Motion, RowBlock
 from ..simulation import ClosedLoop, surrogate_loop
-from ..trust import inertias, nearest_consistent, not_positive
 from .experiment import Experiment
 
 
@@ -170,6 +169,6 @@ def simulated_robot(e: Experiment, beta: Array, covariance: Array) -> SimulatedM
 def nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
     """Consistent base parameters (b,) nearest to beta; beta itself where none are to be found."""
     try:
-        return nearest_consistent(e.problem, beta, covariance).beta
+        return nearest_consistent(e.problem.model, e.problem.base, beta, covariance).beta
     except IdentificationError:
         return beta

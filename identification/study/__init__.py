@@ -8,7 +8,7 @@ from .draws import CONTROLLERS, Study
 from .noise import Noise
 from .study import Judged, Run, run_study, study_truth
 from .summary import FALSE_ERROR, FALSE_TRUST, INSIDE, Summary, false_trust, study_json, summaries
-from .synthetic import closed_loop, random_reference, truth, write_signals
+from .synthetic import closed_loop, random_reference, write_signals
 
 if TYPE_CHECKING:
     from .demo import Rehearsal, description, rehearse

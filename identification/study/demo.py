@@ -18,10 +18,9 @@ from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, describe
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import InverseModel, base_parameters, direct_model
-from ..trust import inertias
+from ..model import InverseModel, base_parameters, direct_model, inertias, truth
 from .plant import RigidBodyPlant, drive_loops
-from .synthetic import periodic_reference, truth
+from .synthetic import periodic_reference
 
 
 @dataclass(frozen=True, kw_only=True)

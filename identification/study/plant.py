@@ -12,10 +12,8 @@ from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, InverseModel, base_parameters, direct_model
+from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
 from ..simulation import Friction, has_controller, recorded_loop
-from ..trust import inertias, not_positive
-from .synthetic import truth
 
 POSES = 200  # within the limits of the joints, at which the inertias are looked at
 POSES_RANGE = np.pi  # rad or m to each side, of these poses alone, where a joint states no range

@@ -16,12 +16,11 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from ..trust import inertias, not_positive, poses_of
 from ..work import Work
 from .draws import Draw, Study, draw, simulated_robot, told_robot
-from .synthetic import closed_loop, random_reference, truth
+from .synthetic import closed_loop, random_reference
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

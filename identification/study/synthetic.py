@@ -18,37 +18,14 @@ from acquisition.trajectory import FourierReference, fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model
+from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
 from ..regression import differentiate
 from ..simulation import ClosedLoop, ControlLaw, Reference, has_controller, recorded_loop, surrogate_loop
-from ..trust import inertias, poses_of
 from .noise import LONG, SPAN, Noise
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
-
-
-def known_parameters(dynamics: InverseModel) -> Array:
-    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent.
-
-    Raises `IdentificationError` for a name that the robot does not have, or a description without values.
-    """
-    values, names = dynamics.robot.parameters, dynamics.names
-    if not values:
-        raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")
-    for name, value in values.items():
-        if name not in names:
-            raise IdentificationError(
-                f"robot {dynamics.robot.name}: parameters.{name} = {value:g}: not a standard parameter of this robot; "
-                f"expected names such as {', '.join(names[:3])} ... {names[-1]}"
-            )
-    return np.array([values.get(name, 0.0) for name in names])
-
-
-def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
-    """Base parameters (b,) of the description's `[parameters]`: K chi."""
-    return np.asarray(base.K @ known_parameters(dynamics))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:

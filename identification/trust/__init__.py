@@ -4,6 +4,5 @@ from .evidence import Evidence, Lag, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lag import Groups, combined_lag, lag_columns, lag_moves, lags_in
 from .lines import LEVELS, Assumed, Figure, Level, Trust, TrustLine, Verdict
-from .physical import inertias, nearest_consistent, not_positive, pose_step, poses_of
 from .replay import replay_line
 from .solution import trust_in

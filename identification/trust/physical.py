@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import (
-    Consistent,
     Estimate,
     Intervals,
-    consistent_parameters,
+    chi_squared_quantile,
     intervals,
     intervals_of_blocks,
     r_factor,
@@ -29,10 +28,9 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..model import (
-    DirectModel,
     InverseModel,
     friction_power,
-    physical_parameters,
+    nearest_consistent,
     requirements,
 )
 from ..passes import friction_states, recorded_power
@@ -41,7 +39,6 @@ from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
-POSES = 300  # positions of the trajectory at which M must be positive
 TINY = 1e-300  # in place of an interval of no width
 NO_WEIGHT = 1e-9  # m: arms of weights about all axes below this are none
 LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is told
@@ -52,33 +49,6 @@ FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives 
 class _Finding:
     level: Level
     text: str
-
-
-def poses_of(q: Array) -> Array:
-    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is looked at."""
-    return q[:: pose_step(len(q))]
-
-
-def pose_step(N: int) -> int:
-    """From how many of N positions on one is taken for a pose."""
-    return max(1, N // POSES)
-
-
-def inertias(model: DirectModel, poses: Array) -> Array:
-    """J_j (n,) in kg m² or kg: the largest diagonal entry of M for each joint over the poses (P, n)."""
-    M = model.inertia(poses)
-    return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
-
-
-def not_positive(model: DirectModel, poses: Array) -> str | None:
-    """None where M is positive definite at all poses (P, n), else a line that says so."""
-    M = model.inertia(poses)
-    if not np.isfinite(M).all():
-        return "the inertia matrix is not finite on the trajectory"
-    lowest = float(np.linalg.eigvalsh(M).min())
-    return (
-        None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
-    )
 
 
 def physical_test(evidence: Evidence) -> TrustLine:
@@ -257,18 +227,8 @@ def _positions(problem: Problem) -> Array:
     return settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
 
 
-def nearest_consistent(problem: Problem, beta: Array, covariance: Array, power: Array | None = None) -> Consistent:
-    """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
-
-    `power` as `recorded_power` has it. Raises `IdentificationError` where there are none to be found.
-    """
-    return consistent_parameters(beta, covariance, problem.base.K, physical_parameters(problem.model, power=power))
-
-
 def consistent_test(evidence: Evidence) -> TrustLine:
     """How far the nearest consistent parameters are: in chi-squared, and the largest move in half-widths of the intervals."""
-    from scipy.special import chdtri
-
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
@@ -279,10 +239,11 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
     beta = estimate.among(names)
     try:
-        nearest = nearest_consistent(problem, beta, covariance[np.ix_(first, first)], recorded_power(moved, beta))
+        power = recorded_power(moved, beta)
+        nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
         return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
-    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, float(chdtri(len(names), FAR_LEVEL))
+    moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:

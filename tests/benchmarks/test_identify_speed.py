@@ -26,13 +26,13 @@ from identification.data.signals import load_signals
 from identification.friction import with_terms
 from identification.methods.idim import identify_iv, identify_ls
 from identification.methods.iteration import Iteration
-from identification.model.base import base_parameters
+from identification.model import truth
+from identification.model.base import base_parameters, known_parameters
 from identification.model.direct import direct_model
 from identification.model.inverse import InverseModel
 from identification.regression.settings import Overrides
 from identification.study.draws import Study
 from identification.study.study import one_run
-from identification.study.synthetic import known_parameters, truth
 from identification.trust import trust_in
 from identification.trust.lines import worst_first
 

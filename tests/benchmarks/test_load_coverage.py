@@ -19,9 +19,8 @@ from independent_simulator import Imperfections, described_controller, descripti
 from identification.data import Recordings
 from identification.friction import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel
+from identification.model import InverseModel, truth
 from identification.regression import Overrides
-from identification.study.synthetic import truth
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
