@@ -5,8 +5,8 @@ from pathlib import Path
 import pytest
 from made_up_recordings import write
 
-from acquisition.importing.tables import import_tables
-from acquisition.robot.robot import Robot, load_robot
+from acquisition.importing import import_tables
+from acquisition.robot import Robot, load_robot
 
 ROOT = Path(__file__).resolve().parents[1]
 REPLAY = ROOT / "replay_data"

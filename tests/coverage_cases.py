@@ -18,12 +18,10 @@ from independent_simulator import (
     simulate,
 )
 
-from identification.estimation.estimators import one_thread
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
+from identification.estimation import one_thread
+from identification.methods import Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, truth
+from identification.regression import Overrides
 
 Array = np.ndarray
 CHUNK = 20  # runs simulated side by side

@@ -7,21 +7,16 @@ from pathlib import Path
 import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.master.master import Master
-from acquisition.recorder.logs import InlineLog
-from acquisition.recorder.recorder import Recorded, Recorder
-from acquisition.recording.reader import Recording, read_recording
-from acquisition.robot.drives import Bus
-from acquisition.robot.robot import Robot
-from acquisition.session.session import run_active
-from acquisition.session.task import Outcome, Stop, Task
-from acquisition.simulated.drives import SimulatedDrives
+from acquisition.master import Master
+from acquisition.recorder import InlineLog, Recorded, Recorder
+from acquisition.recording import Recording, read_recording
+from acquisition.robot import Bus, Robot
+from acquisition.session import Outcome, Stop, Task, run_active
+from acquisition.simulated import Mechanism, SimulatedDrives, cascaded_loops, dry_run
 from acquisition.simulated.faults import SimulatedFault
-from acquisition.simulated.lock_step import dry_run
-from acquisition.simulated.loops import cascaded_loops
-from acquisition.simulated.mechanism import Mechanism, rated_motor_effort
+from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.plants import Plant, typical_inertia
-from acquisition.transport.frame import Frame
+from acquisition.transport import Frame
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:

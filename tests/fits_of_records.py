@@ -6,11 +6,9 @@ Not for a test that patches the method: others would be given its fit.
 from functools import cache
 from pathlib import Path
 
-from identification.data.signals import Signals, load_signals
-from identification.methods.fit import Fit
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.regression.settings import Overrides
+from identification.data import Signals, load_signals
+from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.regression import Overrides
 
 
 @cache

@@ -19,9 +19,9 @@ import numpy as np
 from independent_robots import Array, Plant
 from scipy.signal import lfilter
 
-from acquisition.robot.robot import Robot, load_robot
-from identification.data.signals import Signals
-from identification.study.synthetic import write_signals
+from acquisition.robot import Robot, load_robot
+from identification.data import Signals
+from identification.study import write_signals
 
 AR = 0.98  # of coloured noise, from sample to sample
 

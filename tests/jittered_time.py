@@ -12,8 +12,8 @@ from independent_robots import plant
 from independent_simulator import Imperfections, Runs, described_controller, references, simulate
 
 from acquisition.importing import Imported, import_tables
-from acquisition.robot.robot import Robot, load_robot
-from identification.data.signals import load_signals
+from acquisition.robot import Robot, load_robot
+from identification.data import load_signals
 from identification.methods import identify_ls
 from identification.model import InverseModel, truth
 from identification.regression import Overrides

@@ -6,10 +6,8 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.recording.rows import FRAME, SENT, Block
-from acquisition.robot.drives import Bus
-from acquisition.robot.resolving import resolve
-from acquisition.robot.robot import Robot, robot_from_files
+from acquisition.recording import FRAME, SENT, Block
+from acquisition.robot import Bus, Robot, resolve, robot_from_files
 
 JOINT = """
 [[joint]]

@@ -5,10 +5,18 @@ from pathlib import Path
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import Recording, read_recording
-from acquisition.recording.rows import EXTENDED, FRAME, SENT, Block, sample_dtype
-from acquisition.robot.robot import Robot
+from acquisition.recording import (
+    EXTENDED,
+    FRAME,
+    SENT,
+    Block,
+    Header,
+    Recording,
+    RecordingWriter,
+    read_recording,
+    sample_dtype,
+)
+from acquisition.robot import Robot
 
 
 def some_samples(count: int, *, n: int = 2, reference: bool = True, rate_hz: float = 1000.0, first: int = 0) -> Block:

@@ -3,10 +3,9 @@
 import numpy as np
 
 from acquisition.robot import Robot, robot_from_files
-from identification.estimation.consistency import PhysicalParameters
-from identification.model.base import base_parameters
-from identification.model.inverse import LINK, InverseModel
-from identification.model.physical import own_shares, physical_parameters
+from identification.estimation import PhysicalParameters
+from identification.model import LINK, InverseModel, base_parameters, physical_parameters
+from identification.model.physical import own_shares
 
 ROWS = 150  # states of the made up experiment
 NOISE = 0.02  # of a joint's torque, rms

@@ -12,10 +12,8 @@ import pytest
 from conftest import REPLAY, robot_named
 from made_up_recordings import header, some_frames, some_samples, write
 
-from acquisition.commands.program import main
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import SENT
+from acquisition.commands import main
+from acquisition.recording import SENT, Header, RecordingWriter, read_recording
 
 SCARA = REPLAY / "scara" / "robot.toml"
 MAP = """

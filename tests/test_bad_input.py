@@ -14,17 +14,14 @@ from made_up_recordings import header
 from test_identify_command import refused, run
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording import RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.robot.robot import robot_from_files
-from identification.data.signals import load_signals
+from acquisition.recording import RecordingWriter, read_recording
+from acquisition.robot import robot_from_files
+from identification.data import load_signals
 from identification.errors import IdentificationError
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.study.synthetic import Noise, closed_loop, random_reference
+from identification.methods import Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, direct_model
+from identification.regression import Overrides
+from identification.study import Noise, closed_loop, random_reference
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

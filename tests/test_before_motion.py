@@ -12,21 +12,17 @@ from conftest import robot_named
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.commands import main
 from acquisition.commands.checking import look, refusal
-from acquisition.commands.program import main
 from acquisition.errors import AcquisitionError
-from acquisition.master.homing import confirm_motion, position_words
-from acquisition.master.master import Master
-from acquisition.recording.rows import SENT
-from acquisition.session import scheduling
+from acquisition.master import Master, confirm_motion, position_words
+from acquisition.recording import SENT
+from acquisition.session import Operator, RecordOptions, Task, record, scheduling, steady
 from acquisition.session.pacing import largest_delay_s
-from acquisition.session.recording_session import Operator, RecordOptions, record
 from acquisition.session.recording_session import _before_motion as before_motion
-from acquisition.session.scheduling import refuse_jitter, steady
-from acquisition.session.task import Task
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import dry_run
-from acquisition.trajectory.reference import table_reference
+from acquisition.session.scheduling import refuse_jitter
+from acquisition.simulated import SimulatedDrives, dry_run
+from acquisition.trajectory import table_reference
 
 
 def drives_of(text: str, **values: int) -> tuple[object, Master]:

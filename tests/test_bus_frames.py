@@ -9,16 +9,21 @@ import numpy as np
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, check_frames
-from acquisition.robot.bus import BusFile, DriveFile
-from acquisition.transport import sockets
-from acquisition.transport.bus import open_bus
-from acquisition.transport.frame import Frame, block_of
-from acquisition.transport.link import Link, LockStepLink
-from acquisition.transport.logs import read_log
-from acquisition.transport.receiver import Receiver
-from acquisition.transport.sockets import kernel_drops
-from acquisition.transport.wall_clock import WallClock
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
+from acquisition.recording.rows import check_frames
+from acquisition.robot import BusFile, DriveFile
+from acquisition.transport import (
+    Frame,
+    Link,
+    LockStepLink,
+    Receiver,
+    WallClock,
+    block_of,
+    kernel_drops,
+    open_bus,
+    read_log,
+    sockets,
+)
 
 
 def test_a_row_byte_for_byte():

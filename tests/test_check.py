@@ -4,8 +4,7 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import Finding, look, refusal, table
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import dry_run
+from acquisition.simulated import SimulatedDrives, dry_run
 
 
 @pytest.fixture

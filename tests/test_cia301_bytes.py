@@ -7,23 +7,29 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master
-from acquisition.protocol.objects import ObjectEntry, interpolation_period
-from acquisition.protocol.pdo import Pdo, bus_load, configuration, frame_bits, pdos_of, usual_can_id
-from acquisition.protocol.sdo import (
+from acquisition.master import Master
+from acquisition.protocol import (
+    ObjectEntry,
+    Pdo,
+    State,
     abort_answer,
     answer_of,
+    bus_load,
     check_answer,
+    configuration,
+    frame_bits,
+    interpolation_period,
+    pdos_of,
     read_request,
     request_of,
+    usual_can_id,
     value_answer,
     write_request,
     written_answer,
 )
-from acquisition.protocol.states import State
-from acquisition.robot.drives import Bus
+from acquisition.robot import Bus
 from acquisition.simulated.node import SimulatedNode, simulated_node
-from acquisition.transport.frame import Frame
+from acquisition.transport import Frame
 
 STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6041, sub=0, type="U16"),

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from acquisition.protocol.objects import PositionCodec
-from acquisition.protocol.states import AUTOMATIC, TRANSITIONS, Command, State, state_of, toward
+from acquisition.protocol import AUTOMATIC, TRANSITIONS, Command, PositionCodec, State, state_of, toward
 
 
 def walked(state: State, goal: State) -> list[State]:

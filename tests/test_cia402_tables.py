@@ -5,18 +5,22 @@ import itertools
 import pytest
 
 from acquisition.errors import AcquisitionError
-from acquisition.protocol.objects import BITS, EFFORT_OBJECTS, INTEGERS, STANDARD, ObjectEntry
-from acquisition.protocol.states import (
+from acquisition.protocol import (
     AUTOMATIC,
+    BITS,
     DISABLED,
+    EFFORT_OBJECTS,
+    STANDARD,
     TRANSITIONS,
     Command,
     Mode,
+    ObjectEntry,
     State,
     command_of,
     state_of,
     toward,
 )
+from acquisition.protocol.objects import INTEGERS
 
 # Statusword 6041h, bits 7 to 0; x: either. The bits 8 to 15 belong to no state.
 STATUSWORDS = {

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol.objects import EffortCodec, ObjectEntry, PositionCodec, Rule, saturated
-from acquisition.robot.drives import Drive
+from acquisition.protocol import EffortCodec, ObjectEntry, PositionCodec, saturated
+from acquisition.protocol.objects import Rule
+from acquisition.robot import Drive
 
 TURN = 2 * np.pi
 # Unit of the motor's effort, keys of the drive, raw integer, SI by hand.

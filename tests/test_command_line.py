@@ -13,11 +13,11 @@ import pytest
 from conftest import REPLAY, ROOT
 from made_up_recordings import write
 
-from acquisition.commands.command_line import STATUSES, Progress, from_options, run_command
-from acquisition.commands.program import main as acquire
+from acquisition.commands import STATUSES, Progress, from_options, run_command
+from acquisition.commands import main as acquire
 from acquisition.errors import AcquisitionError
-from acquisition.robot.robot import load_robot
-from identification.commands.program import main as identify
+from acquisition.robot import load_robot
+from identification.commands import main as identify
 
 SCARA = REPLAY / "scara" / "robot.toml"
 SESSION = REPLAY / "scara" / "session.mcap"

@@ -8,23 +8,15 @@ import pytest
 from conftest import robot_named
 from scipy.optimize import minimize
 
-from acquisition.robot.robot import Robot, load_robot
+from acquisition.robot import Robot, load_robot
 from identification.errors import IdentificationError
-from identification.estimation.consistency import (
-    CERTIFIED,
-    MATRIX,
-    PhysicalParameters,
-    _inverse_root,
-    _Objective,
-    certainty,
-    consistent_parameters,
-)
-from identification.estimation.link_inertias import pseudo_inertia
+from identification.estimation import PhysicalParameters, certainty, consistent_parameters, pseudo_inertia
+from identification.estimation.consistency import CERTIFIED, MATRIX, _inverse_root, _Objective
 from identification.methods.consistent import FROM_PRIOR
-from identification.model.base import base_parameters, known_parameters
-from identification.model.inverse import FROM_PINOCCHIO, InverseModel
+from identification.model import InverseModel, base_parameters, physical_parameters, requirements
+from identification.model.base import known_parameters
+from identification.model.inverse import FROM_PINOCCHIO
 from identification.model.joint_terms import corner_speeds
-from identification.model.physical import physical_parameters, requirements
 
 rng = np.random.default_rng(8)
 

@@ -14,15 +14,18 @@ from test_consistency import covariance, covariance_with, lowest, one_link
 from test_consistency import tx40 as described_tx40
 
 from acquisition.robot import robot_from_files
-from identification.commands.program import main
-from identification.data.in_memory import signals_from_arrays
+from identification.commands import main
+from identification.data import signals_from_arrays
 from identification.errors import IdentificationError
-from identification.estimation import certainty, intervals, link_parameters, pseudo_inertia, weighted_least_squares
-from identification.estimation.consistency import (
-    CERTIFIED,
-    MATRIX,
+from identification.estimation import (
+    certainty,
     consistent_parameters,
+    intervals,
+    link_parameters,
+    pseudo_inertia,
+    weighted_least_squares,
 )
+from identification.estimation.consistency import CERTIFIED, MATRIX
 from identification.methods import Prior, identify_ls, urdf_prior, with_consistent
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides, regression_of_recording

@@ -7,13 +7,9 @@ import pytest
 from conftest import REPLAY
 from scipy.linalg import expm
 
-from acquisition.robot.robot import load_robot, robot_from_files
-from identification.model import inertias, truth
-from identification.model.base import base_parameters
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
+from acquisition.robot import load_robot, robot_from_files
+from identification.model import InverseModel, base_parameters, direct_model, inertias, truth
+from identification.simulation import Control, ControlLaw, Reference, recorded_loop, simulate, surrogate_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
 TICKS = 400

@@ -6,15 +6,13 @@ import pytest
 from conftest import needs_data
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
-from acquisition.commands.program import main
+from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.files.columns import read_columns
-from acquisition.importing.conversions import decode_recording, export_bag, export_csv, import_log
+from acquisition.files import read_columns
+from acquisition.importing import decode_recording, export_bag, export_csv, import_log
 from acquisition.recorder import Recorder, decode
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import ERROR, SENT
-from acquisition.transport.logs import read_log
+from acquisition.recording import ERROR, SENT, Header, RecordingWriter, read_recording
+from acquisition.transport import read_log
 from identification import load_signals
 from identification.errors import IdentificationError
 

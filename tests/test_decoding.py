@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import AcquisitionError
-from acquisition.recorder.decoding import Decoded, decode, unwrapped
-from acquisition.recorder.traffic import written_by_master
-from acquisition.recording.rows import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, gaps
-from acquisition.robot.resolving import resolve
+from acquisition.recorder import Decoded, decode, written_by_master
+from acquisition.recorder.decoding import unwrapped
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, gaps
+from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)

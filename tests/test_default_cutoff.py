@@ -19,13 +19,10 @@ from independent_simulator import (
     simulate,
 )
 
-from acquisition.robot.robot import Robot
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
+from acquisition.robot import Robot
+from identification.methods import Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, base_parameters, truth
+from identification.regression import Overrides
 
 SEEDS = 20
 NEXT_TO_IT = 1.0001

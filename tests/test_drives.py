@@ -11,23 +11,24 @@ from hypothesis import strategies as st
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.protocol.dictionary import load_dictionary
-from acquisition.protocol.objects import ObjectEntry
-from acquisition.protocol.pdo import Pdo, configuration, frame_bits, pdos_of
-from acquisition.protocol.sdo import (
+from acquisition.protocol import (
+    ObjectEntry,
+    Pdo,
     abort_answer,
     answer_of,
     check_answer,
+    configuration,
+    frame_bits,
+    load_dictionary,
+    pdos_of,
     read_request,
     request_of,
     value_answer,
     write_request,
     written_answer,
 )
+from acquisition.robot import load_robot, refuse_load, refuse_out_of_range, resolve
 from acquisition.robot.bus import dictionary_label
-from acquisition.robot.drives import refuse_load, refuse_out_of_range
-from acquisition.robot.resolving import resolve
-from acquisition.robot.robot import load_robot
 
 EDS = sorted(path.name for path in (DATA / "eds").glob("*")) or ["(none)"]
 

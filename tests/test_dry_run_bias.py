@@ -9,25 +9,21 @@ from made_up_buses import bus_of, bus_text, robot_of
 from scipy.interpolate import CubicSpline
 
 import acquisition.commands.checking as checking_module
-from acquisition.protocol.states import State
-from acquisition.recording.reader import read_recording
-from acquisition.robot.bus import DriveFile, demand_ripple, demand_ripple_warnings
-from acquisition.robot.robot import load_robot
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.loops import LoopGains, cascaded_loops, cubic, describe_loops
-from acquisition.simulated.mechanism import Mechanism
+from acquisition.protocol import State
+from acquisition.recording import read_recording
+from acquisition.robot import DriveFile, demand_ripple_warnings, load_robot
+from acquisition.robot.bus import demand_ripple
+from acquisition.simulated import LoopGains, Mechanism, SimulatedDrives, cascaded_loops, describe_loops
+from acquisition.simulated.loops import cubic
 from acquisition.simulated.plants import JointwisePlant
-from identification.data.signals import load_signals
+from identification.data import load_signals
+from identification.methods import identify_ls
 from identification.methods.assess import ripple_warnings
-from identification.methods.idim import identify_ls
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Reference, recorded_loop
-from identification.study.demo import Rehearsal, rehearse
-from identification.study.plant import described_robot, drive_loops
-from identification.study.study import study_truth
+from identification.model import InverseModel, direct_model
+from identification.regression import Overrides
+from identification.simulation import Reference, recorded_loop, simulate
+from identification.study import Rehearsal, described_robot, rehearse, study_truth
+from identification.study.plant import drive_loops
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ

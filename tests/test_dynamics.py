@@ -6,11 +6,11 @@ import pytest
 from conftest import REPLAY, robot_named
 from urdfs import ARM, LIMIT, joint, urdf
 
-from acquisition.robot import Robot
-from acquisition.robot.robot import load_robot, robot_from_files
+from acquisition.robot import Robot, load_robot, robot_from_files
 from identification.errors import IdentificationError
-from identification.model.base import base_parameters, known_parameters
-from identification.model.inverse import FROM_PINOCCHIO, InverseModel
+from identification.model import InverseModel, base_parameters
+from identification.model.base import known_parameters
+from identification.model.inverse import FROM_PINOCCHIO
 
 KINDS, UNITS = ("revolute", "revolute", "prismatic"), ("N m", "N m", "N")
 RNG = np.random.default_rng(3)

@@ -7,10 +7,10 @@ import pytest
 from dry_sessions import DrySession, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol.states import State
-from acquisition.recording.rows import SENT
-from acquisition.session.task import Task
-from acquisition.simulated.drives import SimulatedDrives
+from acquisition.protocol import State
+from acquisition.recording import SENT
+from acquisition.session import Task
+from acquisition.simulated import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.node import SimulatedNode

@@ -2,7 +2,7 @@
 
 import pytest
 
-from acquisition.protocol.error_frames import error_frame_words
+from acquisition.protocol import error_frame_words
 
 
 @pytest.mark.parametrize(

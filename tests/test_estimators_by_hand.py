@@ -7,16 +7,22 @@ import pytest
 from scipy import stats
 
 from identification.errors import IdentificationError
-from identification.estimation import chi_squared_quantile, f_tail, independent_share, t_quantile
-from identification.estimation.diagnostics import instrument_tests
-from identification.estimation.estimators import (
+from identification.estimation import (
+    System,
+    chi_squared_quantile,
+    condensed,
     essential_parameters,
+    f_tail,
+    independent_share,
+    instrument_tests,
     instrumental_variables,
-    joint_weights,
     ordinary_least_squares,
+    r_factor,
+    t_quantile,
     weighted_least_squares,
 )
-from identification.estimation.system import System, condensed, orthonormal, r_factor
+from identification.estimation.estimators import joint_weights
+from identification.estimation.system import orthonormal
 
 
 def system(seed: int, r: int, b: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -12,24 +12,31 @@ from conftest import REPLAY, robot_named
 from test_limits import URDF_ARM, URDF_TOML
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot.robot import load_robot, robot_from_files
-from acquisition.trajectory.reference import check_limits, fourier_reference, table_reference
-from identification.commands.program import main
+from acquisition.robot import load_robot, robot_from_files
+from acquisition.trajectory import check_limits, fourier_reference, table_reference
+from identification.commands import main
 from identification.errors import IdentificationError
-from identification.excitation import design, excitation_document, search
+from identification.excitation import design, excitation_document, knowledge_of, search
 from identification.excitation.information import Information
-from identification.excitation.knowledge import earlier_information, knowledge_of, torque_noise
+from identification.excitation.knowledge import earlier_information, torque_noise
 from identification.excitation.limits import limits_of
 from identification.excitation.series import Series, motion_of
-from identification.model import InverseModel, base_parameters, direct_model, obstacles_of, truth
-from identification.model.derivatives import regressor_gradient, sliding_apart, torque_of_links
+from identification.model import (
+    InverseModel,
+    base_parameters,
+    direct_model,
+    obstacles_of,
+    regressor_gradient,
+    sliding_apart,
+    torque_of_links,
+    truth,
+)
 from identification.regression import Overrides, make_problem, regression_of_recording
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, write_signals
+from identification.study import Noise, closed_loop, write_signals
+from identification.view import write_excitation_rrd
 from identification.view.design_panels import excitation_plots, intervals_drawing
 from identification.view.panels import GREY, ORANGE
 from identification.view.robot_drawing import excitation_scene
-from identification.view.viewer import write_excitation_rrd
 
 SCARA, TX40 = robot_named("scara"), robot_named("tx40")
 SERIES = Series(period_s=4.0, harmonics=4)

@@ -17,8 +17,7 @@ from identification.excitation.load import given_load
 from identification.excitation.series import motion_of
 from identification.model import direct_model, sliding_apart, torque_of_links, truth
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, write_signals
+from identification.study import Noise, closed_loop, write_signals
 
 
 def tx40():

@@ -18,15 +18,9 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from identification.model import truth
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
-from identification.regression import regression_of_recording, row_blocks
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides
-from identification.replica.experiment import make_experiment
-from identification.replica.instruments import Counting, simulate_instruments
-from identification.replica.motion import simulated_motion
+from identification.model import InverseModel, base_parameters, truth
+from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
+from identification.replica import Counting, make_experiment, simulate_instruments, simulated_motion
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

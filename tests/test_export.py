@@ -15,7 +15,7 @@ from fits_of_records import ls_of
 
 from acquisition.robot import load_robot, robot_from_files
 from acquisition.ros import UNLIMITED, quaternions, roll_pitch_yaw, rotation
-from identification.commands.program import main
+from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit

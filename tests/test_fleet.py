@@ -13,20 +13,16 @@ from conftest import REPLAY, robot_named
 from test_viewer import Written
 
 from acquisition.recording import read_recording
-from acquisition.robot.robot import robot_from_files
-from identification.commands.program import main
-from identification.data.signals import load_signals
-from identification.data.sources import Recordings
+from acquisition.robot import robot_from_files
+from identification.commands import main
+from identification.data import Recordings, load_signals
 from identification.errors import IdentificationError
+from identification.fleet import FleetSettings, Row, Value, control_limits, drifts, found_recordings, run_fleet
 from identification.fleet import rows as rows_module
-from identification.fleet.results import control_limits, drifts
-from identification.fleet.rows import FleetSettings, Row, Value
-from identification.fleet.run import found_recordings, run_fleet
-from identification.methods.idim import identify
-from identification.regression.settings import Overrides
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, random_reference, write_signals
-from identification.work.work import Serial, WorkersNotStartedError
+from identification.methods import identify
+from identification.regression import Overrides
+from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.work import Serial, WorkersNotStartedError
 
 BEGAN = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
 WEEK_S = 7 * 86400.0

@@ -17,7 +17,7 @@ from identification.errors import IdentificationError
 from identification.friction import choose_terms, friction_of_joints, with_terms
 from identification.methods import identify_ls
 from identification.regression import make_problem, regression_of_recording
-from identification.study.synthetic import write_signals
+from identification.study import write_signals
 
 USUAL = ["viscous", "coulomb"]
 MORE = "Fr1 = 0.8\nmu1 = 0.3\nmu2 = 0.3\n"

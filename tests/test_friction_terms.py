@@ -11,33 +11,21 @@ from conftest import REPLAY
 from fits_of_records import signals_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot.robot import robot_from_files
+from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import RecordingFile, Recordings
-from identification.data.in_memory import signals_from_arrays
+from identification.data import RecordingFile, Recordings, signals_from_arrays
 from identification.estimation import System
+from identification.export import mechanism_of
 from identification.export.losses import random_states, sayable
-from identification.export.mechanism import mechanism_of
 from identification.friction import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
-from identification.methods.consistent import Prior, with_consistent
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.base import base_parameters
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.model.joint_terms import JointTerm
+from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
+from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
 from identification.passes import Linearised, recorded_power, settled_least_squares
 from identification.passes.settled import told_apart
-from identification.regression import LoadFriction, system
-from identification.regression.motion import Motion
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides
-from identification.regression.system import regression_of_recording
-from identification.simulation.closed_loop import simulate
-from identification.simulation.control_law import Reference, surrogate_loop
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, periodic_reference, random_reference, write_signals
+from identification.regression import LoadFriction, Motion, Overrides, make_problem, regression_of_recording, system
+from identification.simulation import Reference, simulate, surrogate_loop
+from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.study.synthetic import periodic_reference
 from identification.work import processes
 
 USUAL = ["viscous", "coulomb", "offset"]

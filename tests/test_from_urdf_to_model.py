@@ -14,7 +14,7 @@ import pytest
 
 from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.robot import load_robot
-from identification.commands.program import main as identify
+from identification.commands import main as identify
 from identification.model import InverseModel
 
 ARMS = {

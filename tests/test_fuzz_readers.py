@@ -15,12 +15,11 @@ from hypothesis import strategies as st
 from made_up_recordings import write
 
 from acquisition.errors import AcquisitionError
-from acquisition.files.columns import read_columns
+from acquisition.files import read_columns
+from acquisition.importing import import_tables
 from acquisition.importing.table_map import TableMap
-from acquisition.importing.tables import import_tables
-from acquisition.recording.reader import read_recording
-from acquisition.robot.robot import Robot, robot_from_files
-from acquisition.robot.toml import parse_toml
+from acquisition.recording import read_recording
+from acquisition.robot import Robot, parse_toml, robot_from_files
 
 FUZZ = settings(
     max_examples=int(os.environ.get("FUZZ_EXAMPLES", "150")), deadline=None, suppress_health_check=list(HealthCheck)

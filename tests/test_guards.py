@@ -11,16 +11,16 @@ from made_up_buses import bus_text, robot_of
 
 import acquisition.session.recording_session as record_module
 import acquisition.session.session as session_module
-from acquisition.commands.program import main
-from acquisition.master.reports import error_words, status_words
-from acquisition.protocol.states import State
-from acquisition.recording.summary import overview
+from acquisition.commands import main
+from acquisition.master import error_words, status_words
+from acquisition.protocol import State
+from acquisition.recording import overview
+from acquisition.session import Outcome, Stop, Task
 from acquisition.session.guards import SPEED_MARGIN
-from acquisition.session.task import Outcome, Stop, Task
-from acquisition.simulated.drives import SimulatedDrives
+from acquisition.simulated import SimulatedDrives
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
-from identification.data.signals import load_signals
+from identification.data import load_signals
 from identification.errors import IdentificationError
 
 REST = Task(reference=np.zeros((151, 2)))  # 0.3 s
@@ -301,7 +301,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
 
 def test_a_slow_sync_may_be_three_periods_late():
     """With SYNC every 10 ms the bound is 30 ms."""
-    from acquisition.master.master import Master
+    from acquisition.master import Master
     from acquisition.session.pacing import Pace
 
     class Bare:

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.rows import sample_dtype
-from acquisition.robot.robot import Robot, robot_from_files
-from identification.commands.program import main
+from acquisition.recording import Header, RecordingWriter, sample_dtype
+from acquisition.robot import Robot, robot_from_files
+from identification.commands import main
 
 SESSION = REPLAY / "scara" / "session.mcap"
 
@@ -105,7 +104,7 @@ def test_base_prints_expressions(capsys, tmp_path):
 
 
 def test_simulation_is_repeatable(capsys, tmp_path):
-    from acquisition.recording.reader import read_recording
+    from acquisition.recording import read_recording
 
     options = ["--duration-s", 2, "--effort-noise-percent", 1]
     asymmetric = REPLAY / "emps" / "robot_published_asymmetric.toml"
@@ -141,7 +140,7 @@ def write_samples(path: Path, robot: Robot, samples: np.ndarray) -> None:
 
 
 def made_samples(count: int = 4000) -> np.ndarray:
-    from acquisition.recording.reader import read_recording
+    from acquisition.recording import read_recording
 
     return np.array(read_recording(SESSION).samples[:count])
 

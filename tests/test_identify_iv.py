@@ -11,21 +11,15 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 from fits_of_records import iv_of, ls_of, signals_of
 
-from acquisition.robot.robot import load_robot
-from identification.commands.program import main
-from identification.data.signals import Signals, load_signals
+from acquisition.robot import load_robot
+from identification.commands import main
+from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods.fit import Fit
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import not_positive, truth
-from identification.model.base import base_parameters
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.simulation.control_law import recorded_loop
-from identification.study import Run, summaries
-from identification.study.synthetic import Noise, closed_loop, random_reference
+from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, base_parameters, direct_model, not_positive, truth
+from identification.regression import Overrides
+from identification.simulation import recorded_loop
+from identification.study import Noise, Run, closed_loop, random_reference, summaries
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"

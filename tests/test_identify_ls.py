@@ -9,30 +9,22 @@ from fits_of_records import ls_of
 
 import identification.regression.system as regression_module
 from acquisition.trajectory import fourier_reference
-from identification.data.signals import Signals, load_signals
+from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.estimation.estimators import (
-    essential_parameters,
-    joint_weights,
-    ordinary_least_squares,
-    weighted_least_squares,
+from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
+from identification.estimation.estimators import joint_weights
+from identification.methods import identify_ls
+from identification.model import BaseParameters, InverseModel, base_parameters, truth
+from identification.model.base import known_parameters
+from identification.regression import (
+    Motion,
+    Overrides,
+    decimation_rule,
+    make_problem,
+    make_settings,
+    regression_of_recording,
 )
-from identification.estimation.system import System
-from identification.methods.idim import identify_ls
-from identification.model.base import BaseParameters, base_parameters
-from identification.model.inverse import InverseModel
-from identification.regression.motion import Motion
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides, decimation_rule, make_settings
-from identification.regression.system import regression_of_recording
-from identification.study.synthetic import (
-    Noise,
-    closed_loop,
-    known_parameters,
-    random_reference,
-    truth,
-    write_signals,
-)
+from identification.study import Noise, closed_loop, random_reference, write_signals
 
 
 def exact_motion(model: InverseModel, *, duration_s: float, sample_rate_hz: float, seed: int) -> Motion:

@@ -8,11 +8,10 @@ import scipy.io
 from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing.samples import Imported
-from acquisition.importing.tables import import_tables
-from acquisition.recording.reader import read_recording
-from acquisition.robot.robot import Robot, robot_from_files
-from identification.data.signals import load_signals
+from acquisition.importing import Imported, import_tables
+from acquisition.recording import read_recording
+from acquisition.robot import Robot, robot_from_files
+from identification.data import load_signals
 
 ROBOT = """
 name = "two"

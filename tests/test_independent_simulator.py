@@ -23,9 +23,9 @@ from independent_simulator import (
 )
 from scipy.integrate import solve_ivp
 
-from identification.data.signals import load_signals
+from identification.data import load_signals
+from identification.model import InverseModel
 from identification.model.base import known_parameters
-from identification.model.inverse import InverseModel
 
 NAMES = ("emps", "scara", "tx40")
 NOTHING = Imperfections()

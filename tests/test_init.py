@@ -12,7 +12,7 @@ from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 from acquisition.errors import AcquisitionError
 from acquisition.robot import load_robot
 from acquisition.trajectory import check_limits
-from identification.commands.program import main
+from identification.commands import main
 from identification.errors import IdentificationError
 from identification.model import InverseModel
 from identification.urdf import Stated, described_robot, read_chain
@@ -127,7 +127,7 @@ def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, ca
 def test_the_example_of_the_drives_is_one(here, capsys):
     """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
     from acquisition.robot import resolve
-    from acquisition.simulated.mechanism import mechanism_of
+    from acquisition.simulated import mechanism_of
 
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
     (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))

@@ -12,18 +12,22 @@ from scipy import stats
 from scipy.signal import lfilter
 
 import identification.regression.system as regression_module
-from identification.data.signals import load_signals
-from identification.estimation.confidence import MOST, cosines, deviations, deviations_of_sums, intervals
-from identification.estimation.estimators import (
+from identification.data import load_signals
+from identification.estimation import (
+    System,
+    TimeBlocks,
+    deviations,
+    deviations_of_sums,
     instrumental_variables,
+    intervals,
+    intervals_of_blocks,
     ordinary_least_squares,
+    sums_of_blocks,
     weighted_least_squares,
 )
-from identification.estimation.system import System
-from identification.estimation.time_blocks import TimeBlocks, intervals_of_blocks, sums_of_blocks
-from identification.methods.fit import Fit
-from identification.methods.idim import identify_ls
-from identification.regression.settings import Overrides
+from identification.estimation.confidence import MOST, cosines
+from identification.methods import Fit, identify_ls
+from identification.regression import Overrides
 
 # Closed forms
 

@@ -16,18 +16,12 @@ from fits_of_records import iv_of, signals_of
 from independent_robots import Plant, plant
 from independent_simulator import Controller, Imperfections, Runs, description, designed_pd, references, simulate
 
-from acquisition.robot.robot import Robot
-from identification.data.signals import Signals, load_signals
-from identification.methods.fit import Fit
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides
-from identification.replica.experiment import make_experiment
-from identification.replica.instruments import Counting, simulate_instruments
+from acquisition.robot import Robot
+from identification.data import Signals, load_signals
+from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, base_parameters, truth
+from identification.regression import Overrides, make_problem
+from identification.replica import Counting, make_experiment, simulate_instruments
 from identification.replica.motion import simulated_robot
 
 SETTLED = ("converged", "not_confirmed")

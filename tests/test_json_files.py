@@ -8,7 +8,7 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.commands.program import main
+from identification.commands import main
 from identification.report import fit_document, fit_file, fit_schema, read_fit, write_json
 from identification.report.comparison import ComparisonFile
 from identification.report.document import FORMAT

@@ -11,8 +11,7 @@ import pytest
 from conftest import ROOT
 from made_up_buses import bus_text
 
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import SENT
+from acquisition.recording import SENT, read_recording
 
 UML = ROOT.parent / "shared" / "tools" / "uml_can.sh"
 JOB = """

@@ -15,17 +15,14 @@ from independent_simulator import Imperfections, described_controller, designed_
 
 from acquisition.commands import main as acquire
 from acquisition.errors import AcquisitionError
-from acquisition.robot import check_recorded_velocities
-from acquisition.robot.robot import load_robot
+from acquisition.robot import check_recorded_velocities, load_robot
 from identification.commands import main as identify
-from identification.data import Recordings
-from identification.data.signals import Signals, load_signals
+from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.methods.idim import validate
+from identification.methods import Fit, Iteration, identify_iv, identify_ls, validate
 from identification.model import InverseModel, truth
 from identification.regression import Overrides, make_problem, torque_rate
-from identification.study.synthetic import write_signals
+from identification.study import write_signals
 from identification.trust.columns import Lack
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m

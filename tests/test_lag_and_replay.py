@@ -11,20 +11,16 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, references, simulate
 from looked_at import looked_at
 
-from identification.data import Recordings
-from identification.data.signals import Signals, load_signals
-from identification.estimation.diagnostics import autoregression, whitened
-from identification.estimation.system import System
-from identification.methods.fit import Fit
-from identification.methods.idim import identify, identify_ls
-from identification.methods.recordings import observe_all
+from identification.data import Recordings, Signals, load_signals
+from identification.estimation import System, whitened
+from identification.estimation.diagnostics import autoregression
+from identification.methods import Fit, identify, identify_ls, observe_all
 from identification.methods.timing import known_lags
-from identification.regression.motion import sampled_at
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides, known_lag
-from identification.simulation.control_law import recorded_loop
+from identification.regression import Overrides, make_problem, sampled_at
+from identification.regression.settings import known_lag
+from identification.simulation import recorded_loop
+from identification.trust import TrustLine
 from identification.trust.lag import lag_test
-from identification.trust.lines import TrustLine
 from identification.trust.replay import replay
 
 

@@ -8,8 +8,8 @@ from acquisition.files import GrowingBytes, let_go, on_disk, room
 from acquisition.recording import read_recording
 from identification import identify_iv, load_signals
 from identification.methods import Iteration
-from identification.regression import Overrides
-from identification.regression.motion import later, sampled_at
+from identification.regression import Overrides, sampled_at
+from identification.regression.motion import later
 
 
 @pytest.fixture

@@ -8,13 +8,12 @@ import pytest
 from conftest import REPLAY, needs_data, robot_named
 
 from acquisition.errors import AcquisitionError
-from acquisition.importing.tables import import_tables
-from acquisition.robot.limits import check_recorded_positions, effort_limits
-from acquisition.robot.robot import load_robot, robot_from_files
-from identification.data.signals import Signals, load_signals
+from acquisition.importing import import_tables
+from acquisition.robot import check_recorded_positions, effort_limits, load_robot, robot_from_files
+from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.methods.idim import identify_ls
-from identification.regression.settings import Overrides
+from identification.methods import identify_ls
+from identification.regression import Overrides
 
 T = np.arange(4000) / 1000
 ROBOT = robot_named("scara")

@@ -13,19 +13,15 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.listening import other_node, service_of, sign_of_master
-from acquisition.protocol.states import State
-from acquisition.recorder.logs import InlineLog
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import EXTENDED, REMOTE_REQUEST, SENT
-from acquisition.robot.bus import BusFile
-from acquisition.session.replaying import replay
-from acquisition.session.task import Stop, Task
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import dry_run, serve
-from acquisition.transport.bus import open_bus
-from acquisition.transport.frame import Frame
-from acquisition.transport.link import Link, open_link
+from acquisition.master import service_of
+from acquisition.master.listening import other_node, sign_of_master
+from acquisition.protocol import State
+from acquisition.recorder import InlineLog
+from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
+from acquisition.robot import BusFile
+from acquisition.session import Stop, Task, replay
+from acquisition.simulated import SimulatedDrives, dry_run, serve
+from acquisition.transport import Frame, Link, open_bus, open_link
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)

@@ -25,10 +25,9 @@ from identification.regression import (
     system,
     torque_of_recording,
 )
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, periodic_reference, random_reference, write_signals
-from identification.work import processes
-from identification.work.dask_cluster import cluster
+from identification.study import Noise, closed_loop, random_reference, write_signals
+from identification.study.synthetic import periodic_reference
+from identification.work import cluster, processes
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)

@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 
 from acquisition.errors import AcquisitionError
-from acquisition.files.columns import read_columns
+from acquisition.files import read_columns
 
 Q = np.arange(21.0).reshape(7, 3)  # 7 samples of 3 joints
 T = np.arange(7.0)

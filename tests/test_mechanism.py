@@ -9,13 +9,13 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import AcquisitionError
-from acquisition.recording.reader import read_recording
-from acquisition.robot.robot import load_robot
-from acquisition.session.recording_session import Operator, RecordOptions, record
-from acquisition.simulated.mechanism import mechanism_of
+from acquisition.recording import read_recording
+from acquisition.robot import load_robot
+from acquisition.session import Operator, RecordOptions, record
+from acquisition.simulated import mechanism_of
 from acquisition.simulated.plants import JointwisePlant
+from identification.model import InverseModel
 from identification.model.base import known_parameters
-from identification.model.inverse import InverseModel
 
 
 @pytest.mark.parametrize("name", ["tx40", "scara"])

@@ -12,9 +12,9 @@ from acquisition.errors import AcquisitionError
 from acquisition.files import meshes
 from acquisition.recording import RecordingWriter, read_recording, recover
 from acquisition.robot import load_robot, robot_from_files
-from identification.data.signals import load_signals
-from identification.regression.settings import Overrides
-from identification.view.viewer import write_recording_rrd
+from identification.data import load_signals
+from identification.regression import Overrides
+from identification.view import write_recording_rrd
 
 # A binary STL of one triangle: 80 bytes of header, the count, then normal, corners and an attribute.
 TRIANGLE = bytes(80) + np.uint32(1).tobytes() + np.float32([0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0]).tobytes() + bytes(2)

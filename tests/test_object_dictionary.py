@@ -6,10 +6,10 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.protocol.dictionary import DictionaryEntry, load_dictionary
-from acquisition.protocol.objects import ObjectEntry
+from acquisition.protocol import ObjectEntry, load_dictionary
+from acquisition.protocol.dictionary import DictionaryEntry
+from acquisition.robot import resolve
 from acquisition.robot.bus import parse_object
-from acquisition.robot.resolving import resolve
 from acquisition.simulated.node import simulated_node
 
 DEVICE = "[DeviceInfo]\nVendorName=a\nVendorNumber=0x9A\nProductName=gold\nProductNumber=0x30924\n"

@@ -7,15 +7,12 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import signals_of
 
-from identification.commands.program import main
+from identification.commands import main
 from identification.methods import identify
 from identification.regression import Overrides
-from identification.report import fit_document
-from identification.report.document import Document, Section, Table, columns
-from identification.report.renderers import print_whole
+from identification.report import Document, Section, Table, columns, fit_document, print_whole
 from identification.report.study_report import study_notes
-from identification.study import FALSE_ERROR, Study
-from identification.study.synthetic import Noise
+from identification.study import FALSE_ERROR, Noise, Study
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -4,10 +4,10 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import ls_of, signals_of
 
-from acquisition.robot.robot import load_robot
-from identification.data.signals import load_signals
-from identification.methods.idim import identify_ls
-from identification.regression.settings import Overrides
+from acquisition.robot import load_robot
+from identification.data import load_signals
+from identification.methods import identify_ls
+from identification.regression import Overrides
 
 
 def digits(values, places=4):

@@ -8,11 +8,9 @@ from dry_sessions import DrySession, Through, dry_session
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
-from acquisition.protocol.objects import quick_stop_ramp
-from acquisition.protocol.states import State
-from acquisition.session.task import Stop, Task
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import dry_run
+from acquisition.protocol import State, quick_stop_ramp
+from acquisition.session import Stop, Task
+from acquisition.simulated import SimulatedDrives, dry_run
 
 LIMIT = 2.0  # rad/s² of each joint
 ROBOT = robot_of(bus_text(2).replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {np.degrees(LIMIT)}"))

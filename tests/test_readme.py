@@ -15,8 +15,7 @@ from test_dynamics import URDF
 from acquisition.commands.program import PROGRAM as ACQUIRE
 from acquisition.importing.table_map import TableMap
 from acquisition.recording import read_recording
-from acquisition.robot.bus import BusFile
-from acquisition.robot.description import RobotFile
+from acquisition.robot import BusFile, RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY
 
 FIRST, ACQUISITION, IDENTIFICATION = (ROOT / folder / "README.md" for folder in (".", "acquisition", "identification"))

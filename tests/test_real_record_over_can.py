@@ -7,16 +7,14 @@ import pytest
 from conftest import REPLAY, robot_named
 from dry_sessions import dry_session
 
-from acquisition.importing.conversions import decode_recording
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import sample_dtype
-from acquisition.robot.robot import Robot, robot_from_files
-from acquisition.session.task import Task
-from acquisition.simulated.plants import TablePlant
-from identification.data.signals import load_signals
-from identification.methods.idim import identify_ls
-from identification.regression.settings import Overrides
+from acquisition.importing import decode_recording
+from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
+from acquisition.robot import Robot, robot_from_files
+from acquisition.session import Task
+from acquisition.simulated import TablePlant
+from identification.data import load_signals
+from identification.methods import identify_ls
+from identification.regression import Overrides
 
 RATE_HZ = 500
 

@@ -15,10 +15,9 @@ from made_up_recordings import header, some_frames, some_samples, write
 from rosbags.typesys import Stores, get_typestore
 
 from acquisition.errors import AcquisitionError
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import EXTENDED, FRAME, SENT, check_samples, gaps, sample_dtype
-from acquisition.robot.robot import Robot, load_robot
+from acquisition.recording import EXTENDED, FRAME, SENT, Header, RecordingWriter, gaps, read_recording, sample_dtype
+from acquisition.recording.rows import check_samples
+from acquisition.robot import Robot, load_robot
 
 
 def test_reads_what_was_written(whole: Path, robot: Robot) -> None:

@@ -17,9 +17,8 @@ from mcap.writer import Writer
 
 from acquisition.errors import AcquisitionError
 from acquisition.recording import content as mcap_content
-from acquisition.recording.reader import read_recording
-from acquisition.recording.recovery import recover
-from acquisition.robot.robot import Robot
+from acquisition.recording import read_recording, recover
+from acquisition.robot import Robot
 
 
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole: Path, tmp_path: Path) -> None:

@@ -8,8 +8,18 @@ import msgspec
 import pytest
 
 from identification.errors import IdentificationError
-from identification.report import Document, Section, print_whole, to_html, to_markdown, write_report
-from identification.report.document import Number, Table, columns, document_json
+from identification.report import (
+    Document,
+    Number,
+    Section,
+    Table,
+    columns,
+    document_json,
+    print_whole,
+    to_html,
+    to_markdown,
+    write_report,
+)
 from identification.report.renderers import RENDERERS
 
 VALUES = (1.23456789, -0.000123456, 98765.4321)

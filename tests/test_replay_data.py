@@ -9,11 +9,9 @@ import pytest
 from conftest import REPLAY, ROOT
 from fits_of_records import iv_of, signals_of
 
-from identification.commands.program import main
-from identification.data.signals import load_signals
-from identification.model import truth
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
+from identification.commands import main
+from identification.data import load_signals
+from identification.model import InverseModel, base_parameters, truth
 
 
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])

@@ -10,8 +10,8 @@ import pytest
 from conftest import REPLAY, robot_named
 
 from acquisition.errors import AcquisitionError, one_line
-from acquisition.files.atomic import atomic_write, refuse_clash
-from acquisition.robot.robot import load_robot, robot_from_files
+from acquisition.files import atomic_write, refuse_clash
+from acquisition.robot import load_robot, robot_from_files
 from acquisition.robot.toml import LARGEST_TOML, LONGEST_LINE
 
 ONE_JOINT = """

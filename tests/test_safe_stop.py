@@ -9,13 +9,9 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.master.stopping as stopping
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master
-from acquisition.master.stopping import leave_operational, not_disabled, safe_stop, stop_drives
-from acquisition.protocol.states import Command, Mode, State
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import DryRun, dry_run
-from acquisition.simulated.loops import cascaded_loops
-from acquisition.simulated.mechanism import Mechanism
+from acquisition.master import Master, leave_operational, not_disabled, safe_stop, stop_drives
+from acquisition.protocol import Command, Mode, State
+from acquisition.simulated import DryRun, Mechanism, SimulatedDrives, cascaded_loops, dry_run
 from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²

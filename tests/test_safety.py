@@ -18,25 +18,18 @@ import acquisition.recorder.logs as recorder_logs
 import acquisition.simulated.lock_step as dry_run_module
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master
-from acquisition.protocol.dictionary import DictionaryEntry, ObjectDictionary, load_dictionary
-from acquisition.protocol.objects import interpolation_period
-from acquisition.protocol.sdo import write_request
-from acquisition.protocol.states import State
-from acquisition.recorder import Role
-from acquisition.recorder.logs import ProcessLog
-from acquisition.recording.rows import SENT
+from acquisition.master import Master
+from acquisition.protocol import ObjectDictionary, State, interpolation_period, load_dictionary, write_request
+from acquisition.protocol.dictionary import DictionaryEntry
+from acquisition.recorder import ProcessLog, Role
+from acquisition.recording import SENT
+from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
-from acquisition.robot.drives import axis_of
-from acquisition.session.recording_session import Operator, RecordOptions, record, stop_on_signals
-from acquisition.session.task import Stop, Task
-from acquisition.simulated.drives import SimulatedDrives
+from acquisition.session import Operator, RecordOptions, Stop, Task, record, stop_on_signals
+from acquisition.simulated import SimulatedDrives, dry_run, serve
 from acquisition.simulated.faults import SimulatedFault
-from acquisition.simulated.lock_step import dry_run, serve
 from acquisition.simulated.node import SimulatedNode
-from acquisition.transport.bus import open_bus
-from acquisition.transport.frame import Frame
-from acquisition.transport.link import Link
+from acquisition.transport import Frame, Link, open_bus
 
 TRACK = Task(reference=swing(2))
 ENABLED = 0x0237

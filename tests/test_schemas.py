@@ -8,7 +8,7 @@ import tomllib
 import pytest
 from conftest import REPLAY
 
-from identification.commands.program import main
+from identification.commands import main
 
 TYPES = {
     "object": dict,

@@ -22,8 +22,7 @@ from identification.methods import Iteration, Prior, identify_iv, identify_ls, w
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
 from identification.report import differences, fit_document, fit_file, fitted_parameters, read_fit, write_json
-from identification.study.noise import Noise
-from identification.study.synthetic import closed_loop, random_reference, write_signals
+from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.work import Pool
 
 CELL = Noise(encoder_step=1e-5, effort_percent=2.0)

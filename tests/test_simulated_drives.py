@@ -11,13 +11,12 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.master import Master
-from acquisition.protocol.states import State
+from acquisition.master import Master
+from acquisition.protocol import State
 from acquisition.robot.bus import dictionary_label
-from acquisition.session.task import Task
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import dry_run
-from acquisition.simulated.plants import JointwisePlant, TablePlant, typical_plant
+from acquisition.session import Task
+from acquisition.simulated import SimulatedDrives, TablePlant, dry_run
+from acquisition.simulated.plants import JointwisePlant, typical_plant
 
 VENDORS = {
     "elmo_Gold.dcf": 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',

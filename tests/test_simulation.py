@@ -7,18 +7,22 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from acquisition.robot.robot import robot_from_files
+from acquisition.robot import robot_from_files
 from identification.errors import IdentificationError
-from identification.methods.idim import identify_iv
-from identification.methods.iteration import Iteration, regular_start
-from identification.model import inertias, not_positive, truth
-from identification.model.base import base_parameters, known_parameters
-from identification.model.direct import DirectModel, direct_model
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.simulation.closed_loop import ClosedLoop, simulate
-from identification.simulation.control_law import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
-from identification.study.synthetic import Noise, closed_loop, random_reference
+from identification.methods import Iteration, identify_iv, regular_start
+from identification.model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
+from identification.model.base import known_parameters
+from identification.regression import Overrides
+from identification.simulation import (
+    ClosedLoop,
+    Control,
+    ControlLaw,
+    Reference,
+    recorded_loop,
+    simulate,
+    surrogate_loop,
+)
+from identification.study import Noise, closed_loop, random_reference
 
 RATE = 1000.0
 

@@ -9,14 +9,12 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master.heartbeat import MasterHeartbeat, free_entry, timeout_ms
-from acquisition.master.master import Master
-from acquisition.master.supervision import second_stop, supervision_of
-from acquisition.protocol.states import Command, Mode, State
-from acquisition.session.task import Task
+from acquisition.master import Master, MasterHeartbeat, second_stop, supervision_of
+from acquisition.master.heartbeat import free_entry, timeout_ms
+from acquisition.protocol import Command, Mode, State
+from acquisition.session import Task
+from acquisition.simulated import DryRun, SimulatedDrives, dry_run
 from acquisition.simulated import supervision as simulated_supervision
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import DryRun, dry_run
 from acquisition.simulated.node import SimulatedNode
 
 MS = 1_000_000

@@ -31,10 +31,9 @@ from test_recording_processes import (
     wait_for,
 )
 
-from acquisition.recording.reader import read_recording
+from acquisition.recording import read_recording
+from acquisition.simulated import SimulatedDrives, serve
 from acquisition.simulated import supervision as simulated_supervision
-from acquisition.simulated.drives import SimulatedDrives
-from acquisition.simulated.lock_step import serve
 
 __all__ = ["folder", "port"]  # fixtures
 

@@ -11,8 +11,8 @@ from jittered_time import MAP, covered
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
+from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
-from acquisition.importing.tables import import_tables
 from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
 from acquisition.recording import read_recording
 

@@ -8,26 +8,24 @@ import numpy as np
 import pytest
 from conftest import REPLAY, robot_named
 
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.reader import read_recording
-from acquisition.robot.description import LowSpeed
-from acquisition.robot.robot import Robot, robot_from_files
-from identification.commands.program import main
-from identification.data.signals import Signals, load_signals
+from acquisition.recording import Header, RecordingWriter, read_recording
+from acquisition.robot import LowSpeed, Robot, robot_from_files
+from identification.commands import main
+from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
-from identification.estimation.estimators import joint_weights, weighted_least_squares
-from identification.estimation.system import System
-from identification.methods.fit import Fit
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.inverse import InverseModel
-from identification.regression.low_speed import fast_rows, measured_slip
-from identification.regression.motion import FilteredMotion
-from identification.regression.problem import make_problem
-from identification.regression.settings import Overrides
-from identification.regression.system import regression_of_recording
-from identification.study.synthetic import Noise, closed_loop, random_reference
+from identification.estimation import System, weighted_least_squares
+from identification.estimation.estimators import joint_weights
+from identification.methods import Fit, Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, truth
+from identification.regression import (
+    FilteredMotion,
+    Overrides,
+    fast_rows,
+    make_problem,
+    measured_slip,
+    regression_of_recording,
+)
+from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"
 TX40 = REPLAY / "tx40" / "session.mcap"

@@ -22,17 +22,15 @@ from independent_simulator import (
 from looked_at import looked_at
 from scipy.signal import lfilter
 
-from identification.data.signals import Signals
-from identification.estimation import instrumental_variables, intervals
+from identification.data import Signals
+from identification.estimation import System, instrumental_variables, intervals
 from identification.estimation.diagnostics import autoregression
-from identification.estimation.system import System
-from identification.methods.fit import Fit
-from identification.methods.idim import identify, identify_ls
-from identification.regression.settings import Overrides
-from identification.trust import Evidence, Trust, TrustLine
+from identification.methods import Fit, identify, identify_ls
+from identification.regression import Overrides
+from identification.trust import LEVELS, Evidence, Trust, TrustLine
 from identification.trust.columns import lacks_of
 from identification.trust.held_out import held_out_test
-from identification.trust.lines import LEVELS, worst_first
+from identification.trust.lines import worst_first
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
     _judged_together,

@@ -5,13 +5,12 @@ import dataclasses
 import msgspec
 from conftest import REPLAY
 
-from identification.data.signals import load_signals
-from identification.estimation.diagnostics import InstrumentTests
-from identification.methods.fit import DirectModelError, Pass
-from identification.methods.idim import identify_iv
-from identification.methods.iteration import Iteration
+from identification.data import load_signals
+from identification.estimation import InstrumentTests
+from identification.methods import Iteration, Pass, identify_iv
+from identification.methods.fit import DirectModelError
 from identification.methods.verdict import _status
-from identification.regression.settings import Overrides
+from identification.regression import Overrides
 
 GOOD = InstrumentTests(
     dwh_F=None, dwh_p_value=None, dwh_F_effective=None, dwh_p_effective=None, strength=0.9, first_stage_F=500.0

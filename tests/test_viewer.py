@@ -11,21 +11,15 @@ from conftest import robot_named
 from rerun.chunk import RrdReader
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot.robot import robot_from_files
-from identification.data.signals import Signals
-from identification.methods.fit import Rows
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model.base import base_parameters
-from identification.model.inverse import InverseModel
+from acquisition.robot import robot_from_files
+from identification.data import Signals
+from identification.methods import Iteration, Rows, identify_iv, identify_ls
+from identification.model import InverseModel, base_parameters
+from identification.regression import Motion, Overrides, differentiate, motion_between, predicted_torque
 from identification.regression.filtering import decimate, lowpass
-from identification.regression.motion import Motion, differentiate, motion_between
-from identification.regression.settings import Overrides
-from identification.regression.system import predicted_torque
-from identification.study.synthetic import Noise, closed_loop, random_reference
-from identification.view import curves, viewer
+from identification.study import Noise, closed_loop, random_reference
+from identification.view import curves, viewer, write_fit_rrd
 from identification.view.curves import BUCKETS, extremes, readable_unit
-from identification.view.viewer import write_fit_rrd
 
 FS = 1000.0
 

@@ -13,16 +13,19 @@ from fits_of_records import iv_of, signals_of
 from made_up_buses import bus_text, robot_of
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
-from acquisition.robot.robot import robot_from_files
-from acquisition.session.task import Task
-from identification.commands.program import main
-from identification.data.signals import SignalEvent, load_signals
+from acquisition.robot import robot_from_files
+from acquisition.session import Task
+from identification.commands import main
+from identification.data import load_signals
+from identification.data.signals import SignalEvent
 from identification.errors import IdentificationError
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.report.comparison import Parameter, ParameterSet, difference_lines, differences, fitted_parameters
-from identification.study.study import Run
-from identification.trust.lines import Figure, Trust, TrustLine
+from identification.model import InverseModel
+from identification.regression import Overrides
+from identification.report import Parameter, ParameterSet, differences, fitted_parameters
+from identification.report.comparison import difference_lines
+from identification.study import Run
+from identification.trust import Figure, Trust, TrustLine
+from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
 from identification.view.curves import column_plots
 from identification.view.panels import (
@@ -40,7 +43,6 @@ from identification.view.panels import (
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
 from identification.view.signal_panels import event_log, extra_plots, health_plot, span_lanes
-from identification.view.viewer import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 
 SESSION = REPLAY / "scara" / "session.mcap"
 LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"
@@ -263,8 +265,7 @@ def test_columns_beside_position_and_effort_are_on_the_signal_page_where_they_ar
 
 
 def test_a_recording_gives_its_events_in_seconds_of_its_samples(tmp_path):
-    from acquisition.recording import Header, RecordingWriter
-    from acquisition.recording.reader import read_recording
+    from acquisition.recording import Header, RecordingWriter, read_recording
 
     recording, path = read_recording(SESSION), tmp_path / "log.mcap"
     samples = np.array(recording.samples[:3000])

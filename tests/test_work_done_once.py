@@ -6,7 +6,7 @@ from conftest import REPLAY
 import identification.passes.settled as settled
 import identification.regression.motion as motion
 from identification.commands import main
-from identification.model.inverse import InverseModel
+from identification.model import InverseModel
 
 
 @pytest.mark.parametrize(

@@ -17,13 +17,11 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.recorder.decoding import decode
+from acquisition.recorder import Recorder, decode
 from acquisition.recorder.process import _record
-from acquisition.recorder.recorder import Recorder
-from acquisition.recording.reader import read_recording
-from acquisition.recording.rows import FRAME
-from acquisition.transport.receiver import Receiver
-from acquisition.transport.sockets import enlarge_queue, kernel_drops
+from acquisition.recording import FRAME, read_recording
+from acquisition.transport import Receiver, kernel_drops
+from acquisition.transport.sockets import enlarge_queue
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -15,11 +15,10 @@ from independent_simulator import description, references, simulate
 from random_arms import random_estimate
 
 from identification.estimation import certainty, consistent_parameters, one_thread
-from identification.methods.consistent import FROM_PRIOR, Prior, with_consistent
-from identification.methods.idim import identify_ls
-from identification.model import truth
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
+from identification.methods import Prior, identify_ls, with_consistent
+from identification.methods.consistent import FROM_PRIOR
+from identification.model import InverseModel, truth
+from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -9,8 +9,8 @@ import pytest
 from random_arms import random_estimate
 from test_consistency import lowest
 
-from identification.estimation.consistency import CERTIFIED, consistent_parameters
-from identification.estimation.estimators import one_thread
+from identification.estimation import consistent_parameters, one_thread
+from identification.estimation.consistency import CERTIFIED
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -21,7 +21,7 @@ from independent_simulator import (
 )
 
 from identification.friction import TermSet, choose_terms
-from identification.regression.settings import Overrides
+from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

@@ -19,19 +19,15 @@ import pytest
 from conftest import robot_named
 
 import identification.methods.assess as assess
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.rows import sample_dtype
-from acquisition.trajectory.reference import fourier_reference
-from identification.data.signals import load_signals
+from acquisition.recording import Header, RecordingWriter, sample_dtype
+from acquisition.trajectory import fourier_reference
+from identification.data import load_signals
 from identification.friction import with_terms
-from identification.methods.idim import identify_iv, identify_ls
-from identification.methods.iteration import Iteration
-from identification.model import truth
-from identification.model.base import base_parameters, known_parameters
-from identification.model.direct import direct_model
-from identification.model.inverse import InverseModel
-from identification.regression.settings import Overrides
-from identification.study.draws import Study
+from identification.methods import Iteration, identify_iv, identify_ls
+from identification.model import InverseModel, base_parameters, direct_model, truth
+from identification.model.base import known_parameters
+from identification.regression import Overrides
+from identification.study import Study
 from identification.study.study import one_run
 from identification.trust import trust_in
 from identification.trust.lines import worst_first

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from acquisition.recording import Header, RecordingWriter
-from acquisition.recording.rows import sample_dtype
+from acquisition.recording import Header, RecordingWriter, sample_dtype
 from identification.study import Noise, closed_loop, random_reference
 
 pytestmark = pytest.mark.skipif(
