@@ -4,15 +4,11 @@ The rooms, ground floor first. Each is entered by its face, what its `__init__` 
 
     files        files written whole or not at all, columns of tables, meshes of a URDF
     protocol     CANopen (CiA 301) and CiA 402 without I/O: states, objects, SDO, PDO, object dictionaries
-    robot        the description (robot.toml): joints, motors, limits, the bus and its drives
-    ros          ROS 2 messages, bags read and written, frames of links
-    recording    the MCAP format: rows, reader, writer, recovery, summary
-    trajectory   reference trajectories, checked against the limits
-    transport    the bus as frames and times; logs of other tools
-    master       the CANopen master: listening, requests, heartbeat, supervision, the one stop of all drives
-    recorder     frames into a recording by a process of its own, decoding, the second stop
+    robot        the description (robot.toml): joints, motors, limits, bus and drives; references, checked against the limits
+    recording    the MCAP format, frames decoded to rows on the grid of SYNC, ROS messages
+    bus          frames and times of a bus; the CANopen master: listening, requests, heartbeat, the one stop of all drives
     simulated    simulated drives, the plants they move, dry runs
-    session      the one loop that sends: record, enable, track, stop; its guards
+    session      the one loop that sends: record, enable, track, stop; its guards; the recorder's process, the second stop
     importing    recordings out of tables, ROS 2 bags and CAN logs; export
     commands     the command line
 

@@ -2,19 +2,17 @@
 
 The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
 
-    work         where tasks run: this process, processes, a Dask cluster
+    report       documents and their renderers
     estimation   least squares, instrumental variables and their tests, on arrays
-    data         a recording as signals on a uniform grid
-    model        inverse and direct dynamics, friction and rotors, base parameters (pinocchio)
-    regression   settings, filters, the over-determined system W, Y, and the rows that count
-    simulation   the robot in closed loop: control laws, friction with stick phases
+    data         a recording as signals on a uniform grid; where tasks run
+    model        inverse and direct dynamics, friction and rotors, base parameters, what is physical (pinocchio)
+    regression   settings, filters, the over-determined system W, Y, and the rows that count; load friction
+    simulation   the robot in closed loop; the recorded experiment simulated, instruments
     trust        when to believe a fit
-    replica      the recorded experiment simulated, instruments
-    methods      the method on one screen (`idim`), several recordings, what a fit is worth
-    study        robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies
-    report       one report of a fit as a document; terminal, Markdown, HTML and JSON show it
-    export       a fit as URDF, MJCF and robot.toml
-    fleet        one fit per recording of many, the table of them, their drift
+    methods      the method on one screen (`idim`), several recordings, what a fit is worth, its documents
+    study        robots whose parameters are known: simulated recordings, the demo, studies; fleets
+    export       a fit as URDF, MJCF and robot.toml; a description from a URDF
+    design       exciting references, the choice of friction terms
     view         pictures for Rerun
     commands     the command line
     notebook     the names below, and how a notebook shows a fit

@@ -7,11 +7,10 @@ from numpy.typing import ArrayLike
 
 from acquisition.robot import Robot, load_robot
 
-from .data import OptionalColumns, RecordingFile, Recordings, Signals, load_signals, signals_from_arrays
+from .data import OptionalColumns, RecordingFile, Recordings, Signals, load_signals, processes, signals_from_arrays
 from .errors import IdentificationError
 from .methods import Fit, Iteration, identify, identify_iv, identify_ls, validate
 from .regression import Overrides
-from .work import processes
 
 __all__ = [
     "Fit",
@@ -83,7 +82,8 @@ def fit(
 
 def _fit_html(fit: Fit) -> str:
     """The report of a fit as HTML; the report is imported when a notebook first shows a fit."""
-    from .report import fit_document, to_html
+    from .methods import fit_document
+    from .report import to_html
 
     return to_html(fit_document(fit.problem.signals, fit))
 

@@ -7,16 +7,14 @@ from pathlib import Path
 import numpy as np
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.master import Master
-from acquisition.recorder import InlineLog, Recorded, Recorder
+from acquisition.bus import Frame, Master
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
-from acquisition.session import Outcome, Stop, Task, run_active
+from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
 from acquisition.simulated import Mechanism, SimulatedDrives, cascaded_loops, dry_run
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.plants import Plant, typical_inertia
-from acquisition.transport import Frame
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, frame, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.recorder import Decoded, decode
-from acquisition.recording import FRAME, SENT, Block
+from acquisition.recording import FRAME, SENT, Block, Decoded, decode
 
 ROBOT = robot_of(bus_text())
 BUS = bus_of(ROBOT)

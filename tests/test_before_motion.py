@@ -12,17 +12,17 @@ from conftest import robot_named
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Master, confirm_motion, position_words
 from acquisition.commands import main
 from acquisition.commands.checking import look, refusal
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master, confirm_motion, position_words
 from acquisition.recording import SENT
+from acquisition.robot import table_reference
 from acquisition.session import Operator, RecordOptions, Task, record, scheduling, steady
 from acquisition.session.pacing import largest_delay_s
 from acquisition.session.recording_session import _before_motion as before_motion
 from acquisition.session.scheduling import refuse_jitter
 from acquisition.simulated import SimulatedDrives, dry_run
-from acquisition.trajectory import table_reference
 
 
 def drives_of(text: str, **values: int) -> tuple[object, Master]:

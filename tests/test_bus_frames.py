@@ -8,11 +8,7 @@ import can
 import numpy as np
 import pytest
 
-from acquisition.errors import AcquisitionError
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
-from acquisition.recording.rows import check_frames
-from acquisition.robot import BusFile, DriveFile
-from acquisition.transport import (
+from acquisition.bus import (
     Frame,
     Link,
     LockStepLink,
@@ -24,6 +20,10 @@ from acquisition.transport import (
     read_log,
     sockets,
 )
+from acquisition.errors import AcquisitionError
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
+from acquisition.recording.rows import check_frames
+from acquisition.robot import BusFile, DriveFile
 
 
 def test_a_row_byte_for_byte():

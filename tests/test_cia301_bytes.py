@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Frame, Master
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master
 from acquisition.protocol import (
     ObjectEntry,
     Pdo,
@@ -29,7 +29,6 @@ from acquisition.protocol import (
 )
 from acquisition.robot import Bus
 from acquisition.simulated.node import SimulatedNode, simulated_node
-from acquisition.transport import Frame
 
 STATUS, POSITION, TORQUE = (
     ObjectEntry(index=0x6041, sub=0, type="U16"),

@@ -27,10 +27,10 @@ from identification.estimation import (
 )
 from identification.estimation.consistency import CERTIFIED, MATRIX
 from identification.methods import Prior, identify_ls, urdf_prior, with_consistent
+from identification.methods.stored_fit import LeftOut, consistent_keys
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides, regression_of_recording
 from identification.report import fit_document, fit_schema, read_fit
-from identification.report.stored_fit import LeftOut, consistent_keys
 from identification.study.synthetic import periodic_reference
 
 

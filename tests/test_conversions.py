@@ -6,13 +6,13 @@ import pytest
 from conftest import needs_data
 from made_up_buses import bus_of, bus_text, flat, robot_of, session
 
+from acquisition.bus import read_log
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.importing import decode_recording, export_bag, export_csv, import_log
-from acquisition.recorder import Recorder, decode
-from acquisition.recording import ERROR, SENT, Header, RecordingWriter, read_recording
-from acquisition.transport import read_log
+from acquisition.recording import ERROR, SENT, Header, RecordingWriter, decode, read_recording
+from acquisition.session import Recorder
 from identification import load_signals
 from identification.errors import IdentificationError
 

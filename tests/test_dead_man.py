@@ -32,18 +32,16 @@ from test_recording_processes import (
 )
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
-import acquisition.recorder.dead_man as dead_man_module
+import acquisition.session.dead_man as dead_man_module
 import acquisition.simulated.supervision as simulated_supervision
+from acquisition.bus import Master, open_link
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master
 from acquisition.protocol import State, state_of
-from acquisition.recorder import InlineLog
-from acquisition.recorder.dead_man import DeadMan, SignsOfLife, silence_s
 from acquisition.recording import Recording, read_recording
-from acquisition.session import Task
+from acquisition.session import InlineLog, Task
+from acquisition.session.dead_man import DeadMan, SignsOfLife, silence_s
 from acquisition.simulated import SimulatedDrives, dry_run, serve
 from acquisition.simulated.faults import SimulatedFault
-from acquisition.transport import open_link
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.4  # from the last SYNC of the session to the quick stop of every drive

@@ -8,9 +8,8 @@ from hypothesis import strategies as st
 from made_up_buses import block, bus_of, bus_text, counts, flat, frame, robot_of, session
 
 from acquisition.errors import AcquisitionError
-from acquisition.recorder import Decoded, decode, written_by_master
-from acquisition.recorder.decoding import unwrapped
-from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, gaps
+from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT, Decoded, decode, gaps, written_by_master
+from acquisition.recording.decoding import unwrapped
 from acquisition.robot import resolve
 
 ROBOT = robot_of(bus_text())
@@ -195,7 +194,7 @@ def test_a_counter_that_wraps_goes_on(way, at_once, monkeypatch):
     def wrapped(counts: int) -> bytes:
         return (counts % 2**32).to_bytes(4, "little")
 
-    monkeypatch.setattr("acquisition.recorder.decoding._AT_ONCE", at_once)
+    monkeypatch.setattr("acquisition.recording.decoding._AT_ONCE", at_once)
 
     intervals = session(targets=True)
     for k, rows in enumerate(intervals):

@@ -22,8 +22,8 @@ from identification.methods.assess import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
 from identification.simulation import Reference, recorded_loop, simulate
+from identification.simulation.plant import drive_loops
 from identification.study import Rehearsal, described_robot, rehearse, study_truth
-from identification.study.plant import drive_loops
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ

@@ -8,12 +8,11 @@ from made_up_buses import block as block_of_frames
 from made_up_buses import bus_of, bus_text, frame, robot_of
 from made_up_recordings import some_samples
 
+from acquisition.bus import read_log
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.recording.rows import check_frames, check_samples
-from acquisition.robot import load_robot
-from acquisition.trajectory import check_limits
-from acquisition.transport import read_log
+from acquisition.robot import check_limits, load_robot
 
 
 def data_of(caught):

@@ -12,15 +12,14 @@ from conftest import REPLAY, robot_named
 from test_limits import URDF_ARM, URDF_TOML
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import load_robot, robot_from_files
-from acquisition.trajectory import check_limits, fourier_reference, table_reference
+from acquisition.robot import check_limits, fourier_reference, load_robot, robot_from_files, table_reference
 from identification.commands import main
+from identification.design import design, excitation_document, knowledge_of, search
+from identification.design.information import Information
+from identification.design.knowledge import earlier_information, torque_noise
+from identification.design.limits import limits_of
+from identification.design.series import Series, motion_of
 from identification.errors import IdentificationError
-from identification.excitation import design, excitation_document, knowledge_of, search
-from identification.excitation.information import Information
-from identification.excitation.knowledge import earlier_information, torque_noise
-from identification.excitation.limits import limits_of
-from identification.excitation.series import Series, motion_of
 from identification.model import (
     InverseModel,
     base_parameters,

@@ -8,13 +8,12 @@ import pytest
 from test_excitation import SERIES, information_of, modelled, random_x
 from test_friction_terms import ALL, USUAL, described, upright
 
-from acquisition.robot import robot_from_files
-from acquisition.trajectory import fourier_reference
-from identification.excitation import Settings, excite, knowledge_of, search
-from identification.excitation.knowledge import earlier_information
-from identification.excitation.limits import limits_of
-from identification.excitation.load import given_load
-from identification.excitation.series import motion_of
+from acquisition.robot import fourier_reference, robot_from_files
+from identification.design import Settings, excite, knowledge_of, search
+from identification.design.knowledge import earlier_information
+from identification.design.limits import limits_of
+from identification.design.load import given_load
+from identification.design.series import motion_of
 from identification.model import direct_model, sliding_apart, torque_of_links, truth
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals

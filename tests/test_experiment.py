@@ -20,7 +20,7 @@ from identification.estimation import (
 )
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
-from identification.replica import Counting, make_experiment, simulate_instruments, simulated_motion
+from identification.simulation import Counting, make_experiment, simulate_instruments, simulated_motion
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

@@ -13,18 +13,18 @@ import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
+from acquisition.importing import UNLIMITED, quaternions, roll_pitch_yaw, rotation
 from acquisition.robot import load_robot, robot_from_files
-from acquisition.ros import UNLIMITED, quaternions, roll_pitch_yaw, rotation
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit
 from identification.export.robot_toml import with_parameters
 from identification.methods import Prior, with_consistent
+from identification.methods.stored_fit import Covariance, LeftOut
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
 from identification.report import fit_document, fit_file, read_fit, write_json
-from identification.report.stored_fit import Covariance, LeftOut
 from identification.study import study_truth
 
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -8,13 +8,12 @@ import pytest
 from dry_sessions import dry_session, swing
 from made_up_buses import block, bus_of, bus_text, flat, frame, robot_of, session
 
+from acquisition.bus import WallClock, describe_step
 from acquisition.errors import AcquisitionError
 from acquisition.importing import decode_recording, export_csv
-from acquisition.recorder import Recorder, decode
-from acquisition.recording import SENT, overview, read_recording
+from acquisition.recording import SENT, decode, overview, read_recording
 from acquisition.robot import Robot, extra_columns
-from acquisition.session import Task
-from acquisition.transport import WallClock, describe_step
+from acquisition.session import Recorder, Task
 
 TEMPERATURE = '{ object = "2081:1", name = "temperature", scale = 0.1, unit = "degC" }'
 EXTRA = f'extra = ["606C", "6077", {TEMPERATURE}, "2082"]\nobjects = {{ "2081:1" = "I16", "2082" = "U8" }}\nsign = -1\n'

@@ -15,14 +15,24 @@ from test_viewer import Written
 from acquisition.recording import read_recording
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, load_signals
+from identification.data import Recordings, Serial, WorkersNotStartedError, load_signals
 from identification.errors import IdentificationError
-from identification.fleet import FleetSettings, Row, Value, control_limits, drifts, found_recordings, run_fleet
-from identification.fleet import rows as rows_module
 from identification.methods import identify
 from identification.regression import Overrides
-from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.work import Serial, WorkersNotStartedError
+from identification.study import (
+    FleetSettings,
+    Noise,
+    Row,
+    Value,
+    closed_loop,
+    control_limits,
+    drifts,
+    found_recordings,
+    random_reference,
+    run_fleet,
+    write_signals,
+)
+from identification.study import rows as rows_module
 
 BEGAN = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
 WEEK_S = 7 * 86400.0

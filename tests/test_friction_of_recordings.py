@@ -13,8 +13,8 @@ from test_viewer import Written
 
 from identification.commands import main
 from identification.data import RecordingFile, Recordings
+from identification.design import choose_terms, friction_of_joints, with_terms
 from identification.errors import IdentificationError
-from identification.friction import choose_terms, friction_of_joints, with_terms
 from identification.methods import identify_ls
 from identification.regression import make_problem, regression_of_recording
 from identification.study import write_signals

@@ -13,20 +13,28 @@ from fits_of_records import signals_of
 from acquisition.errors import AcquisitionError
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import RecordingFile, Recordings, signals_from_arrays
+from identification.data import RecordingFile, Recordings, processes, signals_from_arrays
+from identification.design import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
 from identification.estimation import System
 from identification.export import mechanism_of
 from identification.export.losses import random_states, sayable
-from identification.friction import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
-from identification.passes import Linearised, recorded_power, settled_least_squares
-from identification.passes.settled import told_apart
-from identification.regression import LoadFriction, Motion, Overrides, make_problem, regression_of_recording, system
+from identification.regression import (
+    Linearised,
+    LoadFriction,
+    Motion,
+    Overrides,
+    make_problem,
+    recorded_power,
+    regression_of_recording,
+    settled_least_squares,
+    system,
+)
+from identification.regression.settled import told_apart
 from identification.simulation import Reference, simulate, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
-from identification.work import processes
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]

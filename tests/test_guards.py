@@ -11,8 +11,8 @@ from made_up_buses import bus_text, robot_of
 
 import acquisition.session.recording_session as record_module
 import acquisition.session.session as session_module
+from acquisition.bus import error_words, status_words
 from acquisition.commands import main
-from acquisition.master import error_words, status_words
 from acquisition.protocol import State
 from acquisition.recording import overview
 from acquisition.session import Outcome, Stop, Task
@@ -301,7 +301,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
 
 def test_a_slow_sync_may_be_three_periods_late():
     """With SYNC every 10 ms the bound is 30 ms."""
-    from acquisition.master import Master
+    from acquisition.bus import Master
     from acquisition.session.pacing import Pace
 
     class Bare:

@@ -8,7 +8,7 @@ from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
 import identification.regression.system as regression_module
-from acquisition.trajectory import fourier_reference
+from acquisition.robot import fourier_reference
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares

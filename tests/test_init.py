@@ -10,12 +10,11 @@ import pytest
 from urdfs import ARM, BOX, LIMIT, PARTS, joint, link, urdf
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import load_robot
-from acquisition.trajectory import check_limits
+from acquisition.robot import check_limits, load_robot
 from identification.commands import main
 from identification.errors import IdentificationError
+from identification.export import Stated, described_robot, read_chain
 from identification.model import InverseModel
-from identification.urdf import Stated, described_robot, read_chain
 
 STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
 NAMES = ["--joints", ",".join(ARM)]

@@ -21,8 +21,8 @@ from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem
-from identification.replica import Counting, make_experiment, simulate_instruments
-from identification.replica.motion import simulated_robot
+from identification.simulation import Counting, make_experiment, simulate_instruments
+from identification.simulation.motion import simulated_robot
 
 SETTLED = ("converged", "not_confirmed")
 SENSOR_ARM = Path(__file__).with_name("torque_sensor_arm.toml")

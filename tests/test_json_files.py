@@ -9,11 +9,11 @@ from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
 from identification.commands import main
+from identification.methods.comparison import ComparisonFile
+from identification.methods.fit_files import FitFile, ValidationFile
 from identification.report import fit_document, fit_file, fit_schema, read_fit, write_json
-from identification.report.comparison import ComparisonFile
 from identification.report.document import FORMAT
-from identification.report.fit_files import FitFile, ValidationFile
-from identification.report.study_report import BaseFile, StudyFile
+from identification.study.study_report import BaseFile, StudyFile
 
 SCARA = REPLAY / "scara" / "session.mcap"
 

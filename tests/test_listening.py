@@ -11,17 +11,15 @@ import pytest
 from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Frame, Link, open_bus, open_link, service_of
+from acquisition.bus.listening import other_node, sign_of_master
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master import service_of
-from acquisition.master.listening import other_node, sign_of_master
 from acquisition.protocol import State
-from acquisition.recorder import InlineLog
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.robot import BusFile
-from acquisition.session import Stop, Task, replay
+from acquisition.session import InlineLog, Stop, Task, replay
 from acquisition.simulated import SimulatedDrives, dry_run, serve
-from acquisition.transport import Frame, Link, open_bus, open_link
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)

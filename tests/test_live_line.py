@@ -12,7 +12,7 @@ import time
 from made_up_buses import bus_text, robot_of
 
 from acquisition.commands.record import StatusLine, live_line
-from acquisition.recorder import Status
+from acquisition.session import Status
 
 
 def test_everything_that_matters_is_on_the_line():

@@ -12,22 +12,25 @@ from fits_of_records import signals_of
 from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
 from identification.commands import main
-from identification.data import RecordingFile, Recordings, signals_from_arrays
-from identification.friction import with_terms
+from identification.data import RecordingFile, Recordings, cluster, processes, signals_from_arrays
+from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.passes import AtHand, Linearised, row_states, settled_least_squares, torque_of_links
 from identification.regression import (
+    AtHand,
+    Linearised,
     Overrides,
     make_problem,
     own_parameters,
     regression_of_recording,
     row_blocks,
+    row_states,
+    settled_least_squares,
     system,
+    torque_of_links,
     torque_of_recording,
 )
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
-from identification.work import cluster, processes
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)

@@ -11,8 +11,8 @@ from identification.commands import main
 from identification.methods import identify
 from identification.regression import Overrides
 from identification.report import Document, Section, Table, columns, fit_document, print_whole
-from identification.report.study_report import study_notes
 from identification.study import FALSE_ERROR, Noise, Study
+from identification.study.study_report import study_notes
 
 SESSION = REPLAY / "scara" / "session.mcap"
 

@@ -24,10 +24,10 @@ import pytest
 from conftest import ROOT
 from made_up_buses import bus_text, robot_of
 
+from acquisition.bus import Receiver, open_bus, open_link
 from acquisition.errors import AcquisitionError
 from acquisition.recording import FRAME, SENT, Block, Recording, read_recording
 from acquisition.robot import BusFile
-from acquisition.transport import Receiver, open_bus, open_link
 
 SYNC_S = 0.02  # three SYNCs without an answer end a session, 0.1 s without SYNC stops the simulated drives
 HEARTBEAT = "heartbeat_s = 1.0"

@@ -7,7 +7,7 @@ import pytest
 from made_up_buses import bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.trajectory import check_limits, table_reference
+from acquisition.robot import check_limits, table_reference
 
 ROBOT = robot_of(bus_text(2))
 

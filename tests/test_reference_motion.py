@@ -5,8 +5,7 @@ import pytest
 from made_up_buses import bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
-from acquisition.robot import Robot
-from acquisition.trajectory import FourierReference, approach, check_limits, fourier_reference, table_reference
+from acquisition.robot import FourierReference, Robot, approach, check_limits, fourier_reference, table_reference
 
 DEG = np.pi / 180
 PERIOD_S = 0.002

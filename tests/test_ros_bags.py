@@ -12,9 +12,8 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing import BagChoice, import_bag
+from acquisition.importing import BagChoice, import_bag, urdf_of
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
-from acquisition.ros import urdf_of
 from identification.data import load_signals
 from identification.regression import Overrides
 from identification.regression.settings import known_lag

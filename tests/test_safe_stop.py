@@ -7,9 +7,9 @@ import pytest
 from dry_sessions import SlowAnswers, Through
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.master.stopping as stopping
+import acquisition.bus.stopping as stopping
+from acquisition.bus import Master, leave_operational, not_disabled, safe_stop, stop_drives
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master, leave_operational, not_disabled, safe_stop, stop_drives
 from acquisition.protocol import Command, Mode, State
 from acquisition.simulated import DryRun, Mechanism, SimulatedDrives, cascaded_loops, dry_run
 from acquisition.simulated.node import SimulatedNode

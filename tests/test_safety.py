@@ -14,22 +14,20 @@ from conftest import needs_data
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
-import acquisition.recorder.logs as recorder_logs
+import acquisition.session.logs as recorder_logs
 import acquisition.simulated.lock_step as dry_run_module
+from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master
 from acquisition.protocol import ObjectDictionary, State, interpolation_period, load_dictionary, write_request
 from acquisition.protocol.dictionary import DictionaryEntry
-from acquisition.recorder import ProcessLog, Role
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
-from acquisition.session import Operator, RecordOptions, Stop, Task, record, stop_on_signals
+from acquisition.session import Operator, ProcessLog, RecordOptions, Role, Stop, Task, record, stop_on_signals
 from acquisition.simulated import SimulatedDrives, dry_run, serve
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
-from acquisition.transport import Frame, Link, open_bus
 
 TRACK = Task(reference=swing(2))
 ENABLED = 0x0237

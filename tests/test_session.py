@@ -10,17 +10,16 @@ import pytest
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master
 from acquisition.protocol import State
 from acquisition.recording import SENT
+from acquisition.robot import approach, check_limits, table_reference
 from acquisition.session import Stop, Task
 from acquisition.session.session import _Session
 from acquisition.simulated import SimulatedDrives, dry_run
 from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
-from acquisition.trajectory import approach, check_limits, table_reference
-from acquisition.transport import Frame, Link, open_bus
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
 TRACK = Task(reference=swing(2))

@@ -15,7 +15,7 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
+from identification.data import Pool, Recordings, Signals, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
@@ -23,7 +23,6 @@ from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
 from identification.report import differences, fit_document, fit_file, fitted_parameters, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.work import Pool
 
 CELL = Noise(encoder_step=1e-5, effort_percent=2.0)
 

@@ -9,9 +9,9 @@ from conftest import needs_data
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Master
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master
 from acquisition.protocol import State
 from acquisition.robot.bus import dictionary_label
 from acquisition.session import Task

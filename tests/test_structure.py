@@ -19,7 +19,7 @@ PACKAGES = ("acquisition", "identification")
 ROOMS = sorted(path for package in PACKAGES for path in (ROOT / package).iterdir() if (path / "__init__.py").exists())
 FILES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
 PROGRAMS = {"acquisition": ACQUIRE, "identification": IDENTIFY}
-MOST_FILES, MOST_LINES = 9, 330
+MOST_FILES, MOST_LINES = 15, 330
 
 
 @pytest.mark.parametrize("room", ROOMS, ids=lambda room: f"{room.parent.name}.{room.name}")

@@ -7,10 +7,10 @@ import pytest
 from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
+from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
+from acquisition.bus.heartbeat import free_entry, timeout_ms
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.master import Master, MasterHeartbeat, second_stop, supervision_of
-from acquisition.master.heartbeat import free_entry, timeout_ms
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
 from acquisition.simulated import DryRun, SimulatedDrives, dry_run

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from identification.data import Pool, Serial, cluster, processes
+from identification.data import cluster as cluster_face
 from identification.errors import IdentificationError
-from identification.work import Pool, Serial, cluster, processes
-from identification.work import cluster as cluster_face
 
 cluster_module = sys.modules[cluster_face.__module__]
 
@@ -132,7 +132,7 @@ def test_workers_that_cannot_start_are_told_once(tmp_path, from_stdin, problem):
     """A script without a guard starts workers in its workers; one from standard input cannot be found by them."""
     script = tmp_path / "script.py"
     script.write_text(
-        "import math\nfrom identification.errors import IdentificationError\nfrom identification.work import processes\n"
+        "import math\nfrom identification.errors import IdentificationError\nfrom identification.data import processes\n"
         "try:\n    with processes(2) as work:\n        list(work.run(math.sqrt, [(1.0,)] * 4))\n"
         "except IdentificationError as error:\n    print(type(error).__name__, error)\n"
     )

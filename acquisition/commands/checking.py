@@ -7,23 +7,27 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import AcquisitionError, one_line
-from ..master import (
+from ..bus import (
+    QUEUE_BYTES,
+    Link,
     Master,
     Wire,
     homed,
     joint_positions,
     listen_for_others,
+    open_bus,
     position_words,
+    queue_bytes,
     second_stop,
+    socket_of,
     stop_ramp,
     supervision_of,
     supervision_refusal,
 )
+from ..errors import AcquisitionError, one_line
 from ..protocol import NOT_VALID, PARAMETERS, State, frame_bits
 from ..robot import LARGEST_LOAD, Bus, Drive, Robot, demand_ripple_warnings
 from ..session import DEVIATIONS, steady, sync_jitter
-from ..transport import QUEUE_BYTES, Link, open_bus, queue_bytes, socket_of
 
 SCALES = {0x608F: "encoder increments per turns", 0x6091: "gear", 0x6092: "feed", 0x60A8: "position unit"}
 LARGEST_OFF = 0.01  # largest share of SYNC intervals that deviate by more than half a period

@@ -17,7 +17,7 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Disable the drives. If some do not confirm it, the first line says which ones, and the status is 1."""
-    from ..master import not_disabled, stop_drives
+    from ..bus import not_disabled, stop_drives
     from ..robot import load_robot, resolve
 
     robot = load_robot(options.robot)

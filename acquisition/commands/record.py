@@ -11,9 +11,8 @@ from ..errors import AcquisitionError, one_line
 from .command_line import Commands, from_options
 
 if TYPE_CHECKING:
-    from ..recorder import Recorded, Status
     from ..robot import Robot
-    from ..session import Outcome, Stop
+    from ..session import Outcome, Recorded, Status, Stop
 
 
 def add(commands: Commands) -> None:

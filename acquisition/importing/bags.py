@@ -8,7 +8,7 @@ import numpy as np
 from ..arrays import Array
 from ..errors import AcquisitionError
 from ..robot import Robot
-from ..ros import JointStates, read_joint_states
+from .bag_reader import JointStates, read_joint_states
 from .quantities import effort_at_joint, effort_side, position_side, si_units
 from .samples import Imported, Samples, write_samples
 from .stamps import smallest_difference, stamps_warning

@@ -9,13 +9,27 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
+from ..bus import SUFFIXES, Frame, block_of, read_log
 from ..errors import AcquisitionError
 from ..files import atomic_write, write_columns
-from ..recorder import UNCERTAIN, Decoded, Recorded, decode, write_decoded, written_by_master
-from ..recording import Block, Header, Recording, RecordingWriter, gaps, in_parts, read_recording, recover
+from ..recording import (
+    UNCERTAIN,
+    Block,
+    Decoded,
+    Header,
+    Recording,
+    RecordingWriter,
+    decode,
+    gaps,
+    in_parts,
+    read_recording,
+    recover,
+    written_by_master,
+)
 from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
-from ..ros import BagWriter, link_frames, quaternions, urdf_of
-from ..transport import SUFFIXES, Frame, block_of, read_log
+from ..session import Recorded, write_decoded
+from .bag_writer import BagWriter
+from .placements import link_frames, quaternions, urdf_of
 
 VIEWED_HZ = 100.0  # transforms are for viewers: at most so many
 STATES, REFERENCE, DESCRIPTION, TRANSFORMS = "/joint_states", "/joint_states/reference", "/robot_description", "/tf"

@@ -1,7 +1,9 @@
-"""The recording: the MCAP file's rows, content, reader, writer, recovery, overview."""
+"""The recording: the MCAP file read, written and recovered; its frames decoded to rows on the grid of SYNC."""
 
+from .decoding import UNCERTAIN, Decoded, decode
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording
 from .recovery import recover
+from .ros_messages import JOINT_STATE, TEXT, TRANSFORMS, RosMessages
 from .rows import (
     ERROR,
     EXTENDED,
@@ -10,7 +12,6 @@ from .rows import (
     OPTIONAL,
     REMOTE_REQUEST,
     SENT,
-    WHOLE,
     Block,
     gaps,
     in_parts,
@@ -18,4 +19,5 @@ from .rows import (
 )
 from .schema import Header
 from .summary import as_tables, overview
+from .traffic import written_by_master
 from .writer import RecordingWriter

@@ -12,7 +12,7 @@ import numpy as np
 from mcap.writer import Writer
 
 from ..errors import AcquisitionError
-from ..ros import JOINT_STATE, RosMessages
+from .ros_messages import JOINT_STATE, RosMessages
 from .rows import FRAME, Block, check_frames, check_samples
 from .schema import FRAMES_TOPIC, Header, sample_layouts
 

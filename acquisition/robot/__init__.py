@@ -1,10 +1,20 @@
-"""The robot's description: joints, motors, limits, the bus and its drives, resolved."""
+"""The robot's description: joints, motors, limits, bus and drives, resolved; the references that it may follow."""
 
 from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
-from .description import DH, Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
+from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_index, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
+from .following import follow
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
+from .reference import (
+    HARMONICS,
+    LIMIT_SHARE,
+    FourierReference,
+    approach,
+    check_limits,
+    fourier_reference,
+    table_reference,
+)
 from .resolving import resolve
 from .robot import SIMULATED_CONTROLLER, Robot, load_robot, robot_from_files
 from .toml import Positive, parse_toml

@@ -7,8 +7,8 @@ drive's own supervision would see no following error.
 
 from collections.abc import Collection, Iterator
 
+from ..bus import Master, Orders, status_words
 from ..errors import AcquisitionError
-from ..master import Master, Orders, status_words
 from ..protocol import Command, State, toward
 
 ENABLE_S = 5.0  # for all drives to be enabled, or disabled

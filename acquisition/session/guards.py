@@ -5,8 +5,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..arrays import Array
+from ..bus import FOLLOWS, OPERATIONAL, REMOTE, Master, error_words, status_words
 from ..errors import AcquisitionError
-from ..master import FOLLOWS, OPERATIONAL, REMOTE, Master, error_words, status_words
 from ..protocol import State
 from ..robot import Joint, Robot
 

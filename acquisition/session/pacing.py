@@ -1,7 +1,7 @@
 """Timing of SYNC: when it is sent or awaited, and when it is too late."""
 
+from ..bus import Master
 from ..errors import AcquisitionError
-from ..master import Master
 from ..robot import BusFile
 
 # In motion SYNC may be late by the larger of the two, unless `[bus] late_sync_s` is stated.

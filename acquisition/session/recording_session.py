@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
+from ..bus import SHARED, Confirm, Link, Master, WallClock, confirm_motion, open_link, refuse_unsupervised, second_stop
 from ..errors import AcquisitionError
-from ..master import Confirm, Master, confirm_motion, refuse_unsupervised, second_stop
-from ..recorder import STOPPING, InlineLog, ProcessLog, Recorded, Recorder, Role, Status
-from ..robot import Bus, Robot, refuse_load, resolve
+from ..robot import Bus, Robot, check_limits, refuse_load, resolve, table_reference
 from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
-from ..trajectory import check_limits, table_reference
-from ..transport import SHARED, Link, WallClock, open_link
+from .logs import InlineLog, ProcessLog
+from .process import STOPPING, Role
+from .recorder import Recorded, Recorder, Status
 from .scheduling import refuse_jitter, steady
 from .session import run_active
 from .task import Outcome, Stop, Task

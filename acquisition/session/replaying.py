@@ -5,13 +5,11 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bus import LISTEN_S, open_link, service_of
 from ..errors import AcquisitionError
-from ..master import LISTEN_S, service_of
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
-from ..recorder import written_by_master
-from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
 from ..robot import BusFile, resolve
-from ..transport import open_link
 from .task import Stop
 
 WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..bus import Master
 from ..errors import AcquisitionError
-from ..master import Master
 from .pacing import largest_delay_s
 
 PRIORITY = 20  # of SCHED_FIFO, 1 to 99: above all ordinary processes, below the kernel's own threads

@@ -10,8 +10,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from ..arrays import Array
-from ..errors import AcquisitionError
-from ..master import (
+from ..bus import (
     Master,
     MasterHeartbeat,
     Orders,
@@ -25,9 +24,9 @@ from ..master import (
     safe_stop,
     send_orders,
 )
+from ..errors import AcquisitionError
 from ..protocol import DISABLED, Command, Mode, State
-from ..robot import Drive, Robot, check_carriers, refuse_out_of_range
-from ..trajectory import approach, check_limits, follow
+from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
 from .enabling import all_enabled, disable, enable
 from .guards import MotionState, motion_fault, node_fault
 from .pacing import Pace

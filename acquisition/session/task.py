@@ -5,9 +5,9 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from ..arrays import Array
+from ..bus import Master, not_disabled
 from ..errors import AcquisitionError
-from ..master import Master, not_disabled
-from ..recorder import Status
+from .recorder import Status
 
 
 class SessionLog(Protocol):

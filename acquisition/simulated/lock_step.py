@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import msgspec
 
+from ..bus import Link, LockStepLink, Tap, open_bus, open_link
 from ..errors import AcquisitionError
-from ..transport import Link, LockStepLink, Tap, open_bus, open_link
 from .drives import SimulatedDrives
 
 IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them

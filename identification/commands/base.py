@@ -23,7 +23,8 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.robot], options.json)
     with Progress("base parameters"):
         from ..model import InverseModel, base_parameters
-        from ..report import base_document, base_file, write_json
+        from ..report import write_json
+        from ..study import base_document, base_file
 
         robot = robot_of(options)
         base = base_parameters(InverseModel(robot))

@@ -21,7 +21,8 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and what must be known of either fit."""
-    from ..report import comparison_document, comparison_file, doubts, frame_lines, read_fit, write_json
+    from ..methods import comparison_document, comparison_file, doubts, frame_lines, read_fit
+    from ..report import write_json
 
     refuse_outputs([options.a, options.b], options.json, options.rrd)
     same = options.a.stem == options.b.stem

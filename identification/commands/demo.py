@@ -30,10 +30,10 @@ def run(options: argparse.Namespace) -> None:
         from acquisition.robot import load_robot
 
         from ..data import load_signals
-        from ..methods import Iteration, identify_iv, identify_ls
+        from ..methods import Iteration, fit_document, fit_file, identify_iv, identify_ls
         from ..regression import Overrides
-        from ..report import base_file, fit_document, fit_file, truth_document, write_json
-        from ..study import Rehearsal, description, rehearse, study_truth
+        from ..report import write_json
+        from ..study import Rehearsal, base_file, description, rehearse, study_truth, truth_document
         from ..view import write_fit_rrd
 
         place, out = description(options.robot), options.out

@@ -66,7 +66,7 @@ def run(options: argparse.Namespace) -> None:
 
         from acquisition.files import write_columns
 
-        from ..excitation import Settings, excitation_document, excite, knowledge_of
+        from ..design import Settings, excitation_document, excite, knowledge_of
 
         robot = robot_of(options, MOTION)
         settings = from_options(Settings, options)

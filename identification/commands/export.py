@@ -36,7 +36,8 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
         from ..export import Outputs, distrust, export_model, model_of_fit
-        from ..report import Section, read_fit
+        from ..methods import read_fit
+        from ..report import Section
 
         stored, place = read_fit(options.fit), str(options.fit)
         reasons = distrust(stored, place)

@@ -96,7 +96,8 @@ def run(options: argparse.Namespace) -> int:
         refuse_clash(inputs, *pictures)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..report import check_report_file, fit_document, fit_file, write_json, write_report
+        from ..methods import fit_document, fit_file
+        from ..report import check_report_file, write_json, write_report
 
         if options.report:
             check_report_file(options.report)
@@ -149,9 +150,8 @@ def _prior(options: argparse.Namespace) -> "Prior":
 
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
-    from ..methods import Iteration, identify
+    from ..methods import Iteration, identify, read_fit
     from ..regression import Overrides
-    from ..report import read_fit
 
     overrides = from_options(Overrides, options)
     iteration = None

@@ -10,7 +10,7 @@ from .options import add_method, add_settings, add_work, make_folder, refuse_out
 from .results import print_results, untrusted
 
 if TYPE_CHECKING:
-    from ..fleet import FleetSettings
+    from ..study import FleetSettings
 
 
 def add(commands: Commands) -> None:
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> int:
     """Fit every recording that is not kept, write the table, print it; 3 where none could be fitted."""
     refuse_outputs([options.robot], options.out, picture=options.rrd)
     with Progress("reading") as progress:
-        from ..fleet import drifts, fleet_document, found_recordings, run_fleet, write_table
+        from ..study import drifts, fleet_document, found_recordings, run_fleet, write_table
 
         recordings = found_recordings(options.folders, by_folder=options.by_folder)
         settings = _settings(options, [path for _, path in recordings])
@@ -79,8 +79,8 @@ def run(options: argparse.Namespace) -> int:
 def _settings(options: argparse.Namespace, recordings: list[Path]) -> "FleetSettings":
     from acquisition.robot import load_robot
 
-    from ..fleet import FleetSettings, method_of
     from ..regression import Overrides
+    from ..study import FleetSettings, method_of
 
     robot = load_robot(options.robot) if options.robot else None
     return FleetSettings(

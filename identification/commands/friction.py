@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([*options.recordings, options.robot], options.json, picture=options.rrd)
     with Progress("reading") as progress:
         from ..data import Recordings
-        from ..friction import choose_terms, fits_with, friction_document, friction_file, write_friction
+        from ..design import choose_terms, fits_with, friction_document, friction_file, write_friction
         from ..regression import Overrides
         from ..report import write_json
 

@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> None:
     """Write the description, and say which joints it has and what is locked."""
     from acquisition.files import atomic_write
 
-    from ..urdf import FILL_IN, describe
+    from ..export import FILL_IN, describe
 
     out: Path | None = options.out
     refuse_outputs([options.robot], out)

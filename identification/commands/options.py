@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from ..errors import IdentificationError
 
 if TYPE_CHECKING:
-    from ..data import RecordingFile, Signals
-    from ..work import Work
+    from ..data import RecordingFile, Signals, Work
 
 
 def add_simulation_options(
@@ -168,7 +167,7 @@ def add_work(parser: argparse.ArgumentParser) -> None:
 @contextmanager
 def work_of(options: argparse.Namespace, tasks: int) -> Iterator["Work"]:
     """What `add_work` asks for, for so many tasks at a time."""
-    from ..work import cluster, processes
+    from ..data import cluster, processes
 
     if options.cluster is not None:
         with cluster(options.cluster) as work:

@@ -16,7 +16,7 @@ from .options import above_zero
 if TYPE_CHECKING:
     from acquisition.robot import Robot
 
-    from ..urdf import Chain
+    from ..export import Chain
 
 MOTION = ("position", "speed", "acceleration", "bandwidth_hz")  # what a reference for a simulated robot needs
 _STATED = (
@@ -57,7 +57,7 @@ def robot_of(options: argparse.Namespace, needs: Sequence[str] = ()) -> "Robot":
     """
     from acquisition.robot import load_robot
 
-    from ..urdf import described_robot, is_urdf
+    from ..export import described_robot, is_urdf
 
     if is_urdf(options.robot):
         return described_robot(chain_of(options), needs)
@@ -70,7 +70,7 @@ def robot_of(options: argparse.Namespace, needs: Sequence[str] = ()) -> "Robot":
 
 def chain_of(options: argparse.Namespace) -> "Chain":
     """The chain of the URDF, with what the options state."""
-    from ..urdf import Stated, read_chain
+    from ..export import Stated, read_chain
 
     return from_options(Stated, options).of(read_chain(options.robot, options.joints or ()))
 

@@ -25,7 +25,7 @@ def schema(file: str) -> dict[str, Any]:
 
     from acquisition.robot import RobotFile
 
-    from ..report import fit_schema
+    from ..methods import fit_schema
 
     made = msgspec.json.schema(RobotFile) if file == "robot" else fit_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(made)}

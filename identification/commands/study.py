@@ -63,8 +63,8 @@ def run(options: argparse.Namespace) -> None:
     from rich.console import Console
     from rich.progress import track
 
-    from ..report import study_document, study_file, write_json
-    from ..study import Noise, Study, run_study, study_truth
+    from ..report import write_json
+    from ..study import Noise, Study, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd)
     robot = robot_of(options, MOTION)

@@ -12,7 +12,7 @@ from .results import print_results, untrusted
 if TYPE_CHECKING:
     from ..data import Signals
     from ..estimation import TorqueError
-    from ..report import StoredFit
+    from ..methods import StoredFit
 
 
 def add(commands: Commands) -> None:
@@ -38,9 +38,9 @@ def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
-        from ..methods import validate_all
+        from ..methods import Validated, doubts, read_fit, validate_all, validation_document, validation_file
         from ..regression import Overrides
-        from ..report import Validated, doubts, read_fit, validation_document, validation_file, write_json
+        from ..report import write_json
 
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = stored.consistent_fit(str(options.fit)) if options.consistent else None

@@ -12,14 +12,7 @@ from numpy.typing import NDArray
 
 from acquisition.files import field_of, let_go
 from acquisition.recording import OPTIONAL, Recording, read_recording
-from acquisition.robot import (
-    SIMULATED_CONTROLLER,
-    EffortTiming,
-    ExtraColumn,
-    Robot,
-    extra_columns,
-    robot_from_files,
-)
+from acquisition.robot import SIMULATED_CONTROLLER, EffortTiming, ExtraColumn, Robot, extra_columns, robot_from_files
 
 from ..arrays import Array
 from ..errors import IdentificationError

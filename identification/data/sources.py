@@ -8,8 +8,8 @@ from pathlib import Path
 from acquisition.robot import Robot, robot_from_files
 
 from ..errors import IdentificationError
-from ..work import Serial, Work
 from .signals import Signals, load_signals
+from .work import Serial, Work
 
 
 @dataclass(frozen=True, kw_only=True)

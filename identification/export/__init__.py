@@ -1,6 +1,8 @@
-"""A fit as a model for simulators: URDF, MJCF and robot.toml, and what each of them cannot say."""
+"""A fit as a model for simulators, URDF, MJCF and robot.toml, with what each cannot say; a description from a URDF."""
 
-from .exporting import Exported, Outputs, export_model
-from .losses import Loss
-from .mechanism import Coupling, Mechanism, mechanism_of
+from .chain import Chain, is_urdf, read_chain
+from .description import FILL_IN, describe, described_robot
+from .exporting import Outputs, export_model
+from .mechanism import mechanism_of
+from .stated import Stated
 from .stored_model import StoredModel, distrust, model_of_fit

@@ -7,7 +7,7 @@ tendon's (armature of tendons: MuJoCo 3.3 and later). Shapes and meshes are not 
 import xml.etree.ElementTree as ET
 
 from acquisition.files import text_of
-from acquisition.ros import quaternions
+from acquisition.importing import quaternions
 
 from .mechanism import Mechanism
 from .numbers import about_com

@@ -9,9 +9,8 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Known, Prior, consistent_set, refuse_unknown_gain
+from ..methods import Known, Prior, StoredFit, consistent_set, doubts, refuse_unknown_gain
 from ..model import InverseModel, base_parameters
-from ..report import StoredFit, doubts
 from .mechanism import Mechanism, mechanism_of
 
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from acquisition.errors import listed
 from acquisition.files import Edits, Element, parse_xml, text_of
+from acquisition.importing import UNLIMITED, rotation, urdf_of
 from acquisition.robot import Robot
-from acquisition.ros import UNLIMITED, rotation, urdf_of
 
 from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia

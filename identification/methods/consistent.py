@@ -11,8 +11,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import GAMMA, certainty, consistent_parameters, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
-from ..passes import recorded_power
-from ..regression import torque_of_recording
+from ..regression import recorded_power, torque_of_recording
 from ..trust import covariance_of_all
 from .fit import ConsistentSet, Fit
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
-from ..passes import RowStates
-from ..regression import Motion, Problem, Settings
-from ..replica import DirectModelError, InstrumentKind, Replica
+from ..regression import Motion, Problem, RowStates, Settings
+from ..simulation import DirectModelError, InstrumentKind, Replica
 from ..trust import HeldOut, Lag, Trust
 
 Method = Literal["ols", "wls", "iv"]

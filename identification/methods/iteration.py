@@ -11,8 +11,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
-from ..replica import Lab, PassInstruments, Replica
-from ..simulation import has_controller
+from ..simulation import Lab, PassInstruments, Replica, has_controller
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass

@@ -11,7 +11,6 @@ from ..data import ON_GRID, PositionSteps, RecordingFile, Signals, position_step
 from ..errors import IdentificationError
 from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, poses_of
-from ..passes import RowStates, row_states
 from ..regression import (
     HELD,
     NOTHING,
@@ -20,6 +19,7 @@ from ..regression import (
     Overrides,
     Problem,
     Regression,
+    RowStates,
     Settings,
     base_name,
     make_problem,
@@ -27,9 +27,10 @@ from ..regression import (
     measured_fast_rows,
     regression_of_recording,
     retimed,
+    row_states,
     torque_of_recording,
 )
-from ..replica import Place
+from ..simulation import Place
 from ..trust import Part, TrustLine, replay_line
 from .fit import LeastSquares, Method
 

@@ -12,10 +12,10 @@ from ..arrays import Array
 from ..data import RecordingFile, Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, slices
-from ..passes import Linearised, settled_least_squares, without_terms
 from ..regression import (
     ALL_REDUCED,
     HELD,
+    Linearised,
     Overrides,
     OwnParameters,
     Problem,
@@ -24,8 +24,10 @@ from ..regression import (
     own_parameters,
     refuse_slow_joints,
     rule_cutoff_hz,
+    settled_least_squares,
+    without_terms,
 )
-from ..replica import Bench, Lab, PassInstruments, Place
+from ..simulation import Bench, Lab, PassInstruments, Place
 from ..trust import Part
 from .observation import SPAN_S, Observation, Say, observation_of, observe, predict, regression_at, retimed_at
 

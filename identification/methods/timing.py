@@ -9,7 +9,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
 from ..regression import KnownLag
-from ..replica import Lab, PassInstruments, Replica
+from ..simulation import Lab, PassInstruments, Replica
 from ..trust import Lag, Part, combined_lag, lag_columns, lag_moves, lags_in
 from .iteration import IterationResult
 from .recordings import Observed

@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ..arrays import Array
-from ..estimation import (
-    Estimate,
-    InstrumentTests,
-    System,
-    instrument_tests,
-    lag_one,
-)
-from ..replica import DirectModelError, PassInstruments, Replica, told, worst
+from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one
+from ..simulation import DirectModelError, PassInstruments, Replica, told, worst
 from ..trust import Evidence, Lag
 from .assess import Verdict, assess_estimate, intervals_along, sums_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names

@@ -1,11 +1,13 @@
-"""From signals to the over-determined system: settings, filters, regressor, the rows that count."""
+"""From signals to W and Y: settings, filters, regressor, the rows that count; load friction and its passes."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .load import LinkSeries, LoadFriction, load_friction
+from .linearised import AtHand, Linearised, without_terms
+from .links import RowStates, friction_states, links_at_rows, recorded_power, row_states, torque_of_links
+from .load import LoadFriction, load_friction
 from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, measured_slip, refuse_slow_joints
 from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
 from .own import OwnParameters, base_name, own_parameters
-from .problem import Problem, RowBlock, make_problem, motion_blocks, row_blocks
+from .problem import Problem, RowBlock, make_problem, row_blocks
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     NOTHING,
@@ -19,18 +21,17 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
+from .settled import alike, leave_out_untold, load_passes, settled_least_squares
 from .system import (
     ALL_REDUCED,
     HELD,
     Regression,
     decimated_regressor,
-    is_long,
     known_torque_rows,
     predicted_torque,
     regression_of_recording,
     retimed,
     rows_of_block,
-    stacked,
     torque_of_recording,
     torque_rate,
 )

@@ -1,5 +1,6 @@
-"""The robot in closed loop: control laws, friction with stick phases, integration."""
+"""The robot in closed loop: control laws, friction, a recorded experiment simulated again, instruments, dry runs' plant."""
 
+from .bench import Bench, DirectModelError, Place, Replica
 from .closed_loop import ClosedLoop, simulate
 from .control_law import (
     SURROGATE_DAMPING,
@@ -11,4 +12,8 @@ from .control_law import (
     surrogate_loop,
 )
 from .disturbances import Disturbances
-from .friction import Friction
+from .experiment import make_experiment
+from .instruments import Counting, InstrumentKind, simulate_instruments
+from .lab import Lab, PassInstruments, told, worst
+from .motion import simulated_motion
+from .plant import RigidBodyPlant, described_robot, drive_loops

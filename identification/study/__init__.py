@@ -1,20 +1,12 @@
-"""Robots whose parameters are known: simulated recordings, the demo, Monte-Carlo studies, plants for dry runs."""
+"""Robots whose parameters are known, Monte-Carlo studies, the demo; many recordings, fitted one by one."""
 
-from typing import TYPE_CHECKING
-
-from acquisition.lazy import lazy_names
-
-from .draws import CONTROLLERS, Study
+from .demo import Rehearsal, description, rehearse
+from .draws import Study
 from .noise import Noise
+from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
+from .rows import FleetSettings, Row, Value
+from .run import found_recordings, method_of, run_fleet
 from .study import Judged, Run, run_study, study_truth
-from .summary import FALSE_ERROR, FALSE_TRUST, INSIDE, Summary, false_trust, study_json, summaries
+from .study_report import base_document, base_file, study_document, study_file, truth_document
+from .summary import FALSE_ERROR, FALSE_TRUST, INSIDE, false_trust, summaries
 from .synthetic import closed_loop, random_reference, write_signals
-
-if TYPE_CHECKING:
-    from .demo import Rehearsal, description, rehearse
-    from .plant import described_robot
-
-# These import what talks to drives; a fit's report, which knows of studies, has no use for it.
-__getattr__, __dir__ = lazy_names(
-    __name__, {"demo": ("Rehearsal", "description", "rehearse"), "plant": ("described_robot",)}
-)

@@ -10,16 +10,15 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.master import Master
-from acquisition.recorder import InlineLog, Recorder
+from acquisition.bus import Master
 from acquisition.robot import Robot, resolve
-from acquisition.session import Stop, Task, run_active
+from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
 from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, describe_loops, dry_run
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import InverseModel, base_parameters, direct_model, inertias, truth
-from .plant import RigidBodyPlant, drive_loops
+from ..simulation import RigidBodyPlant, drive_loops
 from .synthetic import periodic_reference
 
 

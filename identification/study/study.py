@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from acquisition.robot import Robot, robot_from_files
 
 from ..arrays import Array
+from ..data import Work
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from ..work import Work
 from .draws import Draw, Study, draw, simulated_robot, told_robot
 from .synthetic import closed_loop, random_reference
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from acquisition.files import atomic_write, let_go, room
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
-from acquisition.robot import Robot
-from acquisition.trajectory import FourierReference, fourier_reference
+from acquisition.robot import FourierReference, Robot, fourier_reference
 
 from ..arrays import Array
 from ..data import Signals

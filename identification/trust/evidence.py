@@ -10,8 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
-from ..passes import RowStates
-from ..regression import Decimation, KnownLag, Motion, Problem, Regression
+from ..regression import Decimation, KnownLag, Motion, Problem, Regression, RowStates
 from .lines import Assumed, TrustLine
 
 LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off

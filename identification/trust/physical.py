@@ -27,14 +27,8 @@ from ..estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from ..model import (
-    InverseModel,
-    friction_power,
-    nearest_consistent,
-    requirements,
-)
-from ..passes import friction_states, recorded_power
-from ..regression import Problem, base_name
+from ..model import InverseModel, friction_power, nearest_consistent, requirements
+from ..regression import Problem, base_name, friction_states, recorded_power
 from .evidence import Evidence, covariance_of_all
 from .lines import LEVELS, Level, TrustLine
 

@@ -12,15 +12,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import (
-    Estimate,
-    are_moving,
-    estimate_deviations,
-    f_tail,
-    instrumental_variables,
-    slices,
-    whitened,
-)
+from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, slices, whitened
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from .columns import added_columns_test

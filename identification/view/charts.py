@@ -6,8 +6,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..methods import Fit, Pass
-from ..report import ParameterSet, differences
+from ..methods import Fit, ParameterSet, Pass, differences
 from ..study import Run, summaries
 from ..trust import Level, Trust
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing, Scale, Sheet, log10

@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Signals
 from ..estimation import are_moving
-from ..fleet import Chart, Drift
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
+from ..study import Chart, Drift
 from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns

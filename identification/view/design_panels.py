@@ -8,11 +8,10 @@ import numpy as np
 import rerun.blueprint as rrb
 
 from ..arrays import Array
-from ..excitation import Excitation
-from ..fleet import Drift
-from ..friction import JointFriction, friction_of_joints
+from ..design import Excitation, JointFriction, friction_of_joints
 from ..methods import Fit
 from ..report import Document
+from ..study import Drift
 from .curves import drift_plots
 from .panels import (
     GREY,

@@ -19,7 +19,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..data import Signals
-from ..excitation import Excitation
+from ..design import Excitation
 from ..methods import Fit
 from ..model import InverseModel
 from .panels import Moving, Part, Scene, Solid

@@ -12,13 +12,10 @@ import rerun.blueprint as rrb
 
 from ..arrays import Array
 from ..data import Signals
+from ..design import Excitation
 from ..errors import IdentificationError
-from ..excitation import Excitation
-from ..fleet import Drift
-from ..methods import Fit
-from ..regression import Overrides, Settings, make_settings
-from ..report import (
-    Document,
+from ..methods import (
+    Fit,
     ParameterSet,
     comparison_document,
     comparison_section,
@@ -26,11 +23,12 @@ from ..report import (
     fitted_parameters,
     least_squares_parameters,
     recording_document,
-    to_markdown,
     true_parameters,
     trust_document,
 )
-from ..study import Run
+from ..regression import Overrides, Settings, make_settings
+from ..report import Document, to_markdown
+from ..study import Drift, Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import column_plots, motion_plots, observed, position_plots, torque_plots
 from .design_panels import excitation_page, fleet_pages, friction_page

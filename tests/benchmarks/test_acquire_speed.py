@@ -17,11 +17,11 @@ import numpy as np
 import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.recorder import Recorder, decode
-from acquisition.recorder.process import _record
-from acquisition.recording import FRAME, read_recording
-from acquisition.transport import Receiver, kernel_drops
-from acquisition.transport.sockets import enlarge_queue
+from acquisition.bus import Receiver, kernel_drops
+from acquisition.bus.sockets import enlarge_queue
+from acquisition.recording import FRAME, decode, read_recording
+from acquisition.session import Recorder
+from acquisition.session.process import _record
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"

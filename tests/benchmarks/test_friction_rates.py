@@ -20,7 +20,7 @@ from independent_simulator import (
     simulate,
 )
 
-from identification.friction import TermSet, choose_terms
+from identification.design import TermSet, choose_terms
 from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(

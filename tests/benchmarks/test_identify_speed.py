@@ -20,9 +20,9 @@ from conftest import robot_named
 
 import identification.methods.assess as assess
 from acquisition.recording import Header, RecordingWriter, sample_dtype
-from acquisition.trajectory import fourier_reference
+from acquisition.robot import fourier_reference
 from identification.data import load_signals
-from identification.friction import with_terms
+from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, direct_model, truth
 from identification.model.base import known_parameters

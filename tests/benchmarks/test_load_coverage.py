@@ -17,7 +17,7 @@ from independent_robots import plant
 from independent_simulator import Imperfections, described_controller, description, references, simulate
 
 from identification.data import Recordings
-from identification.friction import with_terms
+from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, truth
 from identification.regression import Overrides

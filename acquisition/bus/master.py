@@ -1,0 +1,298 @@
+"""A CANopen master over a link: NMT, SDO, PDO configuration, and the last values of every node. It decides nothing."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from ..errors import AcquisitionError
+from ..protocol import (
+    ANSWER,
+    EMERGENCY,
+    HEARTBEAT,
+    HEARTBEAT_TIME,
+    IDENTITY,
+    MODE_DISPLAY,
+    MODE_OF_OPERATION,
+    REQUEST,
+    Mode,
+    State,
+    answer_of,
+    check_answer,
+    configuration,
+    error_frame_words,
+    interpolation_period,
+    read_request,
+    state_of,
+    write_request,
+)
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
+from ..robot import Bus, Drive, axis_of
+from .frame import Frame
+from .listening import command_ids, sign_of_master
+
+SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
+START, PRE_OPERATIONAL = 1, 128
+OPERATIONAL = 5
+INTERPOLATION_PERIOD = 0x60C2
+
+
+class Wire(Protocol):
+    """The link as a master uses it."""
+
+    def now_ns(self) -> int:
+        """The time of this link, that of deadlines."""
+        ...
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame."""
+        ...
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame before `until_ns`, or None."""
+        ...
+
+
+@dataclass(kw_only=True)
+class NodeWatch:
+    """The last values received from a drive; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
+
+    `ramp_objects`: what it has in `RAMP_OBJECTS`, None where it has none; those that were not asked for are not there.
+    `started`: its heartbeat has reported operational since START; `unstarted` counts the heartbeats before that.
+    """
+
+    drive: Drive
+    statusword: int | None = None
+    counts: int | None = None
+    answers: int = 0
+    silent_syncs: int = 0
+    nmt: int | None = None
+    started: bool = False
+    unstarted: int = 0
+    heard_ns: int = 0
+    emergency: int | None = None
+    booted: bool = False
+    ramp_objects: dict[int, int | None] = field(default_factory=dict)
+
+    @property
+    def state(self) -> State | None:
+        """State by the last statusword, None before the first or for bits of no CiA 402 state."""
+        try:
+            return None if self.statusword is None else state_of(self.statusword)
+        except AcquisitionError:
+            return None
+
+
+class Master:
+    """Sends requests and holds the last values received. Every frame received passes `dispatch`, whatever is awaited."""
+
+    def __init__(self, link: Wire, bus: Bus) -> None:
+        self.link, self.bus = link, bus
+        self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
+        self.bus_error: str | None = None
+        self.signs: dict[str, bool] = {}  # of another master, in words, and whether they command our drives
+        self.while_awaiting: Callable[[], None] = lambda: None  # called every 50 ms while an SDO answer is awaited
+        self._commands = command_ids(bus)
+        self.by_node = {watch.drive.node: watch for watch in self.nodes}
+        self._by_pdo = {pdo.can_id: (watch, pdo) for watch in self.nodes for pdo in watch.drive.tpdos}
+        self._answers: dict[int, bytes] = {}
+        self.sync_times: list[int] = []
+        self.synced_ns: int | None = None  # when we sent the last SYNC
+        self.at_sync: Callable[[], None] = lambda: None  # called at every SYNC, from any producer
+
+    def wait(self, until_ns: int, *, for_answers: bool = False) -> None:
+        """Receive until `until_ns`; with `for_answers` only until every drive has answered SYNC."""
+        while not (for_answers and all(watch.answers for watch in self.nodes)):
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return
+            self.dispatch(frame)
+
+    def wait_for_sync(self, until_ns: int) -> bool:
+        """Receive until another producer's SYNC; False where none came before `until_ns`."""
+        count = len(self.sync_times)
+        while len(self.sync_times) == count:
+            frame = self.link.receive(until_ns)
+            if frame is None:
+                return False
+            self.dispatch(frame)
+        return True
+
+    def dispatch(self, frame: Frame) -> None:
+        """Update the values of the node that sent a frame."""
+        if frame.flags & ERROR:
+            self.bus_error = f"error frame: {error_frame_words(frame.can_id, frame.data)}"
+            return
+        function, node = frame.can_id & 0x780, frame.can_id & 0x7F
+        if frame.flags & (EXTENDED | REMOTE_REQUEST):
+            self._note_sign(frame)
+        elif frame.can_id in self._by_pdo:
+            self._process_data(frame)
+        elif frame.can_id == self.bus.file.sync_can_id:
+            self.sync_times.append(frame.time_ns)
+            if self.bus.file.sync_producer == "recorder":
+                self.bus_error = "another producer sends SYNC"  # drives would apply targets at its times
+            self._next_sync()
+        elif function == ANSWER:
+            self._answers[node] = frame.data
+        elif node in self.by_node and function == HEARTBEAT and frame.data:
+            watch = self.by_node[node]
+            # Time of the link: an adapter may stamp frames by its own clock.
+            watch.nmt, watch.heard_ns = frame.data[0] & 0x7F, self.link.now_ns()
+            watch.started |= watch.nmt == OPERATIONAL
+            watch.unstarted += not watch.started
+            watch.booted |= frame.data[0] == 0
+        elif node in self.by_node and function == EMERGENCY and len(frame.data) >= 2:
+            code = int.from_bytes(frame.data[:2], "little")
+            if code:  # 0: the error is cleared
+                self.by_node[node].emergency = code
+        else:
+            self._note_sign(frame)
+
+    def _note_sign(self, frame: Frame) -> None:
+        """Our own frames never come here: a link leaves out what its interface gives back."""
+        sign = sign_of_master(frame, self.bus)
+        if sign is not None:
+            self.signs[sign] = frame.can_id in self._commands and not frame.flags & REMOTE_REQUEST
+
+    def _process_data(self, frame: Frame) -> None:
+        watch, pdo = self._by_pdo[frame.can_id]
+        if len(frame.data) < pdo.length:
+            return  # a PDO that is too short is ignored
+        values, drive = pdo.unpack(frame.data), watch.drive
+        watch.statusword = values.get((drive.status.index, drive.status.sub), watch.statusword)
+        counts = values.get((drive.position.index, drive.position.sub))
+        if counts is not None:
+            watch.counts = counts
+            watch.answers += 1
+
+    def sync(self) -> None:
+        """Send SYNC, and count the drives that did not answer the one before."""
+        self._next_sync()
+        self.synced_ns = self.link.now_ns()
+        self.link.send(self.bus.file.sync_can_id, b"")
+
+    def _next_sync(self) -> None:
+        """Count the drives that did not answer the SYNC before, once they have reported operational or sent a position."""
+        for watch in self.nodes:
+            late = not watch.answers and (watch.started or watch.counts is not None)
+            watch.silent_syncs = watch.silent_syncs + 1 if late else 0
+            watch.answers = 0
+        self.at_sync()
+
+    def nmt(self, command: int, node: int) -> None:
+        """Send an NMT command to one node; never to all (0), because other devices may be on the bus."""
+        self.link.send(0, bytes([command, node]))
+
+    def nmt_drives(self, command: int) -> None:
+        """Send an NMT command to each drive."""
+        for drive in self.bus.drives:
+            self.nmt(command, drive.node)
+
+    def start(self) -> None:
+        """Send START to all drives. Values received before are discarded, so that no old position is taken for a new one."""
+        for watch in self.nodes:
+            watch.statusword, watch.counts = None, None
+            watch.answers, watch.silent_syncs = 0, 0
+            watch.booted, watch.emergency, watch.nmt = False, None, None
+            watch.started, watch.unstarted = False, 0
+        self.nmt_drives(START)
+        for watch in self.nodes:
+            watch.heard_ns = self.link.now_ns()
+
+    def state(self, drive: Drive) -> State:
+        """State of a drive, read by SDO (6041h). Raises `AcquisitionError` when it does not answer."""
+        return state_of(self.read(drive.node, drive.status.index, drive.status.sub))
+
+    def read(self, node: int, index: int, sub: int = 0) -> int:
+        """Read an object, as an unsigned number. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub}"
+        return check_answer(answer_of(self._exchange(node, read_request(index, sub), place)), "value", place)
+
+    def write(self, node: int, index: int, sub: int, value: int, size: int) -> None:
+        """Write an object of `size` bytes. Raises `AcquisitionError` when refused or not answered."""
+        place = f"node {node}: object {index:04X}:{sub} = {value}"
+        check_answer(answer_of(self._exchange(node, write_request(index, sub, value, size), place)), "written", place)
+
+    def post(self, node: int, request: bytes) -> None:
+        """Send an SDO request without waiting; `answered` returns its answer."""
+        self._answers.pop(node, None)
+        self.link.send(REQUEST + node, request)
+
+    def answered(self, node: int, request: bytes) -> bytes | None:
+        """The answer to a request sent by `post`, once; None until it has arrived."""
+        answer = self._answers.pop(node, None)
+        return answer if answer is not None and len(answer) == 8 and answer[1:4] == request[1:4] else None
+
+    def _exchange(self, node: int, request: bytes, place: str) -> bytes:
+        self.post(node, request)
+        until_ns = self.link.now_ns()
+        for _ in range(SDO_TIMEOUT_NS // _SLICE_NS):
+            self.while_awaiting()
+            until_ns += _SLICE_NS
+            while (frame := self.link.receive(until_ns)) is not None:
+                self.dispatch(frame)
+                answer = self.answered(node, request)
+                if answer is not None:
+                    return answer
+        problem = f"no answer in {SDO_TIMEOUT_NS / 1e9:g} s: is the drive on and its node id right?"
+        raise AcquisitionError(problem, place=place)
+
+    def configure(self) -> None:
+        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described.
+
+        Raises `AcquisitionError` where a drive refuses a value or does not answer.
+        """
+        self.nmt_drives(PRE_OPERATIONAL)
+        self.wait(self.link.now_ns() + 20_000_000)
+        every_ms = round(self.bus.file.heartbeat_s * 1000)
+        for drive in self.bus.drives:
+            self._set_heartbeat(drive.node, every_ms)
+            for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
+                for pdo in pdos:
+                    for write in configuration(way, pdo):
+                        self.write(drive.node, *write)
+
+    def _set_heartbeat(self, node: int, every_ms: int) -> None:
+        """Written only where it differs, in the size that the drive answers with: not all have the U16 of CiA 301."""
+        place = f"node {node}: object {HEARTBEAT_TIME:04X}:0"
+        answer = answer_of(self._exchange(node, read_request(HEARTBEAT_TIME, 0), place))
+        if check_answer(answer, "value", place) != every_ms:
+            self.write(node, HEARTBEAT_TIME, 0, every_ms, len(answer.data))
+
+    def choose_mode(self, mode: Mode) -> None:
+        """Set mode of operation (6060h) and interpolation period (60C2h). Raises `AcquisitionError` unless 6061h follows."""
+        for drive in self.bus.drives:
+            axis = axis_of(drive)
+            if drive.dictionary is None or (INTERPOLATION_PERIOD + axis, 1) in drive.dictionary.entries:
+                count, unit = interpolation_period(self.bus.file.sync_period_s)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 1, count, 1)
+                self.write(drive.node, INTERPOLATION_PERIOD + axis, 2, unit, 1)
+            self.write(drive.node, MODE_OF_OPERATION + axis, 0, mode, 1)
+            display = MODE_DISPLAY + axis
+            if drive.dictionary is None or (display, 0) in drive.dictionary.entries:
+                until_ns = self.link.now_ns() + 500_000_000
+                while (shown := self.read(drive.node, display)) != mode:
+                    if self.link.now_ns() > until_ns:
+                        key = f"mode of operation ({display:04X}:0)"
+                        expected = f"{int(mode)} ({mode.name.lower().replace('_', ' ')})"
+                        raise AcquisitionError(place=f"node {drive.node}", key=key, value=shown, expected=expected)
+                    self.wait(self.link.now_ns() + 10_000_000)
+
+    def differences(self) -> list[str]:
+        """Differences between drives and description in identity (1018h) and rated values, one line each."""
+        found = []
+        for drive in self.bus.drives:
+            dictionary = drive.dictionary
+            for sub, name, expected in dictionary.identity if dictionary is not None else ():
+                raw = self.read(drive.node, IDENTITY, sub)
+                if raw != expected:
+                    problem = f"node {drive.node}: {name} (1018:{sub}) = 0x{raw:X}"
+                    found.append(f"{problem}: expected 0x{expected:X} as its dictionary says")
+            for index, rated in drive.rated.items():
+                if dictionary is None or (index, 0) in dictionary.entries:
+                    raw = self.read(drive.node, index)
+                    if raw != rated:
+                        found.append(
+                            f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
+                        )
+        return found

@@ -1,0 +1,184 @@
+"""The drives' own reactions to faults, read from them and reported as text. Nothing is written."""
+
+from ..errors import AcquisitionError
+from ..protocol import (
+    ABORT_CONNECTION,
+    CONSUMER_HEARTBEAT,
+    DISABLE_OPTION,
+    FAULT_OPTION,
+    FOLLOWING_ERROR_TIME,
+    FOLLOWING_ERROR_WINDOW,
+    QUICK_STOP_OPTION,
+    RAMP_OBJECTS,
+    SHUTDOWN_OPTION,
+    quick_stop_ramp,
+)
+from ..robot import BusFile, Drive, axis_of
+from .bus import SHARED
+from .heartbeat import consumers, entry_of, free_entry, timeout_ms
+from .master import Master
+
+ERROR_BEHAVIOUR, RPDO_PARAMETERS = 0x1029, 0x1400  # of CiA 301
+NO_WINDOW = 2**32 - 1
+MIN_RAMP_SHARE = 0.5  # of the acceleration limit: a slower quick stop is refused
+
+_RAMPS = {1: "slow-down ramp", 2: "quick-stop ramp", 3: "current limit", 4: "voltage limit"}
+_THEN_OFF = {0: "voltage off at once, the motor coasts"} | {k: f"{ramp}, then off" for k, ramp in _RAMPS.items()}
+# Values of the option codes (CiA 402-2, IEC 61800-7-201) and of 1029h (CiA 301) in words.
+OPTIONS = {
+    ABORT_CONNECTION: {
+        0: "a lost heartbeat has no effect",
+        1: "fault when the connection is lost",
+        2: "voltage off when the connection is lost",
+        3: "quick stop when the connection is lost",
+    },
+    QUICK_STOP_OPTION: _THEN_OFF | {k + 4: f"{ramp}, then held in quick stop active" for k, ramp in _RAMPS.items()},
+    SHUTDOWN_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    DISABLE_OPTION: {k: _THEN_OFF[k] for k in (0, 1)},
+    FAULT_OPTION: _THEN_OFF,
+    ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
+}
+_SUBJECTS = (
+    (QUICK_STOP_OPTION, "quick stop"),
+    (SHUTDOWN_OPTION, "shutdown"),
+    (DISABLE_OPTION, "disable operation"),
+    (FAULT_OPTION, "fault reaction"),
+)
+
+
+NOT_THERE = "not there"
+Property = tuple[str, str]  # of a drive: its name, and what was found
+
+
+def supervision_of(master: Master, drive: Drive) -> list[Property]:
+    """Each object of a drive's supervision in words: loss of the master, stops, following error.
+
+    Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
+    have is reported as not there; nothing is raised.
+    """
+    return [
+        _consumers(master, drive),
+        _option(master, drive, ABORT_CONNECTION, "reaction"),
+        _behaviour(master, drive),
+        _event_timer(master, drive),
+        *(_option(master, drive, index, name) for index, name in _SUBJECTS),
+        _following_error(master, drive),
+    ]
+
+
+def stop_ramp(master: Master, drive: Drive) -> tuple[str, str]:
+    """The ramp of the quick stop in words, and what `--track` expects where it is too slow, else nothing."""
+    watch = master.by_node[drive.node]
+    for index in RAMP_OBJECTS:
+        watch.ramp_objects[index] = _read(master, drive, index + axis_of(drive))
+    ramp, (scale, unit) = quick_stop_ramp(watch.ramp_objects, drive.position_codec), drive.counts_per_joint
+    if ramp is None:
+        return "quick stop ramp unknown: voltage is switched off where the speed does not fall by 5 % in 0.05 s", ""
+    fastest, least = drive.speed_limit, MIN_RAMP_SHARE * (drive.acceleration_limit or 0.0)
+    rest = f", {fastest / ramp:.3g} s from the speed limit to rest" if fastest else ""
+    text = f"quick stop ramp {ramp / scale:.4g} {unit}/s²{rest}"
+    fast = ramp >= least - 1  # drives state whole counts
+    return text, "" if fast else f"{least / scale:.4g} at least for --track, half the acceleration limit"
+
+
+def refuse_slow_ramps(master: Master) -> list[str]:
+    """Read the ramps for a later stop; a line for each unknown one. Raises `AcquisitionError` for one that is too slow."""
+    unknown = []
+    for watch in master.nodes:
+        place = f"node {watch.drive.node} ({watch.drive.name})"
+        text, expected = stop_ramp(master, watch.drive)
+        if expected:
+            raise AcquisitionError(text, place=place, expected=expected)
+        unknown += [f"{place}: {text}"] if "unknown" in text else []
+    return unknown
+
+
+def supervision_refusal(master: Master, drive: Drive) -> str:
+    """Why a drive is not fit for motion: after a power cut of this computer nothing would stop it; empty where it is."""
+    axis = axis_of(drive)
+    try:
+        sub = free_entry(consumers(master, drive.node), master.bus.file.master_node)
+    except AcquisitionError:
+        sub = None
+    missing = []
+    if sub is None and not _read(master, drive, ABORT_CONNECTION + axis):
+        missing.append(f"of the master: no free 1016, {ABORT_CONNECTION + axis:04X} is 0 or not there")
+    if _read(master, drive, FOLLOWING_ERROR_WINDOW + axis) in (None, NO_WINDOW):
+        missing.append(f"of the following error: {FOLLOWING_ERROR_WINDOW + axis:04X} is off or not there")
+    return f"none {', none '.join(missing)}" if missing else ""
+
+
+def refuse_unsupervised(master: Master) -> None:
+    """Raise `AcquisitionError` where a drive does not supervise its master or its following error."""
+    for drive in master.bus.drives:
+        if refusal := supervision_refusal(master, drive):
+            where, expected = f"node {drive.node} ({drive.name})", "both; or --unsupervised-drives"
+            raise AcquisitionError(refusal, place=where, key="supervision", expected=expected)
+
+
+def second_stop(file: BusFile) -> str:
+    """Whether the recorder's process can stop the drives when the session's process dies or hangs."""
+    if file.interface in SHARED:
+        return "the recorder's process stops the drives of a tracking session that dies or hangs"
+    return f"none: {file.interface} opens once only: if the session dies or hangs, only the drives' own supervision stops them"
+
+
+def _consumers(master: Master, drive: Drive) -> Property:
+    file, name = master.bus.file, f"consumer heartbeat {CONSUMER_HEARTBEAT:04X}"
+    try:
+        entries = consumers(master, drive.node)
+    except AcquisitionError:
+        return name, f"{NOT_THERE}: the drive does not notice when the master dies"
+    used = [f"node {e >> 16 & 0x7F} {e & 0xFFFF} ms" for e in entries if e >> 16 and e & 0xFFFF]
+    text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
+    if sub is None:
+        return name, f"{text}: no free sub-index: the drive does not notice when the master dies"
+    entry = entry_of(file)
+    return (
+        name,
+        f"{text}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}",
+    )
+
+
+def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
+    """An option code in words; the objects of CiA 402 of each further axis are 800h higher."""
+    raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
+    if raw is None:
+        return name, NOT_THERE
+    value = raw - 0x10000 if raw >= 0x8000 else raw
+    return name, f"{value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
+
+
+def _behaviour(master: Master, drive: Drive) -> Property:
+    raw, name = _read(master, drive, ERROR_BEHAVIOUR, 1), f"communication error {ERROR_BEHAVIOUR:04X}:1"
+    if raw is None:
+        return name, f"{NOT_THERE}: pre-operational (CiA 301)"
+    return name, f"{raw}: {OPTIONS[ERROR_BEHAVIOUR].get(raw, 'of the manufacturer')}"
+
+
+def _event_timer(master: Master, drive: Drive) -> Property:
+    raw, name = _read(master, drive, RPDO_PARAMETERS, 5), f"missing targets {RPDO_PARAMETERS:04X}:5"
+    if not raw:
+        return name, f"{0 if raw == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
+    return name, f"{raw}: an error after {raw} ms without the PDO"
+
+
+def _following_error(master: Master, drive: Drive) -> Property:
+    axis = axis_of(drive)
+    window = _read(master, drive, FOLLOWING_ERROR_WINDOW + axis)
+    time_ms = _read(master, drive, FOLLOWING_ERROR_TIME + axis)
+    name = f"following error {FOLLOWING_ERROR_WINDOW + axis:04X}"
+    if window is None or window == NO_WINDOW:
+        return name, NOT_THERE if window is None else f"0x{window:X}: off"
+    after = f", after {time_ms} ms ({FOLLOWING_ERROR_TIME + axis:04X})" if time_ms is not None else ""
+    return name, f"{window}: an error beyond {window} of the drive's position units{after}"
+
+
+def _read(master: Master, drive: Drive, index: int, sub: int = 0) -> int | None:
+    """The raw value; None where the drive does not have the object, or does not answer."""
+    if drive.dictionary is not None and (index, sub) not in drive.dictionary.entries:
+        return None
+    try:
+        return master.read(drive.node, index, sub)
+    except AcquisitionError:
+        return None

@@ -1,0 +1,330 @@
+"""CAN frames → joint samples on the grid of SYNC, vectorised.
+
+A drive samples at SYNC and sends its PDO afterwards, so the time of a sample is that of its SYNC. `sync_times` computes the
+times, `association` assigns each PDO to the SYNC that it answers. Samples are made block by block: those of an hour are too
+many to be held in memory.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..arrays import Array, Ints
+from ..errors import AcquisitionError
+from ..protocol import ObjectEntry, Pdo
+from ..robot import Bus, Drive, Robot
+from .association import associate, counted_steps, pdo_frames, sync_steps
+from .rows import SENT, Block, sample_dtype
+from .sync_times import Rows, SyncTimes, sync_times
+from .traffic import Traffic
+from .writer import RecordingWriter
+
+LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
+FEWEST_SYNCS = 10  # with fewer their period is not checked
+MAX_MISSING = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
+FEW_MISSING = 2  # PDOs of a drive, which are no share in a short recording
+UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
+_AT_ONCE = 10_000  # samples
+FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
+
+
+@dataclass(frozen=True, kw_only=True)
+class PdoCount:
+    """Frames of one PDO: received, late, duplicate and too short ones, and SYNCs without one between the first and the last."""
+
+    name: str
+    received: int
+    late: int
+    duplicate: int
+    missing: int
+    short: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Decoded:
+    """Joint samples, and counters that tell how complete and how even they are.
+
+    Attributes:
+        rows: what samples are made of; SYNCs that a drive did not answer are left out, and those whose answers are uncertain.
+        syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
+        period_s: between SYNCs, pauses left out.
+        jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
+        warnings: for the user, one line each.
+    """
+
+    rows: "SampleRows"
+    pdos: tuple[PdoCount, ...]
+    syncs: int
+    syncs_lost: int
+    period_s: float
+    jitter_s: tuple[float, float]
+    warnings: tuple[str, ...]
+
+    @cached_property
+    def samples(self) -> Block:
+        """All samples at once, rows of `sample_dtype`; `rows.blocks` gives them some thousands at a time."""
+        return np.concatenate(list(self.rows.blocks()))
+
+    def write(self, writer: RecordingWriter, stamp_ns: int) -> None:
+        """Add samples, counters and warnings to a recording."""
+        for block in self.rows.blocks():
+            writer.samples(block)
+        writer.health(stamp_ns, self.counters)
+        for text in self.warnings:
+            writer.event(stamp_ns, "warning", text)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Counters for `/health` of a recording, by name."""
+        return {
+            "syncs": self.syncs,
+            "syncs_lost": self.syncs_lost,
+            UNCERTAIN: self.syncs + self.syncs_lost - len(self.rows.stamps),
+            "sync_jitter_sd_s": self.jitter_s[0],
+            "sync_jitter_worst_s": self.jitter_s[1],
+            **{word: sum(getattr(p, word) for p in self.pdos) for word in ("late", "duplicate", "missing", "short")},
+        }
+
+
+def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING) -> Decoded:
+    """Joint samples from the raw frames of one CAN channel.
+
+    Parameters
+    ----------
+    frames : (m,) rows of `FRAME` in the order in which they were received.
+    robot : from motors to joints.
+    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
+    place : the file or session, in errors.
+    max_missing : share of the PDOs of a drive that may be missing.
+
+    Returns
+    -------
+    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V where no drive gain is
+    known), at the joints; with `reference` where all drives were sent targets (607Ah or as described).
+
+    Raises
+    ------
+    AcquisitionError
+        With `place`: there is no SYNC, a drive never answered, more PDOs are missing than may be, fewer than two samples
+        remain, or the SYNC period is not that of the description.
+    """
+    traffic = Traffic(frames)
+    sync_rows = traffic.rows_of(bus.file.sync_can_id)
+    if len(sync_rows) < 2:
+        problem = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
+        raise AcquisitionError(problem, place=place, expected="many")
+    carriers = _carriers(bus)
+    pdos, shorts = [], []
+    for pdo, name in carriers.items():
+        rows, short = traffic.of(pdo)
+        found = pdo_frames(rows, sync_rows, traffic.at("data", rows))
+        if not len(found.rows):
+            problem = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
+            expected = "the drive's answers to SYNC; is it mapped and started?"
+            raise AcquisitionError(problem, place=place, expected=expected)
+        pdos.append(found)
+        shorts.append(short)
+    times, counter = traffic.at("time_ns", sync_rows), traffic.at("data", sync_rows)[:, 0]
+    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
+    steps, paused, torn = sync_steps(times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+    if (traffic.at("length", sync_rows) >= 1).all():
+        steps = counted_steps(counter)
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
+    if len(sync_rows) >= FEWEST_SYNCS:
+        _refuse_period(clock.period_s, bus, place)
+    del times, counter
+    found_rows = associate(pdos, steps, paused, torn)
+    columns = (found_rows.late, found_rows.duplicate, found_rows.missing, shorts)
+    counts = tuple(
+        PdoCount(
+            name=name,
+            received=len(pdo.rows) + pdo.repeats,
+            late=late,
+            duplicate=duplicate,
+            missing=missing,
+            short=short,
+        )
+        for name, pdo, late, duplicate, missing, short in zip(carriers.values(), pdos, *columns, strict=True)
+    )
+    del pdos, found, rows  # of a long session these are much memory
+    if found_rows.missing_share > max_missing and max(found_rows.missing) > FEW_MISSING:
+        problem = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
+        raise AcquisitionError(
+            problem, place=place, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together"
+        )
+    answered = found_rows.answered
+    if len(answered) < 2:
+        raise AcquisitionError(f"{len(answered)} SYNC answered by all drives", place=place, expected="many")
+    rows_of = dict(zip(carriers, found_rows.rows, strict=True))
+    made = SampleRows(
+        traffic, robot, bus, rows_of, clock.stamps[answered], _targets(traffic, sync_rows, index_of, answered, bus)
+    )
+    lost = int(np.sum(steps - 1))
+    warnings = _warnings(counts, lost, clock, bus, answered)
+    return Decoded(
+        rows=made,
+        pdos=counts,
+        syncs=len(sync_rows),
+        syncs_lost=lost,
+        period_s=clock.period_s,
+        jitter_s=clock.jitter_s,
+        warnings=(*bus.warnings, *made.wraps(), *warnings),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SampleRows:
+    """What samples are made of: the frames that answer each SYNC by their PDO, its time, and the targets in force.
+
+    Targets are (N,) frames by drive; before the first one, -1, the measured position takes their place.
+    """
+
+    traffic: Traffic
+    robot: Robot
+    bus: Bus
+    rows: Mapping[Pdo, Rows]
+    stamps: Ints
+    targets: list[Rows] | None
+
+    def blocks(self) -> Iterator[Block]:
+        """Rows of `sample_dtype`, some thousands at a time."""
+        n, extras = self.robot.n, [(drive, extra) for drive in self.bus.drives for extra in drive.extras]
+        layout = sample_dtype(n, reference=self.targets is not None, extra=len(extras))
+        known = None if self.targets is None else np.maximum.reduce([np.argmax(t >= 0) for t in self.targets])
+        last: list[tuple[int, int]] = []  # of each drive: raw position of the row before, and what it is continued by
+        for first in range(0, len(self.stamps), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            samples = np.empty(len(self.stamps[part]), layout)
+            samples["stamp_ns"] = self.stamps[part]
+            motor = np.empty((3, len(samples), n))
+            for i, drive in enumerate(self.bus.drives):
+                raw = self._integers(drive, drive.position, part)
+                before, by = last[i] if first else (int(raw[0]), 0)
+                counts = unwrapped(np.concatenate([[before], raw]), drive.position.bits)[0][1:] + by
+                last[i : i + 1] = [(int(raw[-1]), int(counts[-1] - raw[-1]))]
+                motor[0, :, i] = drive.position_codec.si(counts)
+                motor[1, :, i] = drive.effort.si(self._integers(drive, drive.effort.entry, part))
+                if self.targets is not None:
+                    motor[2, :, i] = self._target(drive, self.targets[i][part], counts)
+            samples["position"], samples["effort"] = (
+                self.robot.joint_position(motor[0]),
+                self.robot.joint_effort(motor[1]),
+            )
+            if known is not None:
+                samples["reference"] = self.robot.joint_position(motor[2])
+                samples["reference"][: max(0, int(known) - first)] = samples["position"][: max(0, int(known) - first)]
+            for k, (drive, extra) in enumerate(extras):
+                samples["extra"][:, k] = extra.si(self._integers(drive, extra.entry, part))
+            yield samples
+
+    def _target(self, drive: Drive, rows: Rows, counts: Ints) -> Array:
+        """Motor positions of targets. They wrap as the position does that follows: the nearest one is meant."""
+        pdo = drive.carrier(drive.target, "rpdo")
+        assert pdo is not None
+        target = self.traffic.integers(np.maximum(rows, 0), pdo, drive.target)
+        away = np.rint((counts - target) / (1 << drive.target.bits)).astype(np.int64)
+        return drive.position_codec.si(target + (away << drive.target.bits))
+
+    def _integers(self, drive: Drive, entry: ObjectEntry, part: slice) -> Ints:
+        carrier = drive.carrier(entry, "tpdo")
+        assert carrier is not None  # `resolve` refuses drives without one
+        return self.traffic.integers(self.rows[carrier][part], carrier, entry)
+
+    def wraps(self) -> Iterator[str]:
+        """Warnings about position counters that wrapped."""
+        for drive in self.bus.drives:
+            wraps = unwrapped(self._integers(drive, drive.position, slice(None)), drive.position.bits)[1]
+            if len(wraps):
+                first_s = (self.stamps[wraps[0]] - self.stamps[0]) * 1e-9
+                yield (
+                    f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
+                    "positions go on from there"
+                )
+
+
+def _carriers(bus: Bus) -> dict[Pdo, str]:
+    """PDOs that hold positions, efforts and extra objects, each with its name for messages."""
+    found = {}
+    for drive in bus.drives:
+        for entry in (drive.position, drive.effort.entry, *(extra.entry for extra in drive.extras)):
+            pdo = drive.carrier(entry, "tpdo")
+            if pdo is not None:
+                found[pdo] = f"TPDO {pdo.number} of node {drive.node}, {drive.name}"
+    return found
+
+
+def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
+    """Counts continued where a counter of `bits` wraps from one end to the other, and the rows at which it wraps.
+
+    Between two answers no motor moves by half of the range of a counter, so a larger step is a wrap.
+    """
+    steps = np.diff(counts)
+    wraps = np.flatnonzero(np.abs(steps) > 1 << (bits - 1))
+    if not len(wraps):
+        return counts, wraps
+    turns = np.zeros(len(counts), np.int64)
+    turns[wraps + 1] = -np.sign(steps[wraps])
+    return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
+def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:
+    """Frame of the last target of each drive before the SYNC of each sample, -1 where there is none.
+
+    None where a drive gets no targets, or only a few: a master that commands the state alone sends them too.
+    """
+    found, following = [], np.append(index_of, index_of[-1] + 1)  # grid index of the SYNC after as many SYNC frames
+    for drive in bus.drives:
+        pdo = drive.carrier(drive.target, "rpdo")
+        rows = np.zeros(0, np.int32) if pdo is None else traffic.of(pdo)[0]
+        if len(rows) < FEWEST_TARGETS * len(answered):
+            return None
+        row = np.full(following[-1] + 1, -1, np.int32)
+        row[following[np.searchsorted(sync_rows, rows)]] = rows
+        found.append(np.maximum.accumulate(row)[answered])
+    return found if all((held >= 0).any() for held in found) else None
+
+
+def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
+    """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
+    stated_s = bus.file.sync_period_s
+    if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
+        raise AcquisitionError(
+            f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
+            place=place,
+            expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
+            "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
+        )
+
+
+def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus, answered: Rows) -> list[str]:
+    found = []
+    nominal_s = bus.file.sync_period_s
+    at_s = (clock.stamps - clock.stamps[answered[0]]) * 1e-9
+    for k, by_s in clock.set_back:
+        found.append(f"the clock was set back by {by_s:.3g} s at {at_s[k]:.4g} s: times go on as if it had not been")
+    if abs(clock.period_s / nominal_s - 1) > 0.01:
+        expected = f"expected {nominal_s * 1e3:g} ms as robot.toml says"
+        found.append(f"SYNC came every {clock.period_s * 1e3:.4g} ms: {expected}")
+    if len(clock.pauses):
+        longest = clock.pauses[np.argmax(np.diff(clock.stamps)[clock.pauses])]
+        found.append(
+            f"SYNC paused {len(clock.pauses)} times for more than 1.5 periods, the longest "
+            f"{(at_s[longest + 1] - at_s[longest]) * 1e3:.4g} ms at {at_s[longest]:.4g} s"
+        )
+    elif clock.jitter_s[1] > 0.5 * nominal_s:
+        found.append(
+            f"a SYNC came {clock.jitter_s[1] * 1e3:.3g} ms off its time: more than half a period of {nominal_s * 1e3:g} ms"
+        )
+    if lost:
+        found.append(f"{lost} SYNC were answered but not recorded")
+    missing = int(answered[-1] - answered[0] + 1 - len(answered))
+    if missing:
+        found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
+    for count in counts:
+        losses = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
+        if losses:
+            found.append(f"{count.name}: {', '.join(losses)} of {count.received}")
+    return found

@@ -1,0 +1,176 @@
+"""Reference trajectories: periodic Fourier series that excite a robot, tables, moves to a point; limits, checked before.
+
+All begin and end at rest.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import AcquisitionError
+from ..files import read_columns
+from .robot import Robot
+
+HARMONICS = 5
+LIMIT_SHARE = 0.8  # of a joint's stated range and speed
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FourierReference:
+    """q_j(t) = center_j + sum_k sine_jk sin(k w t) + cosine_jk (cos(k w t) - 1), w = 2 pi / period_s.
+
+    `sine` and `cosine` are (n, H), rad or m. The coefficients make speed and acceleration zero at t = 0.
+    """
+
+    period_s: float
+    center: Array
+    sine: Array
+    cosine: Array
+
+    def at(self, t_s: Array) -> tuple[Array, Array, Array]:
+        """Position, speed and acceleration, each (N, n), at the times t_s (N,)."""
+        k = np.arange(1, self.sine.shape[1] + 1) * 2 * np.pi / self.period_s
+        phase = np.outer(t_s, k)
+        sin, cos = np.sin(phase), np.cos(phase)
+        q = self.center + sin @ self.sine.T + (cos - 1.0) @ self.cosine.T
+        dq = (cos * k) @ self.sine.T - (sin * k) @ self.cosine.T
+        ddq = -(sin * k**2) @ self.sine.T - (cos * k**2) @ self.cosine.T
+        return q, dq, ddq
+
+
+def fourier_reference(
+    robot: Robot, *, period_s: float, seed: int, harmonics: int = HARMONICS, share: float = LIMIT_SHARE
+) -> FourierReference:
+    """A random Fourier series for each joint, from rest to rest, within `share` of its range, speed and acceleration; rad or m.
+
+    It repeats after `period_s`; the same `seed` gives the same series; `harmonics` are two at least. Raises `AcquisitionError`
+    where the period is not positive, or a joint states no range.
+    """
+    if not period_s > 0:
+        raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
+    for i, joint in enumerate(robot.joints):
+        if joint.si("position") is None:
+            raise AcquisitionError(
+                place=f"robot {robot.name}: joint {joint.name}",
+                key=f"joint[{i}].position_{'deg' if joint.type == 'revolute' else 'm'}",
+                value=None,
+                expected="[lowest, highest]: the reference moves within it",
+            )
+    rng = np.random.default_rng(seed)
+    k = np.arange(1, harmonics + 1)
+    sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
+    # At t = 0 speed is sum k sine, acceleration sum k² cosine: take those parts out.
+    sine -= (sine @ k)[:, None] * k / (k @ k)
+    cosine -= (cosine @ k**2)[:, None] * k**2 / (k**2 @ k**2)
+    raw = FourierReference(period_s=period_s, center=np.zeros(robot.n), sine=sine, cosine=cosine)
+    q, dq, ddq = raw.at(np.linspace(0.0, period_s, 2000))
+    middle, scale = np.empty(robot.n), np.empty(robot.n)
+    for j, joint in enumerate(robot.joints):
+        low, high = joint.si("position")
+        middle[j] = (low + high) / 2
+        scale[j] = (high - low) / np.ptp(q[:, j])
+        for limit, peak in ((joint.si("speed"), dq), (joint.si("acceleration"), ddq)):
+            if limit is not None:
+                scale[j] = min(scale[j], limit / np.abs(peak[:, j]).max())
+    scale *= share
+    center = middle - scale * (q.max(axis=0) + q.min(axis=0)) / 2
+    return FourierReference(
+        period_s=period_s, center=center, sine=sine * scale[:, None], cosine=cosine * scale[:, None]
+    )
+
+
+APPROACH_SHARE = 0.1  # of each joint's speed and acceleration limit
+LARGEST_ROUNDING = 1e-9  # by which a reference may leave a limit
+LONGEST_S = 24 * 3600.0  # of a table
+LARGEST_PATH = 10**8  # numbers in it, a position of each joint at each SYNC: 0.8 GB
+
+
+def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.0) -> Array:
+    """Joint positions (N, n) along a table, with cubic splines between its rows, one row each `period_s`; rad or m.
+
+    The table is a CSV file with `time_s`, then each joint by name. `speed` in (0, 1] is the same path slower: speeds are
+    multiplied by it, accelerations by its square. Raises `AcquisitionError` where the table cannot be read, its time does not
+    grow, it is longer than a day or than memory may hold, or no spline can be laid through its numbers.
+    """
+    from scipy.interpolate import CubicSpline
+
+    table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
+    time_s = table[:, 0]
+    with np.errstate(all="ignore"):  # what overflows is refused below
+        if len(table) < 2 or not (np.diff(time_s) > 0).all():
+            raise AcquisitionError(place=f"{path}: time_s", expected="two rows or more, with growing times")
+        length_s = float(time_s[-1] - time_s[0]) / speed
+        longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
+        if length_s > longest_s:
+            slower = f" at {speed:g} of its speed" if speed != 1 else ""
+            problem = f"{length_s:.6g} s from first to last{slower}"
+            expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
+            raise AcquisitionError(problem, place=f"{path}: time_s", expected=expected)
+        times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
+        try:
+            q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
+        except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
+            raise _no_spline(path, time_s, table) from error
+    if not np.isfinite(q).all():
+        raise _no_spline(path, time_s, table)
+    return q
+
+
+def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
+    found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
+    expected = "positions in rad or m at times that a smooth path leads through"
+    return AcquisitionError(found, place=str(path), expected=expected)
+
+
+def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
+    """Refuse a path (N, n) from rest to rest, rad or m, that leaves the position, speed or acceleration limits of a joint.
+
+    Raises `AcquisitionError` that names `place`, time, joint, value and limit; also where a joint states no limit.
+    """
+    for i, joint in enumerate(robot.joints):
+        for quantity in ("position", "speed", "acceleration", "following_error"):
+            if joint.si(quantity) is None:
+                problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
+                raise AcquisitionError(problem, place=place, expected="one in robot.toml before anything moves")
+    at_rest = np.concatenate([q[:1], q, q[-1:]])
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
+        dq = np.diff(at_rest, axis=0) / period_s
+        ddq = np.diff(dq, axis=0) / period_s
+    for i, joint in enumerate(robot.joints):
+        low, high = joint.si("position")
+        unit = joint.position_unit
+        for name, values, bottom, top, per in (
+            ("position", q[:, i], low, high, ""),
+            ("speed", dq[:, i], -joint.si("speed"), joint.si("speed"), "/s"),
+            ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
+        ):
+            slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
+            inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
+            if not inside.all():
+                k = int(np.argmin(inside))
+                raise AcquisitionError(
+                    place=f"{place}: at {k * period_s:.4g} s",
+                    key=f"{name} of {joint.name}",
+                    value=float(values[k]),
+                    shown=f"{values[k]:.4g} {unit}{per}",
+                    expected=f"{bottom:.4g} to {top:.4g}",
+                )
+
+
+def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
+    """A slow straight move (N, n) in joint space from rest at `start` (n,) to rest at `end` (n,), a row each `period_s`.
+
+    All joints move together (minimum jerk); rad or m. Obstacles are not checked.
+    """
+    distance = np.abs(end - start)
+    speed = np.array([joint.si("speed") for joint in robot.joints]) * APPROACH_SHARE
+    acceleration = np.array([joint.si("acceleration") for joint in robot.joints]) * APPROACH_SHARE
+    # Largest speed and acceleration of 10 x³ - 15 x⁴ + 6 x⁵ over one second: 1.875 and 5.774.
+    duration_s = max(
+        0.2, float(np.max(1.875 * distance / speed)), float(np.max(np.sqrt(5.774 * distance / acceleration)))
+    )
+    x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
+    q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    return q

@@ -1,0 +1,193 @@
+"""A session's recorder: in the session's own process for simulated time, else in a process of its own.
+
+Where an interface can be opened once only, the session hands its frames over; else the recorder opens the bus itself.
+"""
+
+import multiprocessing
+import signal
+import time
+from multiprocessing import resource_tracker
+from pathlib import Path
+from typing import Any
+
+from ..bus import Frame, block_of
+from ..errors import AcquisitionError
+from ..robot import Robot
+from .dead_man import SignsOfLife
+from .process import BLOCK_S, STOPPING, Role, run
+from .recorder import Recorded, Recorder, Status
+
+START_S = 20.0  # for the process to come up
+FINISH_S = 600.0  # to decode a long session
+HUNG_FINISH_S = 10.0  # for one without a status for long
+SILENT_S = 5.0  # without a status for so long the disk is taken to hang
+
+_ENDED = "the recorder has ended: expected it to go on until the session ends"
+
+
+class InlineLog:
+    """A recorder in the session's own process, for simulated time: `tap` takes the link's frames."""
+
+    def __init__(self, recorder: Recorder) -> None:
+        self._recorder, self._frames = recorder, list[Frame]()
+
+    def tap(self, frame: Frame) -> None:
+        """A frame sent or received."""
+        self._frames.append(frame)
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        self._recorder.event(stamp_ns, kind, text)
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Write what came; a status every half second."""
+        if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
+            self._write()
+        return self._recorder.tick(stamp_ns, 0)
+
+    def alive(self) -> None:
+        """There is no second stop: drives in simulated time are simulated."""
+
+    def ended(self) -> None:
+        """As `alive`."""
+
+    def finish(self, stamp_ns: int) -> Recorded:
+        """End the recording."""
+        self._write()
+        self._recorder.tick(stamp_ns, 0, now=True)
+        return self._recorder.finish(stamp_ns)
+
+    def close(self) -> None:
+        """End the file as it is."""
+        self._recorder.close()
+
+    def _write(self) -> None:
+        frames, self._frames = self._frames, []
+        self._recorder.add(block_of(frames))
+
+
+class ProcessLog:
+    """A recorder in a process of its own. In the role `FED` the session's link must be tapped by `tap`.
+
+    Raises `AcquisitionError` where the process cannot open the bus or the file.
+    """
+
+    def __init__(self, path: Path, robot: Robot, place: str, role: Role, offset_ns: int | None = None) -> None:
+        """`offset_ns`: what the session's clock, of its events, is ahead of the monotonic one."""
+        context = multiprocessing.get_context("spawn")
+        self._connection, other = context.Pipe()
+        watched, signs = context.Pipe() if role is Role.GUARD else (None, None)
+        self._signs = None if signs is None else SignsOfLife(signs)
+        self._frames: list[Frame] | None = [] if role is Role.FED else None
+        arguments = (other, path.absolute(), dict(robot.files), place, role, watched)
+        self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
+        # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
+        resource_tracker.ensure_running()  # it would unblock them on its own first start
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        other.close()
+        if watched is not None:
+            watched.close()
+        if offset_ns is not None:
+            self._send(("clock", offset_ns))
+        self._expect("ready", START_S)
+        self._heard_s, self._hangs = time.monotonic(), False
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the recorder."""
+        return self._process.pid
+
+    def tap(self, frame: Frame) -> None:
+        """A frame sent or received by the session, where it feeds the recorder."""
+        if self._frames is not None:
+            self._frames.append(frame)
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Note what happened."""
+        self._send(("event", stamp_ns, kind, text))
+
+    def granted(self, counters: dict[str, float]) -> None:
+        """What the session's process was granted, for `/health`."""
+        self._send(("granted", counters))
+
+    def alive(self) -> None:
+        """Show the second stop that the session is running: only from code whose progress shows it, never from a thread."""
+        if self._signs is not None:
+            self._signs.alive()
+
+    def ended(self) -> None:
+        """Disarm the second stop."""
+        if self._signs is not None:
+            self._signs.ended()
+
+    def poll(self, stamp_ns: int) -> Status | None:
+        """Latest status, None when there is none. To be called at every SYNC, by the SYNC loop: it is a sign of life too.
+
+        Raises `AcquisitionError` when the recorder has ended, hangs, or stops the drives.
+        """
+        self.alive()
+        if self._signs is not None and (reason := self._signs.stopped()):
+            raise AcquisitionError(reason)
+        if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
+            self._hand_over()
+        status = None
+        try:
+            while self._connection.poll():
+                kind, content = self._connection.recv()
+                if kind == "failed":
+                    raise AcquisitionError(content)
+                status = content if kind == "status" else status
+        except (EOFError, OSError) as error:
+            raise AcquisitionError(_ENDED) from error
+        if status is not None:
+            self._heard_s = time.monotonic()
+        silent_s = time.monotonic() - self._heard_s
+        self._hangs = silent_s > SILENT_S
+        if self._hangs:
+            raise AcquisitionError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
+        return status
+
+    def finish(self, stamp_ns: int) -> Recorded:
+        """End the recording. Raises `AcquisitionError` when the recorder has ended before."""
+        self.ended()
+        if self._frames:
+            self._hand_over()
+        self._send(("stop", stamp_ns))
+        found = self._expect("done", HUNG_FINISH_S if self._hangs else FINISH_S)
+        self._process.join(5)
+        assert isinstance(found, Recorded)
+        return found
+
+    def close(self) -> None:
+        """Disconnect from the process, which then ends its file."""
+        if self._signs is not None:
+            self._signs.close()
+        self._connection.close()
+        self._process.join(30)
+
+    def _hand_over(self) -> None:
+        frames, self._frames = self._frames or [], []
+        self._send(("frames", block_of(frames).tobytes()))
+
+    def _send(self, message: tuple[Any, ...]) -> None:
+        try:
+            self._connection.send(message)
+        except OSError as error:
+            raise AcquisitionError(_ENDED) from error
+
+    def _expect(self, wanted: str, timeout_s: float) -> Any:
+        until_s = time.monotonic() + timeout_s
+        try:
+            while self._connection.poll(max(0.0, until_s - time.monotonic())):
+                kind, content = self._connection.recv()
+                if kind == "failed":
+                    raise AcquisitionError(content)
+                if kind == wanted:
+                    return content
+        except (EOFError, OSError) as error:
+            raise AcquisitionError(_ENDED) from error
+        raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)

@@ -1,0 +1,195 @@
+"""Frames of a session into a recording: flushed every half second, watched over, decoded at the end.
+
+Where time is simulated a `Recorder` works in the session's own process; else `process` runs it in its own.
+"""
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import AcquisitionError
+from ..recording import (
+    FRAME,
+    NO_SAMPLES,
+    Block,
+    Decoded,
+    Header,
+    RecordingWriter,
+    decode,
+    read_recording,
+    written_by_master,
+)
+from ..robot import Bus, Robot, resolve
+
+FLUSH_S = 0.5
+SMALLEST_FREE_BYTES = 100 * 2**20  # with less left on the disk the session ends
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status:
+    """The recorder half second by half second.
+
+    Attributes:
+        frames, rate_hz: in all, and in the last half second.
+        drops: frames that the kernel dropped.
+        late, missing, duplicate, short: PDOs, in all.
+        lowest, highest: position of each joint so far, rad or m; empty before the first sample.
+        disk_full: less than the least free space is left.
+    """
+
+    frames: int = 0
+    rate_hz: float = 0.0
+    drops: int = 0
+    late: int = 0
+    missing: int = 0
+    duplicate: int = 0
+    short: int = 0
+    lowest: tuple[float, ...] = ()
+    highest: tuple[float, ...] = ()
+    disk_full: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a session left: samples, or why there are none, and what a user should look at."""
+
+    frames: int
+    samples: int
+    warnings: tuple[str, ...]
+    no_samples: str = ""
+
+
+class Recorder:
+    """Writes the recording `path`. The file is open from the start, and what is flushed survives a kill.
+
+    Raises `AcquisitionError` when the file exists already or cannot be written.
+    """
+
+    def __init__(self, path: Path, robot: Robot, *, source: str, place: str) -> None:
+        assert robot.bus is not None
+        self._path, self._robot, self._place = path, robot, place
+        self._by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
+        self._bus: Bus | None = None if self._by_traffic else resolve(robot, place)
+        file = robot.bus
+        if path.exists():
+            expected = "a new name; recordings are not replaced"
+            raise AcquisitionError("is there already", place=str(path), expected=expected)
+        try:
+            self._writer = RecordingWriter(
+                path,
+                Header(
+                    robot=robot,
+                    source=source,
+                    sample_rate_hz=1.0 / file.sync_period_s,
+                    effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
+                    effort_timing=file.effort_timing,
+                    notes={
+                        "bus": f"{file.interface} {file.channel}",
+                        "bitrate": str(file.bitrate),
+                        "sync_period_s": repr(file.sync_period_s),
+                        "clock": "receive times of the recorder; samples at the times of their SYNCs",
+                        **(_table(self._bus) if self._bus else {}),
+                    },
+                ),
+            )
+        except OSError as error:
+            raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
+        self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
+        self._recent: list[Block] = []  # since the last status
+        self._status = Status()
+        self.granted: dict[str, float] = {}  # counters of what does not change, for every line of `/health`
+        self._flushed_ns: int | None = None
+
+    def add(self, block: Block) -> None:
+        """Frames in the order in which they were received."""
+        if len(block):
+            self._writer.frames(self.channel, block)
+            self._recent.append(block)
+
+    def event(self, stamp_ns: int, kind: str, text: str) -> None:
+        """Something that happened; on the disk at once when it is no mere phase."""
+        self._writer.event(stamp_ns, kind, text)
+        if kind != "phase":
+            self._writer.flush()
+
+    def tick(self, stamp_ns: int, drops: int, *, now: bool = False) -> Status | None:
+        """Flush and return a status every half second; None in between."""
+        if self._flushed_ns is None:
+            self._flushed_ns = stamp_ns
+        elapsed_s = (stamp_ns - self._flushed_ns) * 1e-9
+        if 0 <= elapsed_s < FLUSH_S and not now:
+            return None
+        recent = np.concatenate(self._recent) if self._recent else np.zeros(0, FRAME)
+        self._recent = []
+        self._status = status = self._summed_up(recent, elapsed_s, drops)
+        counters = {"frames": status.frames, "kernel_drops": drops, "late": status.late, "missing": status.missing}
+        self._writer.health(stamp_ns, self.granted | counters | {"duplicate": status.duplicate, "short": status.short})
+        self._writer.flush()
+        self._flushed_ns = stamp_ns
+        return status
+
+    def _summed_up(self, recent: Block, elapsed_s: float, drops: int) -> Status:
+        was = self._status
+        low, high, counted = was.lowest, was.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
+        decoded = self._decoded(recent)
+        if decoded is not None:
+            q = decoded.samples["position"]
+            low = tuple(np.minimum(q.min(axis=0), was.lowest or np.inf).tolist())
+            high = tuple(np.maximum(q.max(axis=0), was.highest or -np.inf).tolist())
+            counted = {word: sum(getattr(p, word) for p in decoded.pdos) for word in counted}
+        return Status(
+            frames=was.frames + len(recent),
+            rate_hz=len(recent) / max(elapsed_s, 1e-3),
+            drops=drops,
+            lowest=low,
+            highest=high,
+            disk_full=shutil.disk_usage(self._path.parent).free < SMALLEST_FREE_BYTES,
+            **{word: getattr(was, word) + count for word, count in counted.items()},
+        )
+
+    def _decoded(self, frames: Block) -> Decoded | None:
+        """Samples of a piece, for the live line only: None while there is no SYNC, or no drive answers."""
+        try:
+            if self._bus is None:
+                self._bus = resolve(self._robot, self._place, written_by_master(frames))
+            return decode(frames, self._robot, self._bus, self._place, max_missing=1.0)
+        except AcquisitionError:
+            return None
+
+    def finish(self, stamp_ns: int) -> Recorded:
+        """Decode what was recorded, write the samples after the frames, and end the file."""
+        self._writer.flush()
+        frames = read_recording(self._path).frames.get(self.channel, np.zeros(0, FRAME))
+        found = write_decoded(self._writer, frames, self._robot, stamp_ns, str(self._path))
+        self._writer.close()
+        return found
+
+    def close(self) -> None:
+        """End the file as it is."""
+        self._writer.close()
+
+
+def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns: int, place: str) -> Recorded:
+    """Decode frames and write samples, counters and warnings, or the reason why there are no samples."""
+    try:
+        bus = resolve(robot, place, written_by_master(frames))
+        decoded = decode(frames, robot, bus, place)
+    except AcquisitionError as error:
+        writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
+        return Recorded(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
+    decoded.write(writer, stamp_ns)
+    return Recorded(frames=len(frames), samples=len(decoded.rows.stamps), warnings=decoded.warnings)
+
+
+def _table(bus: Bus) -> dict[str, str]:
+    """PDO table and raw rated values, for the metadata."""
+    pdos = [
+        f"node {d.node} {way} {p.number} 0x{p.can_id:03X}: {' '.join(map(str, p.entries))}"
+        for d in bus.drives
+        for way, found in (("tpdo", d.tpdos), ("rpdo", d.rpdos))
+        for p in found
+    ]
+    rated = [f"node {d.node} {index:04X} = {raw}" for d in bus.drives for index, raw in d.rated.items()]
+    return {"pdo_table": "; ".join(pdos), "rated_raw": "; ".join(rated)}

@@ -1,0 +1,238 @@
+"""References that tell most of a robot's base parameters, within its limits."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from acquisition.files import find_mesh
+from acquisition.robot import HARMONICS, LIMIT_SHARE, FourierReference, Robot, refuse_out_of_range, resolve
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..estimation import one_thread
+from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
+from ..regression import load_friction
+from .information import Information
+from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
+from .limits import FAR_M, MARGIN_M, Limits, limits_of
+from .load import given_load
+from .search import FINER, SAMPLES_PER_PERIOD, Problem, best_of_searches, random_within
+from .series import Motion, Series, motion_of
+
+PLAIN = 20  # random references of seeds from 0 on, whose geometric mean the criterion is relative to
+POSES = 200  # at which links that are always near each other are found, and room to start
+BANDWIDTH_SHARE = 1 / 3  # highest harmonic over bandwidth: beyond it the loop does not follow
+CREEP_SHARE = 0.05  # of a joint's speed limit
+FEWEST_HARMONICS = 2  # with one, nothing is left by zero speed and acceleration at the ends
+CURVE_SAMPLES = 100  # per period of the highest harmonic, of what is drawn
+REACH = 1.959964  # deviations to each side of a 95 % interval
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """What a reference is to be.
+
+    Attributes:
+        period_s, harmonics, periods: of the Fourier series, and how often it is repeated.
+        seed: of the random references; the same one gives the same result.
+        limits_percent: of all limits that the reference may use.
+    """
+
+    period_s: float = 10.0
+    harmonics: int = 10
+    periods: int = 3
+    seed: int = 1
+    limits_percent: float = 100 * LIMIT_SHARE
+
+    @property
+    def plain_harmonics(self) -> int:
+        """Of the plain references: those of the usual random reference."""
+        return min(HARMONICS, self.harmonics)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Excitation:
+    """A reference, and what is expected of it.
+
+    Attributes:
+        robot, base, settings: as given, and the robot's base parameters.
+        reference: one period.
+        sigma, plain: (b,) expected deviations of the parameters, and the geometric mean of the same with plain references.
+        noise, noise_from: (n,) deviation of the torque in a row of the fit, and its origin in words.
+        limits, used: the limits, and (L,) the largest share of each in use; 1 is the whole limit.
+        nearest: the pair of links, or link and ground, that come nearest to each other, and their distance in m, at most
+            `FAR_M`; None where no shapes are described.
+        beta, beta_from: parameters that the torque is computed by, and their origin; None where it was not checked.
+        warnings: lines.
+    """
+
+    robot: Robot
+    base: BaseParameters
+    settings: Settings
+    reference: FourierReference
+    sigma: Array
+    plain: Array
+    noise: Array
+    noise_from: str
+    limits: Limits
+    used: Array
+    nearest: tuple[str, float] | None
+    beta: Array | None
+    beta_from: str
+    warnings: tuple[str, ...]
+
+    @property
+    def half(self) -> Array:
+        """(b,) half-widths of the expected 95 % intervals."""
+        return REACH * self.sigma
+
+    @property
+    def plain_half(self) -> Array:
+        """(b,) the same of the plain references."""
+        return REACH * self.plain
+
+    def curves(self) -> tuple[Array, Array, Array, Array | None]:
+        """Times (N,) in s, positions, speeds and, where it is known, torque, each (N, n), of one period."""
+        t_s = np.linspace(0.0, self.settings.period_s, CURVE_SAMPLES * self.settings.harmonics + 1)
+        motion = self.reference.at(t_s)
+        return t_s, *motion[:2], None if self.limits.model is None else self.limits.model.torque(*motion)
+
+    def table(self) -> tuple[Array, Array]:
+        """Times (N,) in s and positions (N, n) of all periods, close enough for splines between them."""
+        s = self.settings
+        steps = math.ceil(max(200 * s.harmonics, 100 * s.period_s))  # of a period
+        t_s = np.arange(steps * s.periods + 1, dtype=np.float64) * (s.period_s / steps)
+        return t_s, self.reference.at(t_s)[0]
+
+
+@one_thread
+def excite(
+    robot: Robot, settings: Settings, knowledge: Knowledge, place: str, say: Callable[[str], None] = lambda text: None
+) -> Excitation:
+    """The reference within a robot's limits that tells most of its base parameters.
+
+    Raises `IdentificationError`: where the limits leave no reference, or the drives would not follow it. Raises
+    `AcquisitionError`: where the drives cannot represent its positions.
+    """
+    _refuse_fast(robot, settings, place)
+    model = InverseModel(robot)
+    every = base_parameters(model)
+    direct = None if knowledge.beta is None else direct_model(model, every.standard_parameters(knowledge.beta))
+    mus = load_parameters(every)
+    base = every if direct is not None else every.without(mus)
+    ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
+    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
+    obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
+    limits = limits_of(robot, direct, settings.limits_percent / 100, place, obstacles)
+    _refuse_rest(limits, place)
+    series = Series(period_s=settings.period_s, harmonics=settings.harmonics)
+    samples = SAMPLES_PER_PERIOD * settings.harmonics
+    t_s = np.arange(samples, dtype=np.float64) * (settings.period_s / samples)
+    plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
+    plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
+    noise, noise_from = torque_noise(robot, direct, knowledge, plain)
+    creep = CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints])
+    information = Information(
+        model=model,
+        base=base,
+        noise=noise,
+        rows=rows_per_s(robot) * settings.period_s * settings.periods,
+        earlier=earlier_information(base, noise, knowledge.recordings, knowledge.beta),
+        creep=creep,
+        load=given_load(load_friction(model, base), direct, knowledge.beta, plain, creep),
+    )
+    sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
+    problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
+    x, sigma = best_of_searches(problem, settings.seed, place, say)
+    reference = series.reference(x)
+    fine = motion_of(x, series.basis(FINER * problem.samples))
+    found = Excitation(
+        robot=robot,
+        base=base,
+        settings=settings,
+        reference=reference,
+        sigma=sigma,
+        plain=sigma_plain,
+        noise=noise,
+        noise_from=noise_from,
+        limits=limits,
+        used=limits.share_of_whole(fine),
+        nearest=_nearest(limits, fine),
+        beta=knowledge.beta,
+        beta_from=knowledge.beta_from,
+        warnings=_warnings(limits, mus),
+    )
+    if robot.bus is not None:
+        at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
+        refuse_out_of_range(reference.at(at_sync)[0], robot, resolve(robot, place), "the reference")
+    return found
+
+
+def _refuse_fast(robot: Robot, settings: Settings, place: str) -> None:
+    """The loop would not follow harmonics near its bandwidth."""
+    bandwidth_hz = robot.bandwidth_hz
+    most_hz = BANDWIDTH_SHARE * bandwidth_hz
+    highest_hz = settings.harmonics / settings.period_s
+    if highest_hz > most_hz * (1 + 1e-9):
+        few = math.floor(most_hz * settings.period_s + 1e-9)
+        ways = f"--harmonics {few} or fewer, or " if few >= FEWEST_HARMONICS else ""
+        raise IdentificationError(
+            f"the highest harmonic of {highest_hz:.4g} Hz is above a third of the bandwidth of {bandwidth_hz:g} Hz",
+            place=place,
+            key="harmonics",
+            value=settings.harmonics,
+            expected=f"{ways}--period {math.ceil(100 * settings.harmonics / most_hz) / 100:g} or longer",
+        )
+
+
+def _refuse_rest(limits: Limits, place: str) -> None:
+    """Standing in the middle of the ranges must be possible: references start from there."""
+    n = limits.robot.n
+    middle = limits.middle[None]
+    efforts = replace(limits, obstacles=None)
+    used = np.abs(efforts.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    if used.max() > 1:
+        worst = int(used.argmax()) - 3 * n
+        effort = limits.effort
+        held = limits.coulomb[worst] + used[worst + 3 * n] * limits.allowed[worst]
+        raise IdentificationError(
+            f"{effort.names[worst]} needs {held:.4g} {effort.units[worst]} to leave rest in the middle of the ranges",
+            place=place,
+            expected=f"at most {100 * limits.share:g} % of the effort limit of {effort.limits[worst]:.4g}",
+        )
+
+
+def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
+    if limits.obstacles is None or not limits.checks_distance:
+        return None
+    apart, _, names = limits.obstacles.nearest(motion[0], FAR_M)
+    return names[int(apart.argmin())], float(apart.min())
+
+
+def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
+    """What of torque and distances was not checked; without parameters the criterion lacks load friction `mus`."""
+    found = []
+    if limits.obstacles is not None and limits.obstacles.missing:
+        missing = (
+            f"{len(limits.obstacles.missing)} meshes of the URDF are not found, such as {limits.obstacles.missing[0]}"
+        )
+        found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
+    if limits.obstacles is not None and limits.obstacles.near:
+        near = "; ".join(limits.obstacles.near)
+        found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
+    if limits.model is None:
+        found.append("torque was not checked: neither a fit nor [parameters] give it")
+        if mus:
+            found.append(
+                f"load friction ({', '.join(mus)}) is not in the criterion: its columns depend on the parameters of the links, "
+                "which neither a fit nor [parameters] give"
+            )
+        return tuple(found)
+    if not limits.robot.gain_known:
+        found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
+    if not len(limits.effort.limits):
+        found.append("torque was not checked: no joint states effort_nm or effort_n, no motor a saturation")
+    return tuple(found)

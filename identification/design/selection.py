@@ -1,0 +1,203 @@
+"""Which friction terms a robot needs: those that predict parts of a recording, or recordings, that were not fitted.
+
+1. Sets for all joints: every choice of the tried terms.
+2. Joint by joint, from the best of these sets: terms whose interval contains 0 go; terms absent from it whose interval
+   excludes 0 in the fit with all of them come, where the score falls with them; then, the least sure first, a term goes where
+   the score does not rise without it. Intervals are of a level at which, of all terms tried, one in twenty recordings of a
+   robot without any has one outside.
+3. Recommended is the smallest set whose terms all have an interval that excludes 0, and whose score is within one standard
+   error, of the paired difference over the parts, of the best of these sets.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from acquisition.robot import FrictionTerm, LowSpeed, Robot, low_speed_by_method
+
+from ..data import Recordings, Signals
+from ..errors import IdentificationError
+from ..estimation import one_thread
+from ..methods import Fit, identify_ls, in_known_time, observe_all
+from ..regression import Linearised, Overrides, Problem, alike, leave_out_untold
+from .parts import parts_of, predictable
+from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
+from .trials import Trial, Trials, usual_estimate
+
+LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TermChoice:
+    """The sets of friction terms tried on recordings, best first, and which is recommended.
+
+    Attributes:
+        recordings: in the order given.
+        problem: the identification with all terms that are tried; of several recordings that of the first.
+        held_out: names of the parts that were held out, recordings or fifths of one.
+        trials: of all sets; `usual` of that without any.
+        recommended: the smallest set that predicts about as well as the best.
+        left_out: what of all terms the recordings cannot tell, and recordings that the others cannot predict, one line each.
+    """
+
+    recordings: tuple[Signals, ...]
+    problem: Problem
+    held_out: tuple[str, ...]
+    trials: tuple[Trial, ...]
+    usual: Trial
+    recommended: Trial
+    left_out: tuple[str, ...]
+
+    @property
+    def robot(self) -> Robot:
+        """That of the first recording."""
+        return self.recordings[0].robot
+
+    @property
+    def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
+        """The recommended terms by joint, as the list `friction` of a description has them."""
+        lists = described_terms(self.robot, self.recommended.terms)
+        return {joint.name: terms for joint, terms in zip(self.robot.joints, lists, strict=True)}
+
+
+@one_thread
+def choose_terms(
+    signals: Signals | Recordings, overrides: Overrides, *, say: Callable[[str], None] = lambda text: None
+) -> TermChoice:
+    """Try sets of friction terms on a recording, or on several of one robot, in this process.
+
+    Returns the sets with their errors, and the recommended one. Raises `IdentificationError`: where recordings are too
+    long or too short, excite too little, are not of one robot, or where the others cannot predict at least two parts.
+    """
+    sources = signals.sources if isinstance(signals, Recordings) else (signals,)
+    recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
+    robot = recordings[0].robot
+    observed = in_known_time(
+        observe_all(_with_terms(recordings, frozenset(TRIED)), in_rows_of_iv(robot, overrides), say)
+    )
+    names = [one.problem.signals.recording for one in observed.observations]
+    if observed.regression.reduced:
+        raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
+    linearised = _told(observed.linearised)
+    about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
+    parts, unpredicted = predictable(parts_of(linearised, names), about)
+    trials = Trials(linearised, parts)
+    usual = trials.of(everywhere(robot.joints, frozenset()))
+    level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
+    for terms in _for_all_joints(robot):
+        say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
+        trials.of(everywhere(robot.joints, terms))
+    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), level, say)
+    found = sorted(trials.done, key=lambda trial: trial.score)
+    return TermChoice(
+        recordings=recordings,
+        problem=linearised.problem,
+        held_out=tuple(part.name for part in parts),
+        trials=tuple(found),
+        usual=usual,
+        recommended=recommended(found, level),
+        left_out=(*trials.left_out.values(), *unpredicted.values()),
+    )
+
+
+def fits_with(choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
+    """Least squares of the recordings with the usual terms, and with the recommended ones."""
+    before, after = (
+        identify_ls(_with_terms(choice.recordings, trial.terms), in_rows_of_iv(choice.robot, overrides))
+        for trial in (choice.usual, choice.recommended)
+    )
+    return before, after
+
+
+def in_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
+    """The same with least squares in the rows of instrumental variables, where nothing else is asked for."""
+    stored = low_speed_by_method(robot.identification.low_speed)
+    rows = LowSpeed(ls=stored.iv, iv=stored.iv) if overrides.low_speed_percent is None else overrides.low_speed_percent
+    return replace(overrides, low_speed_percent=rows)
+
+
+def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[FrictionTerm]) -> Recordings:
+    """The recordings of a robot with a set of terms, or with these terms at all joints."""
+    sets = (everywhere(one.robot.joints, terms) if isinstance(terms, frozenset) else terms for one in recordings)
+    robots = (with_terms(one.robot, own) for one, own in zip(recordings, sets, strict=True))
+    return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
+
+
+def recommended(trials: Iterable[Trial], level: float) -> Trial:
+    """The smallest set within one standard error of the best, of those whose terms all exclude 0 at a level."""
+    able = sorted((trial for trial in trials if trial.significant(level)), key=lambda trial: trial.score)
+    best = able[0]
+
+    def near(trial: Trial) -> bool:
+        more = trial.scores - best.scores
+        return bool(more.mean() <= more.std(ddof=1) / np.sqrt(len(more)))
+
+    return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
+
+
+def _told(linearised: Linearised) -> Linearised:
+    """W and Y without the terms that the recordings cannot tell with all others at hand."""
+    linearised = leave_out_untold(linearised)
+    while load := linearised.load:
+        names = linearised.parameters.names
+        beta = usual_estimate(linearised).among(names)
+        among = [names[place] for place in linearised.load_places(load)]
+        untold = alike(linearised.problem, linearised.at(beta).system, among)
+        if not untold:
+            break
+        linearised = linearised.without(untold)
+    return linearised
+
+
+def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:
+    """Every choice of the terms that some joint may have, small ones first."""
+    able = [term for term in TRIED if any(term in tried_terms(joint) for joint in robot.joints)]
+    for size in range(1, len(able) + 1):
+        yield from (frozenset(chosen) for chosen in combinations(able, size))
+
+
+def _joint_by_joint(trials: Trials, everything: Trial, level: float, say: Callable[[str], None]) -> None:
+    """Try sets that differ between joints; `trials` has them all in the end."""
+    best = min(trials.done, key=lambda trial: trial.score)
+    now = trials.of(_kept(trials, best, level))
+    for j, term in _places(everything.terms):
+        if term not in now.terms[j] and _sure(trials, everything, j, term, level):
+            say(f"set {len(trials.done) + 1}: {term} at joint {j + 1}")
+            wider = trials.of(_changed(now.terms, j, now.terms[j] | {term}))
+            if wider.score < now.score and wider.significant(level):
+                now = wider
+    while True:
+        pruned = trials.of(_kept(trials, now, level))
+        now = pruned if pruned.score <= now.score or not now.significant(level) else now
+        # The size of a term is its value in deviations, the larger where it has two parameters.
+        sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
+        for j, term in sorted(sizes, key=sizes.__getitem__):
+            say(f"set {len(trials.done) + 1}: without {term} at joint {j + 1}")
+            narrower = trials.of(_changed(now.terms, j, now.terms[j] - {term}))
+            if narrower.score <= now.score:
+                now = narrower
+                break
+        else:
+            return
+
+
+def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
+    return [(j, term) for j, more in enumerate(terms) for term in TRIED if term in more]
+
+
+def _changed(terms: TermSet, j: int, more: frozenset[FrictionTerm]) -> TermSet:
+    return (*terms[:j], more, *terms[j + 1 :])
+
+
+def _kept(trials: Trials, trial: Trial, level: float) -> TermSet:
+    """The set without the terms whose intervals contain 0."""
+    return tuple(
+        frozenset(term for term in more if _sure(trials, trial, j, term, level)) for j, more in enumerate(trial.terms)
+    )
+
+
+def _sure(trials: Trials, trial: Trial, j: int, term: FrictionTerm, level: float) -> bool:
+    """Whether the interval of a parameter of the term excludes 0."""
+    return any(trial.excludes_zero(name, level) for name in trials.parameters[j, term])

@@ -1,0 +1,239 @@
+"""The report of a fit: the verdict, its parameters, its errors, settings and tests."""
+
+import math
+
+from ..data import Signals
+from ..estimation import relative_error_percent
+from ..regression import base_name
+from ..report import Document, Number, Row, Section, Table, columns, value_form
+from .fit import NO_FIXED_POINT, Fit, InstrumentEvidence
+from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
+
+
+def fit_document(signals: Signals, fit: Fit, *, everything: bool = False) -> Document:
+    """A fit as a report, the verdict first."""
+    settings = Section(
+        title="settings and tests",
+        lines=(
+            *(settings_lines(signals, fit.settings, used="fitted") if len(fit.recordings) == 1 else ()),
+            f"cond(W) {fit.estimate.condition_number:.4f}, with columns of norm one "
+            f"{fit.estimate.condition_number_scaled:.4f}; {_rows_line(fit)}",
+            *(_iv_lines(fit.iv) if fit.iv else ()),
+            *(recording_lines(signals) if len(fit.recordings) == 1 else ()),
+        ),
+    )
+    several = [recordings_section(fit.recordings, fit.own)] if len(fit.recordings) > 1 else []
+    return Document(
+        title=f"{signals.robot.name}: {first_line(fit)}",
+        sections=(
+            _verdict_section(fit),
+            _trust_section(fit),
+            _parameters(fit, everything=everything),
+            *_consistent(fit, everything=everything),
+            *(_iv_sections(fit.iv) if fit.iv else ()),
+            errors_section(fit.errors, signals.robot.effort_units),
+            *several,
+            settings,
+            *(_expressions(fit) if everything else ()),
+        ),
+    )
+
+
+def first_line(fit: Fit) -> str:
+    """Method and why, how it ended, the verdict with its worst finding, and how far the word goes."""
+    finding = f": {fit.trust.finding}" if fit.trust.finding else ""
+    figures = [headline(fit.errors)]
+    if (held := fit.trust.line("held-out blocks").value) is not None:
+        figures.append(f"{held:.2g} % held out")
+    if (widest := fit.widest_essential_percent) is not None:
+        figures.append(f"essentials to ±{widest:.2g} %")
+    return (
+        f"{fit.method.upper()} ({fit.method_reason}), {fit.status}, {fit.trust.verdict}{finding}; {', '.join(figures)}"
+    )
+
+
+def _verdict_section(fit: Fit) -> Section:
+    reason = f": {fit.iv.reason}" if fit.iv and fit.iv.reason else ""
+    lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
+    lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
+    if fit.status in NO_FIXED_POINT:
+        rows, ls = fit.rows, fit.least_squares
+        error = relative_error_percent(rows.tau, rows.tau - ls.tau_predicted)
+        lines.append(f"least squares leaves {_percent(error)} of all rows: --method wls")
+    return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
+
+
+def trust_document(fit: Fit) -> Document:
+    """The verdict on a fit and the tests that it rests on."""
+    return Document(title=first_line(fit), sections=(_trust_section(fit),))
+
+
+def _trust_section(fit: Fit) -> Section:
+    """Every test of the fit, worst first."""
+    lines = tuple(f"{line.level}: {line.test}: {line.text.removeprefix('not made: ')}" for line in fit.trust.lines)
+    return Section(title=f"verdict: {fit.trust.verdict}", lines=lines)
+
+
+def _essential_line(fit: Fit) -> str:
+    reduction = fit.essential
+    by = " (by least squares)" if fit.iv else ""
+    line = f"essential{by}: {len(fit.essential_names)} of {len(fit.least_squares.full.names)} parameters"
+    if not math.isfinite(reduction.F):
+        return line
+    return (
+        f"{line}; without the others F = {reduction.F:.2f}, p = {reduction.p_value:.2g}; with the residual's correlation "
+        f"counted F = {reduction.F_effective:.2f}, p = {reduction.p_effective:.2g}"
+    )
+
+
+def _parameters(fit: Fit, *, everything: bool) -> Section:
+    e, essential = fit.estimate, set(fit.essential_names)
+    units = dict(zip(fit.base.names, fit.base.units, strict=True))
+    rows: list[Row] = []
+    for k, name in enumerate(e.names):
+        if everything or name in essential:
+            value, half, sigma = float(e.beta[k]), float(fit.intervals.half[k]), float(e.sigma[k])
+            form = value_form(sigma)
+            percent = 100 * half / abs(value) if value else math.inf
+            row = (
+                name,
+                Number(value, form),
+                Number(half, form),
+                Number(percent, ".2f", most=1000),
+                units[base_name(name)],
+            )
+            more = (Number(sigma, form), "yes" if name in essential else "")
+            rows.append((*row, *more) if everything else row)
+    left_out = len(e.names) - len(rows)
+    return Section(
+        title="parameters" if everything else "essential parameters",
+        table=Table(
+            columns=columns("parameter", numbers=("value", "±95%", "in %"))
+            + columns("unit", numbers=("sigma",) if everything else ())
+            + columns(*(["essential"] if everything else [])),
+            rows=tuple(rows),
+        ),
+        lines=(
+            f"±95%: half the 95 % interval, by equal-weighted cosines, Student's t of {fit.intervals.freedom} degrees",
+            *(["sigma takes the residual for white noise, the interval does not"] if everything else []),
+            *([f"{left_out} more, which the recording determines less well: --all"] if left_out else []),
+        ),
+    )
+
+
+def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
+    """The physically consistent parameters, and how far they are from the estimate."""
+    c = fit.consistent
+    if c is None:
+        return []
+    own = (
+        "" if fit.trust.line("consistent").value == c.chi_squared else " (the verdict's line `consistent` has its own)"
+    )
+    free, held = (errors[-1].relative_error_percent for errors in (fit.errors, fit.consistent_errors))
+
+    def row(name: str, value: float, half: float, unit: str, from_prior: bool) -> Row:
+        values = (Number(round(value, 12) + 0.0, ".5g"), Number(half, ".2g"))
+        return (name, *values, unit, "prior" if from_prior else "recording")
+
+    rows: list[Row] = list(map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist()))
+    left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
+    lines = (
+        f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; prior: {c.prior}; "
+        f"weight {c.prior_weight:g}{own}",
+        f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
+        f"95 % interval, of {c.moved_most}",
+        *([f"moved by over one half-width of the fit's interval: {', '.join(left)}"] if left else []),
+        f"relative torque error {_percent(free)} → {_percent(held)} of all rows; certificate {c.certificate:.1e} "
+        "(Newton decrement)",
+        f"{int(c.from_prior.sum())} of {len(c.names)} values come from the prior",
+    )
+    heads = columns("parameter", numbers=("value", "±95%")) + columns("unit", "mostly from")
+    found = [
+        Section(
+            title="physically consistent standard parameters", table=Table(columns=heads, rows=tuple(rows)), lines=lines
+        )
+    ]
+    if everything:
+        of_base = (c.base_names, c.beta.tolist(), c.base_half.tolist(), fit.base.units, c.base_from_prior.tolist())
+        moved = [
+            (*cells, Number(move, "+.2g")) for cells, move in zip(map(row, *of_base), c.moves.tolist(), strict=True)
+        ]
+        table = Table(columns=heads + columns(numbers=("moved, half-widths",)), rows=tuple(moved))
+        found.append(Section(title="physically consistent base parameters", table=table))
+    return found
+
+
+def _percent(error: float | None) -> str:
+    return "-" if error is None else f"{error:.2f} %"
+
+
+def _rows_line(fit: Fit) -> str:
+    """How many rows counted, and which were left out."""
+    whole = fit.errors[-1]
+    percent = fit.settings.low_speed.iv if fit.iv else fit.settings.low_speed.ls
+    slow = (
+        "4 % of the peak speed, or 4 deviations of its noise" if percent is None else f"{percent:g} % of the peak speed"
+    )
+    line = f"{fit.estimate.rows} of {whole.moving_rows + whole.standing_rows} rows"
+    return line if percent == 0 else f"{line}, those below {slow} left out"
+
+
+def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
+    """The passes of the instrumental variable method, and the direct model against the recording."""
+    passes = Table(
+        columns=columns(numbers=("pass",))
+        + columns("instruments", numbers=("|rho|", "largest change, sigma"))
+        + columns("of", numbers=("tracking %", "gains from", "to", "cond ZᵀW")),
+        rows=tuple(
+            (
+                Number(number, "d"),
+                p.instruments,
+                Number(p.residual_norm, ".3f"),
+                Number(p.change_sigma, ".2g"),
+                p.changed,
+                Number(p.tracking_percent, ".2f"),
+                Number(float(p.gains.min()), ".3g"),
+                Number(float(p.gains.max()), ".3g"),
+                Number(p.condition, ".1f"),
+            )
+            for number, p in enumerate(iv.passes, 1)
+        ),
+    )
+    sections = [Section(title=f"passes from start: {iv.start}", table=passes)]
+    if iv.direct:
+        direct = Table(
+            columns=columns("joint", numbers=("position", "torque")),
+            rows=tuple(
+                (d.name, Number(d.position_error_percent, ".2f"), Number(d.torque_error_percent, ".2f"))
+                for d in iv.direct
+            ),
+        )
+        sections.append(Section(title="simulated robot against the recording, %", table=direct))
+    return sections
+
+
+def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
+    """Tests of the instruments, in words; why a pass went without simulation."""
+    t = iv.tests
+    lines = [f"pass {k}: instruments {p.instruments}: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
+    if t.dwh_F is None or t.dwh_F_effective is None or t.dwh_p_value is None or t.dwh_p_effective is None:
+        dwh = "instruments and regressor agree: nothing to test"
+    else:
+        dwh = (
+            f"Durbin-Wu-Hausman F = {t.dwh_F:.2f}, p = {t.dwh_p_value:.2g}; with the residual's correlation counted "
+            f"F = {t.dwh_F_effective:.2f}, p = {t.dwh_p_effective:.2g}"
+        )
+    strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
+    used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
+    contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"
+    return (*lines, dwh, strength, contrast, used)
+
+
+def _expressions(fit: Fit) -> list[Section]:
+    """The sums of standard parameters that the regrouped ones stand for."""
+    lines = tuple(
+        f"{name} = {expression}"
+        for name, expression in zip(fit.base.names, fit.base.expressions, strict=True)
+        if expression != name and name in fit.estimate.names
+    )
+    return [Section(title="what the regrouped parameters stand for", lines=lines)] if lines else []

@@ -1,0 +1,221 @@
+"""The reports of a recording: settings and ranges before a fit, the torque errors of a fit on another recording."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..data import ON_GRID, Signals
+from ..estimation import TorqueError
+from ..regression import Settings, forward_backward_3db_hz
+from ..report import Document, Number, Row, Section, Table, columns
+from .fit import FittedRecording, OwnTest
+
+ERROR_COLUMNS = ("all rows", "moving", "standing")
+
+
+def recording_document(signals: Signals, settings: Settings | None, refusal: str | None) -> Document:
+    """What is known of a recording before a fit."""
+    robot, reference = signals.robot, "with" if signals.q_ref is not None else "without"
+    lines = (
+        *([f"cannot be fitted: {refusal}"] if refusal else []),
+        f"{len(signals.q)} samples at {signals.sample_rate_hz:g} Hz, {signals.t_s[-1]:.3f} s, {reference} reference",
+        *(settings_lines(signals, settings, used="a fit would use") if settings else []),
+        *recording_lines(signals),
+    )
+    ranges = Table(
+        columns=columns("joint", "unit", numbers=("position from", "to"))
+        + columns("unit", numbers=("effort from", "to")),
+        rows=tuple(
+            (
+                joint.name,
+                joint.position_unit,
+                *_ends(signals.q[:, j]),
+                robot.effort_units[j],
+                *_ends(signals.effort[:, j]),
+            )
+            for j, joint in enumerate(robot.joints)
+        ),
+    )
+    return Document(
+        title=f"{robot.name}: recorded, not fitted",
+        sections=(
+            Section(lines=lines, warnings=tuple(settings.warnings) if settings else ()),
+            Section(title="ranges", table=ranges),
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class Validated:
+    """A recording, what was done with it, and the torque errors of a fit on it."""
+
+    signals: Signals
+    settings: Settings
+    errors: tuple[TorqueError, ...]
+
+
+def validation_document(
+    recordings: Sequence[Validated],
+    fit: str,
+    errors: tuple[TorqueError, ...],
+    warnings: tuple[str, ...],
+    consistent: tuple[TorqueError, ...] = (),
+) -> Document:
+    """The torque errors of a fit on recordings that it was not made from."""
+    units = recordings[0].signals.robot.effort_units
+    beside = "relative torque error of the consistent set, %"
+    names = ", ".join(one.signals.recording for one in recordings)
+    lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
+    lines += [line for one in recordings for line in recording_lines(one.signals)]
+    rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors)) for one in recordings]
+    each = Section(
+        title="recordings", table=Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
+    )
+    return Document(
+        title=f"{fit} on {names}: {headline(errors)}",
+        sections=(
+            Section(
+                lines=(error_line(errors), *([f"consistent set: {error_line(consistent)}"] if consistent else [])),
+                warnings=warnings,
+            ),
+            *([each] if len(recordings) > 1 else []),
+            errors_section(errors, units),
+            *([replace(errors_section(consistent, units), title=beside)] if consistent else []),
+            Section(title="settings", lines=tuple(lines)),
+        ),
+    )
+
+
+def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | None) -> Section:
+    """The recordings of a fit: the error that it leaves on each, that of the fit of the others, the test of own parameters."""
+    rows: list[Row] = []
+    lines = []
+    for one in recordings:
+        signals, settings, held = one.problem.signals, one.problem.settings, one.held_out
+        span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
+        error = None if held is None else held.error_percent
+        timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
+        rows.append((signals.recording, *timing, *_error_cells(one.errors), Number(error, ".4f")))
+        if held is not None and error is None:
+            why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
+            lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
+    lines.append("held out: predicted by the fit of the other recordings, in the rows that count")
+    if own is not None:
+        lines.append(
+            f"own parameters {', '.join(own.names)} against shared ones: F = {own.F:.2f}, p = {own.p_value:.2g}; with the "
+            f"residual's correlation counted F = {own.F_effective:.2f}, p = {own.p_effective:.2g}"
+        )
+    fs, settings = recordings[0].problem.signals.sample_rate_hz, recordings[0].problem.settings
+    cutoff = "no low-pass" if settings.cutoff_hz is None else f"low-pass {settings.cutoff_hz:g} Hz"
+    lines.append(f"common to all: {cutoff}, {fs / settings.decimation:g} rows a second")
+    lines += [line for one in recordings for line in recording_lines(one.problem.signals)]
+    numbers = ("Hz", "from, s", "to, s", *ERROR_COLUMNS, "held out")
+    table = Table(columns=columns("recording", numbers=numbers), rows=tuple(rows))
+    return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines))
+
+
+def _error_cells(errors: tuple[TorqueError, ...]) -> tuple[Number, ...]:
+    """The cells of `ERROR_COLUMNS`, of all joints together."""
+    whole = errors[-1]
+    percents = (
+        whole.relative_error_percent,
+        whole.moving_relative_error_percent,
+        whole.standing_relative_error_percent,
+    )
+    return tuple(Number(percent, ".4f") for percent in percents)
+
+
+def headline(errors: tuple[TorqueError, ...]) -> str:
+    """The one number of a report: standing friction is not in the model, so rows that move are what it is judged by."""
+    return f"{_percent(errors[-1].moving_relative_error_percent)} % torque error of moving rows"
+
+
+def error_line(errors: tuple[TorqueError, ...]) -> str:
+    """The relative torque error of all joints together, by kind of row."""
+    whole = errors[-1]
+    moving, standing = (
+        _percent(x) for x in (whole.moving_relative_error_percent, whole.standing_relative_error_percent)
+    )
+    return (
+        f"relative torque error: {moving} % of moving rows, {standing} % of standing rows, "
+        f"{_percent(whole.relative_error_percent)} % of all rows"
+    )
+
+
+def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> Section:
+    """Relative torque errors by joint: whole, moving, standing; all joints together last."""
+    numbers = (*ERROR_COLUMNS, "rows moving", "rows standing", "residual lag-1")
+    return Section(
+        title="relative torque error, %",
+        table=Table(
+            columns=columns("joint", "unit", numbers=numbers),
+            rows=tuple(
+                (
+                    error.name,
+                    unit,
+                    Number(error.relative_error_percent, ".4f"),
+                    Number(error.moving_relative_error_percent, ".4f"),
+                    Number(error.standing_relative_error_percent, ".4f"),
+                    Number(error.moving_rows, "d"),
+                    Number(error.standing_rows, "d"),
+                    Number(error.autocorrelation, ".2f"),
+                )
+                for error, unit in zip(errors, (*units, ""), strict=True)
+            ),
+            total=True,
+        ),
+    )
+
+
+def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[str, ...]:
+    """The settings in words; `used` says what is done with the span."""
+    fs = signals.sample_rate_hz
+    if settings.cutoff_hz is None:
+        cutoff = "no low-pass"
+    else:
+        both = forward_backward_3db_hz(settings.cutoff_hz, fs)
+        cutoff = f"low-pass {settings.cutoff_hz:g} Hz (-3 dB one way; forward and backward -3 dB at {both:.1f} Hz)"
+    timing = (
+        f"; samples up to {signals.off_grid:.2g} periods off a uniform grid: interpolated"
+        if signals.off_grid > ON_GRID
+        else ""
+    )
+    return (
+        f"{signals.recording}: {fs:g} Hz, {cutoff}, decimated by {settings.decimation}"
+        + (" with MATLAB's edge rule" if settings.edges == "matlab" else "")
+        + timing,
+        f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
+        *_known_lines(signals),
+    )
+
+
+def _known_lines(signals: Signals) -> list[str]:
+    """What is known besides position and effort, and what is done with it."""
+    lines, joints, units = [], signals.robot.joints, signals.robot.effort_units
+    for values, text in (
+        (signals.known_torque, "known torque, added to that of the drives and to the simulated robot"),
+        (signals.feedforward, "feed-forward, added to the output of the simulated controller"),
+    ):
+        if values is not None:
+            own = [m.recorded_unit for m in signals.robot.motors] if values is signals.feedforward else units
+            sizes = zip(joints, np.sqrt(np.mean(values**2, axis=0)), own, strict=True)
+            lines.append(f"{text}: rms " + ", ".join(f"{joint.name} {size:.3g} {unit}" for joint, size, unit in sizes))
+    return lines
+
+
+def recording_lines(signals: Signals) -> tuple[str, ...]:
+    """What the recorder's counters came to, where it kept any, and the file's digest."""
+    known = {name: counts[np.isfinite(counts)] for name, (_, counts) in signals.health.items()}
+    last = [f"{name} {counts[-1]:.6g}" for name, counts in known.items() if len(counts)]
+    counted = [f"recorder: {', '.join(last)}"] if last else []
+    return (*counted, f"{signals.recording} has sha256 {signals.sha256}")
+
+
+def _percent(x: float | None) -> str:
+    return Number(x, ".3g", most=1000).text
+
+
+def _ends(x: NDArray[np.float64]) -> tuple[Number, Number]:
+    return Number(float(x.min()), ".4g"), Number(float(x.max()), ".4g")

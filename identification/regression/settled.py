@@ -1,0 +1,172 @@
+"""Least squares of a robot with friction terms that recordings may not tell, or that depend on the estimate before.
+
+A term whose column is nearly the sum of others is left out, by name. Load friction goes by the links' torque of the pass
+before (`regression.load`): passes end where every parameter changes by less than half a deviation. The load friction of a
+joint that does not settle is left out, by name.
+"""
+
+from collections.abc import Callable, Collection
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from ..arrays import Array
+from ..estimation import Estimate, System, condensed, ordinary_least_squares, weighted_least_squares
+from ..model import SHAPES, JointTerm
+from .linearised import Linearised
+from .load import LoadFriction
+from .problem import Problem
+from .system import Regression
+
+TOLD_APART = 0.02  # share of a column's norm that the other columns must leave for its parameter to say anything
+MOST_PASSES = 10
+ROUNDING = 1e-10  # of the largest change that counts, beside half a deviation: exact data have none
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Settled:
+    """Least squares of recordings with the terms that they tell.
+
+    Attributes:
+        linearised: W and Y about any parameters, without the terms that were left out.
+        about: (b,) the parameters that W and Y of the last pass are about.
+        full: least squares of all parameters.
+    """
+
+    linearised: Linearised
+    about: Array
+    full: Estimate
+
+
+def settled_least_squares(linearised: Linearised, method: Literal["ols", "wls"] = "wls") -> Settled:
+    """Least squares of all parameters that recordings tell together.
+
+    Raises `IdentificationError`: as of the estimators.
+    """
+    linearised = leave_out_untold(linearised)
+    while True:
+        settled, unsettled = _settle(linearised, method)
+        if settled is not None:
+            return settled
+        linearised = linearised.without(unsettled)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoadPasses:
+    """Passes of an estimate, each with the links' torque of the one before.
+
+    Attributes:
+        observed, estimate: of the last pass; `about` (b,) are the parameters that its W and Y are about.
+        settled: whether it changed no parameter by more than half a deviation; `unsettled` are otherwise the parameters of
+            load friction that did, or the one that changed most, with a line that says it.
+    """
+
+    about: Array
+    observed: Regression
+    estimate: Estimate
+    unsettled: dict[str, str]
+
+    @property
+    def settled(self) -> bool:
+        """Whether every parameter has settled."""
+        return not self.unsettled
+
+
+def load_passes(
+    linearised: Linearised,
+    solve: Callable[[Regression], Estimate],
+    beta: Array,
+    load: LoadFriction,
+) -> LoadPasses:
+    """Solve from the parameters `beta` (b,) on, until they settle or there were ten passes.
+
+    `solve` gives an estimate, of some parameters or all, from W and Y about the parameters before; of load friction it has
+    that of `load`.
+    """
+    names, passes, values = linearised.parameters.names, MOST_PASSES if load else 1, list[Array]()
+    places, robot = linearised.load_places(load), linearised.problem.signals.robot
+    for _ in range(passes):
+        about, observed = beta, linearised.at(beta, load)
+        estimate = solve(observed)
+        after, sigma = estimate.among(names), np.zeros(len(names))
+        sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
+        off = np.abs(after - about) / np.maximum(sigma / 2, ROUNDING * np.abs(after).max())
+        beta = after
+        values.append(beta)
+        if not load or (off < 1).all():
+            return LoadPasses(about=about, observed=observed, estimate=estimate, unsettled={})
+    unsettled, own = {}, off[places]
+    for j, place, far in zip(load.joints, places, own, strict=True):
+        if far >= 1 or far == own.max():
+            mu, joint = names[place], robot.joints[j].name
+            last = ", ".join(f"{value[place]:.3g}" for value in values[-3:])
+            unsettled[mu] = f"load friction of joint {joint} left out: it does not settle ({mu} {last})"
+    return LoadPasses(about=about, observed=observed, estimate=estimate, unsettled=unsettled)
+
+
+def _settle(linearised: Linearised, method: Literal["ols", "wls"]) -> tuple[Settled | None, dict[str, str]]:
+    """Pass by pass; or else which load friction does not settle, or is not told apart, and why."""
+    solve = weighted_least_squares if method == "wls" else ordinary_least_squares
+    load, names, system = linearised.load, linearised.parameters.names, linearised.plain.system
+    about = np.zeros(len(names))
+    if load:
+        places = linearised.load_places()
+        start = solve(condensed(system.with_columns(np.setdiff1d(np.arange(len(names)), places))))
+        about = start.among(names)
+        untold = alike(linearised.problem, linearised.at(about).system, [names[i] for i in places])
+        if untold:
+            return None, untold
+        passes = load_passes(linearised, lambda observed: solve(condensed(observed.system)), about, load)
+        if not passes.settled:
+            return None, passes.unsettled
+        about, system = passes.about, passes.observed.system
+    return Settled(linearised=linearised, about=about, full=solve(system)), {}
+
+
+def leave_out_untold(linearised: Linearised) -> Linearised:
+    """The recordings' W and Y without the friction terms, load friction apart, that are nearly a sum of other columns."""
+    return linearised.without(untold_terms(linearised.problem, linearised.plain.system))
+
+
+def untold_terms(problem: Problem, system: System) -> dict[str, str]:
+    """The friction terms, load friction apart, that are nearly a sum of other columns of a system, one after the other."""
+    shapes = [
+        name
+        for name, c in zip(problem.base.names, problem.base.columns, strict=True)
+        if isinstance(source := problem.model.sources[c], JointTerm) and source.kind in SHAPES and source.kind != "load"
+    ]
+    untold = dict[str, str]()
+    while left_out := alike(problem, system, shapes):
+        untold |= left_out
+        system = system.with_columns(np.array([i for i, name in enumerate(system.names) if name not in left_out]))
+        shapes = [name for name in shapes if name not in left_out]
+    return untold
+
+
+def alike(problem: Problem, system: System, among: Collection[str]) -> dict[str, str]:
+    """Of these parameters the one whose column is most like a sum of others, if too much so, and a line that says it."""
+    shares = told_apart(system, among)
+    lowest = min(shares, key=lambda name: shares[name], default=None)
+    if lowest is None or shares[lowest] >= TOLD_APART:
+        return {}
+    source = problem.model.sources[problem.base.columns[problem.base.names.index(lowest)]]
+    assert isinstance(source, JointTerm)
+    joint, left = problem.signals.robot.joints[int(source.rows[-1])].name, f"{100 * shares[lowest]:.1f} % of its column"
+    told = f"{source.kind} friction of joint {joint} left out: {lowest} cannot be told from the other parameters"
+    return {lowest: f"{told}, which leave {left}"}
+
+
+def told_apart(system: System, names: Collection[str]) -> dict[str, float]:
+    """By parameter the share of its column's norm that the other columns leave, in the rows that count."""
+    if not names:
+        return {}
+    system = condensed(system)
+    norms = np.linalg.norm(system.W, axis=0)
+    seen = norms > 1e-12 * norms.max()
+    _, singular, Vt = np.linalg.svd(np.linalg.qr(system.W[:, seen] / norms[seen], mode="r"))
+    # Row i of the inverse is normal to all other columns, and has the share of column i as 1 over its length.
+    left = 1.0 / np.linalg.norm(Vt / np.maximum(singular, 1e-12 * singular[0])[:, None], axis=0)
+    shares = dict.fromkeys(names, 0.0)
+    of_seen = (name for name, s in zip(system.names, seen, strict=True) if s)
+    return shares | {name: float(share) for name, share in zip(of_seen, left, strict=True) if name in shares}
