@@ -100,7 +100,7 @@ def test_a_single_bad_pdo_is_counted_and_the_session_goes_on(tmp_path, kind):
     assert any(f"1 {kind}" in warning for warning in session.recorded.warnings)
     assert session.recording.health[-1].counters[kind] == 1
     gaps = int((np.diff(session.recording.samples["stamp_ns"]) != 2_000_000).sum())
-    assert gaps == (1 if kind in ("missing", "short") else 0)
+    assert gaps == (0 if kind == "late" else 1)  # the rows about it, whose order nothing proves
 
 
 @dataclass(kw_only=True)
