@@ -12,7 +12,7 @@ from rosbags.typesys import Stores, get_typestore
 
 from acquisition.commands import main
 from acquisition.errors import AcquisitionError
-from acquisition.importing import BagChoice, import_bag
+from acquisition.importing import import_bag
 from acquisition.recording import Header, RecordingWriter, read_recording, sample_dtype
 from identification.data import load_signals
 from identification.regression import Overrides
@@ -259,9 +259,8 @@ def in_turns(every=1, **other):
 )
 def test_two_publishers_with_the_same_names_are_refused(tmp_path, key, other):
     path = bag(tmp_path / "two", in_turns(**other))
-    choice = BagChoice(topic="/joint_states", effort_unit=("N m",))
     with pytest.raises(AcquisitionError) as refused:
-        import_bag(path, robot_named("scara"), choice, tmp_path / "out.mcap")
+        import_bag(path, robot_named("scara"), tmp_path / "out.mcap", topic="/joint_states", effort_unit=["N m"])
     assert refused.value.key.startswith(key)
     assert "one publisher" in refused.value.expected
     assert not (tmp_path / "out.mcap").exists()
@@ -298,8 +297,9 @@ def test_several_publishers_are_told(tmp_path):
         states = w.add_connection("/joint_states", STATE, typestore=STORE, offered_qos_profiles=[qos, qos])
         for k in range(N):
             w.write(states, FIRST_NS + k * 10_000_000, STORE.serialize_cdr(message(k), STATE))
-    choice = BagChoice(topic="/joint_states", effort_unit=("N m",))
-    found = import_bag(tmp_path / "a", robot_named("scara"), choice, tmp_path / "out.mcap")
+    found = import_bag(
+        tmp_path / "a", robot_named("scara"), tmp_path / "out.mcap", topic="/joint_states", effort_unit=["N m"]
+    )
     assert [text for text in found.warnings if text.startswith("/joint_states has 2 publishers")]
 
 

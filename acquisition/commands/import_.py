@@ -97,12 +97,17 @@ def _import_bag(options: argparse.Namespace) -> None:
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
     with Progress("importing"):
-        from ..importing import BagChoice, import_bag
+        from ..importing import import_bag
         from ..robot import load_robot
 
-        units = tuple(unit.strip() for unit in options.effort_unit.split(","))
-        choice = BagChoice(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
-        result = import_bag(options.tables[0], load_robot(options.robot), choice, options.output)
+        result = import_bag(
+            options.tables[0],
+            load_robot(options.robot),
+            options.output,
+            topic=options.topic,
+            effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
+            resample_hz=options.resample_hz,
+        )
     _print_imported(result)
 
 

@@ -1,6 +1,6 @@
 """Recordings out of tables, ROS 2 bags and CAN logs, decoding again, export."""
 
-from .bags import BagChoice, import_bag, is_bag
+from .bags import import_bag, is_bag
 from .conversions import (
     Converted,
     decode_recording,

@@ -8,7 +8,8 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 from ..recording import LARGEST_STAMP_NS
-from .stamps import LONG_STEP, row_numbers, rows_in_time
+from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
+from .table_map import LARGEST_GAP_PERIODS
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
@@ -64,13 +65,73 @@ class TimeReport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Times:
+    """Times of rows as they were read, and how rows come to a uniform grid.
+
+    Attributes:
+        time_s: (N,) from `first_ns` on; repeats and gaps included.
+        place: file and column or topic, for errors.
+        clock: what the times are, in words; stamps_off_s: as in the report.
+        even: whether rows lie on a grid as they are; else interpolated to `rate_hz`, by default the roundest they have.
+        way_out: what to do where the motion contradicts the times.
+    """
+
+    time_s: Array
+    place: str
+    way_out: str
+    first_ns: int = 0
+    clock: str = "stamps"
+    stamps_off_s: float | None = None
+    even: bool = False
+    rate_hz: float | None = None
+    largest_gap_periods: float = LARGEST_GAP_PERIODS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class OnGrid:
-    """Values (M, n) by name on a uniform grid that begins at `start_s`, its rate, and the report of the times before."""
+    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns` on; the report of the times before, doubts."""
 
     parts: Mapping[str, Array]
     start_s: float
     rate_hz: float
+    first_ns: int = 0
     report: TimeReport | None = None
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> Mapping[str, str]:
+        """The report, for the metadata of a recording."""
+        return {} if self.report is None else {"times": self.report.text}
+
+    def stamps_ns(self, place: str) -> Ints:
+        """Stamps (M,) in ns; from 0 where they would begin before 0. Errors name `place`."""
+        rows = len(self.parts[POSITION])
+        start_s = max(0.0, self.start_s)
+        if not start_s + rows / self.rate_hz < LARGEST_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
+            problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
+            raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
+        steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
+        return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
+
+
+def on_grid(times: Times, parts: Mapping[str, Array]) -> OnGrid:
+    """Bring `parts` (N, n), `position` one of them, to a uniform grid, with the report of their times and doubts about these.
+
+    Raises `AcquisitionError` where times cannot be those of the rows.
+    """
+    time_s, place = times.time_s, times.place
+    if times.even:
+        rate_hz = uniform_rate_hz(time_s, place)
+        found = OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
+    else:
+        gap = times.largest_gap_periods
+        found = resample(time_s, parts, rate_hz=times.rate_hz, largest_gap_periods=gap, place=place)
+    assert found.report is not None
+    report = replace(found.report, clock=times.clock, stamps_off_s=times.stamps_off_s)
+    growing = np.concatenate([[True], np.diff(time_s) > 0])
+    warning = stamps_warning(time_s[growing], parts[POSITION][growing], times.way_out)
+    doubts = [*rate_doubts(report), *([warning] if warning else [])]
+    return replace(found, first_ns=times.first_ns, report=report, doubts=tuple(doubts))
 
 
 def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -172,34 +233,23 @@ def rate_doubts(report: TimeReport | None) -> list[str]:
     """Warnings about a grid that is coarser than the rows, or much finer, and about many rows that were left out."""
     if report is None or report.grid_hz is None:
         return []
-    doubts, ratio = [], report.grid_hz * report.period_s
+    doubts, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
     if report.off > MANY_OFF * report.rows:
         share = 100 * report.off / report.rows
-        doubts = [
+        doubts.append(
             f"{share:.2g} % of the rows are left out, whose {report.clock} the motion contradicts: take another clock"
-        ]
+        )
     if ratio < COARSER:
-        return [
-            *doubts,
-            f"resample_hz = {report.grid_hz:g} is below the rows' {1 / report.period_s:.4g} Hz: noise above half of it is "
-            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself",
-        ]
+        doubts.append(
+            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
+            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+        )
     if ratio > FINER:
-        return [
-            *doubts,
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {1 / report.period_s:.4g} Hz: samples between "
-            "rows are interpolated, they tell nothing new",
-        ]
+        doubts.append(
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
+            "rows are interpolated, they tell nothing new"
+        )
     return doubts
-
-
-def stamps_ns(start_s: float, rows: int, rate_hz: float, place: str) -> Ints:
-    """Stamps (N,) in ns of so many rows at a rate, from `start_s` on; from 0 where that is before 0."""
-    start_s = max(0.0, start_s)
-    if not start_s + rows / rate_hz < LARGEST_STAMP_NS * 1e-9 or rate_hz > 1e8:
-        problem = f"{rows} rows at {rate_hz} Hz from {start_s} s"
-        raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
-    return np.asarray(round(start_s * 1e9) + np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64))
 
 
 def uniform_rate_hz(time_s: Array, place: str) -> float:
