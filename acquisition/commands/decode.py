@@ -9,7 +9,7 @@ from ..errors import one_line
 from .command_line import Commands, Progress, add_overwrite
 
 if TYPE_CHECKING:
-    from ..importing import Converted
+    from ..importing import Imported
 
 
 def add(commands: Commands) -> None:
@@ -33,12 +33,12 @@ def run(options: argparse.Namespace) -> None:
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)
-    print_converted(options.output, found)
+    print_decoded(found)
 
 
-def print_converted(out: Path, found: "Converted") -> None:
+def print_decoded(found: "Imported") -> None:
     """Print warnings and size of a recording made of CAN frames."""
     for text in found.warnings:
         print(one_line(f"warning: {text}"), file=sys.stderr)
     reference = ", with reference" if found.has_reference else ""
-    print(one_line(f"{out}: {found.robot}, {found.samples} samples at {found.sample_rate_hz:g} Hz{reference}"))
+    print(one_line(f"{found.out}: {found.robot}, {found.samples} samples at {found.sample_rate_hz:g} Hz{reference}"))

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError, one_line
 from .command_line import Commands, Progress, add_overwrite
-from .decode import print_converted
+from .decode import print_decoded
 
 if TYPE_CHECKING:
     from ..importing import Imported
@@ -126,4 +126,4 @@ def _import_log(options: argparse.Namespace) -> None:
         if len(options.tables) > 1:
             raise AcquisitionError("a second CAN log", place=str(options.tables[1]), expected="one")
         found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
-    print_converted(options.output, found)
+    print_decoded(found)

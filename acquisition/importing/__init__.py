@@ -2,7 +2,6 @@
 
 from .bags import import_bag, is_bag
 from .conversions import (
-    Converted,
     decode_recording,
     export_bag,
     export_csv,

@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -23,27 +23,18 @@ from ..recording import (
     in_parts,
     read_recording,
     recover,
+    rewrite,
     written_by_master,
 )
 from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
 from ..session import Recorded, write_decoded
 from .bag_writer import new_bag
+from .samples import Imported
 
 STATES, REFERENCE, DESCRIPTION = "/joint_states", "/joint_states/reference", "/robot_description"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Converted:
-    """What was written."""
-
-    robot: str
-    samples: int
-    sample_rate_hz: float
-    has_reference: bool
-    warnings: tuple[str, ...]
-
-
-def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Converted:
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Imported:
     """Decode the frames of a recording again, into a new recording.
 
     Parameters
@@ -62,7 +53,7 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     robot = robot or recording.robot
     if not recording.frames:
         raise AcquisitionError("holds no CAN frames", place=str(path), expected="a recording of drives")
-    channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
+    frames = max(recording.frames.values(), key=len)
     decoded, bus = _decoded(frames, robot, str(path), place)
     decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
     header = replace(
@@ -73,16 +64,10 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
         effort_timing=bus.file.effort_timing,
         notes={**recording.metadata, "decoded_from": recording.sha256},
     )
-    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        for name, block in recording.frames.items():
-            writer.frames(name, block)
-        for event in recording.events:
-            if event.kind != "warning":  # those of the decoding before
-                writer.event(event.stamp_ns, event.kind, event.text)
-        for health in recording.health:
-            writer.health(health.stamp_ns, health.counters)
-        decoded.write(writer, int(frames["time_ns"][-1]))
-    return _converted(robot, decoded, channel)
+    end_ns = int(frames["time_ns"][-1])
+    # Warnings are those of the decoding before.
+    rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
+    return _imported(header, decoded, out)
 
 
 def row_doubts(recording: Recording) -> str:
@@ -131,7 +116,7 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     """Write the recording `out` from a CAN log of another tool.
 
     Parameters
@@ -161,7 +146,7 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _converted(robot, decoded, "log")
+    return _imported(header, decoded, out)
 
 
 def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
@@ -288,11 +273,12 @@ def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decode
     return replace(decoded, warnings=decoded.warnings + warnings), bus
 
 
-def _converted(robot: Robot, decoded: Decoded, channel: str) -> Converted:
-    return Converted(
-        robot=robot.name,
+def _imported(header: Header, decoded: Decoded, out: Path) -> Imported:
+    return Imported(
+        out=out,
+        robot=header.robot.name,
         samples=len(decoded.rows.stamps),
-        sample_rate_hz=1.0 / robot.bus.sync_period_s if robot.bus else 0.0,
+        sample_rate_hz=header.sample_rate_hz,
         has_reference=decoded.rows.targets is not None,
         warnings=decoded.warnings,
     )

@@ -2,7 +2,7 @@
 
 from .decoding import UNCERTAIN, Decoded, decode
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording
-from .recovery import recover
+from .recovery import recover, rewrite
 from .ros_messages import JOINT_STATE, TEXT, RosMessages
 from .rows import (
     ERROR,
