@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..recording import Header
 from ..robot import Robot
 from .bag_reader import read_joint_states
@@ -51,7 +51,7 @@ def import_bag(
         or of other units than robot.toml says, stamps do not grow or leave gaps. Nothing is written then.
     """
     joints = [joint.name for joint in robot.joints]
-    place = f"{bag}: {topic}"
+    place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
     states = read_joint_states(bag, topic, joints)
     effort, provenance = _effort(robot, states.effort, effort_unit, place)
@@ -86,10 +86,10 @@ def import_bag(
         effort_timing="measured",
         notes=grid.notes,
     )
-    return write_samples(header, grid, doubts, place, out)
+    return write_samples(header, grid, doubts, str(place), out)
 
 
-def _refuse_several(position: Array, effort: Array, joints: list[str], place: str) -> None:
+def _refuse_several(position: Array, effort: Array, joints: list[str], place: Place) -> None:
     """Refuse the states of two publishers in turns: rows with no effort at all among others, or every other row elsewhere."""
     none = np.asarray(~effort.any(axis=1))
     large = np.asarray((np.abs(effort) > QUANTA * smallest_difference(effort)).any(axis=1))
@@ -97,13 +97,12 @@ def _refuse_several(position: Array, effort: Array, joints: list[str], place: st
     expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
     if alone.sum() > MAX_WITHOUT_EFFORT * len(effort):
         problem = f"{100 * alone.mean():.2g} % of the rows have no effort, between others that have"
-        raise AcquisitionError(problem, place=place, key="effort", expected=expected)
+        place.refuse("effort", expected=expected, text=problem)
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating(x)
         if share.max() > MAX_ALTERNATING:
             problem = f"every other row is elsewhere, in {100 * share.max():.2g} % of the time"
-            key = f"{key} of joint {joints[int(share.argmax())]}"
-            raise AcquisitionError(problem, place=place, key=key, expected=expected)
+            place.refuse(f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem)
 
 
 def _alternating(x: Array) -> Array:
@@ -123,10 +122,10 @@ def _alternating(x: Array) -> Array:
     return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / len(windows))  # two may be chance, in a short recording
 
 
-def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: str) -> tuple[Array, str]:
+def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str]:
     """Joint efforts (N, n) and where they come from. A bag does not say what its efforts are."""
     if effort is None:
-        raise AcquisitionError("messages have no effort", place=place, expected="measured torques or currents in them")
+        place.refuse(expected="measured torques or currents in them", text="messages have no effort")
     _refuse_no_effort(robot, effort, place)
     given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
     units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
@@ -138,17 +137,15 @@ def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], plac
     return joint_effort, f"effort of {place}: {', '.join(effort_unit)} at the {side}, as stated; {rule}"
 
 
-def _refuse_no_effort(robot: Robot, effort: Array, place: str) -> None:
+def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
     finite = np.isfinite(effort)
     for j, joint in enumerate(robot.joints):
         where = f"effort of joint {joint.name}"
         if not finite[:, j].any():
-            raise AcquisitionError("is not a number throughout", place=place, key=where, expected="measured efforts")
+            place.refuse(where, expected="measured efforts", text="is not a number throughout")
         if not finite[:, j].all():
             row = int(np.argmin(finite[:, j]))
-            raise AcquisitionError(
-                place=f"{place}: state {row + 1}", key=where, value=float(effort[row, j]), expected="a finite number"
-            )
+            Place(f"{place}: state {row + 1}").refuse(where, float(effort[row, j]), "a finite number")
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
-        raise AcquisitionError("is zero throughout", place=place, key="effort", expected=expected)
+        place.refuse("effort", expected=expected, text="is zero throughout")

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import read_columns
 from ..robot import Robot
 from .table_map import EFFORT_UNITS, POSITION_UNITS, VELOCITY_UNITS, Quantity, Side
@@ -24,13 +24,12 @@ class Source:
 
     tables: Sequence[Path]
     robot: Robot
-    place: str
+    place: Place
 
     def table(self, key: str, number: int) -> Path:
         """The file that a map counts as `number`, from 1."""
         if number > len(self.tables):
-            expected = f"{len(self.tables)} at most, the number of tables given"
-            raise AcquisitionError(place=self.place, key=key, value=number, expected=expected)
+            self.place.refuse(key, number, f"{len(self.tables)} at most, the number of tables given")
         return self.tables[number - 1]
 
     def position(self, key: str, quantity: Quantity) -> Array:
@@ -62,7 +61,7 @@ class Source:
         if not self.robot.gain_known:
             problem = "cannot be added to efforts in " + one(self.robot.effort_units)
             expected = "the drive gains in robot.toml, which make them N m or N"
-            raise AcquisitionError(problem, place=self.place, key=key, expected=expected)
+            self.place.refuse(key, expected=expected, text=problem)
         return self._effort_at(key, quantity, "joint", "where it acts")
 
     def feedforward(self, key: str, quantity: Quantity) -> Array:
@@ -72,8 +71,7 @@ class Source:
     def _effort_at(self, key: str, quantity: Quantity, side: Side, why: str) -> Array:
         """Efforts (N, n) that can only be of one side, as they are there."""
         if quantity.side not in (None, side):
-            expected = f"{side!r}, {why}"
-            raise AcquisitionError(place=self.place, key=f"{key}.side", value=quantity.side, expected=expected)
+            self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
         units, values = self._read(key, quantity, EFFORT_UNITS)
         effort_side(self.robot, units, side, key, self.place)
         return values
@@ -85,8 +83,7 @@ class Source:
         units, factors = si_units(given, n, known, f"{key}.unit", self.place)
         values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
         if values.shape[1] != n:
-            found = f"{values.shape[1]} columns"
-            raise AcquisitionError(found, place=self.place, key=f"{key}.columns", expected=f"{n}, one per joint")
+            self.place.refuse(f"{key}.columns", expected=f"{n}, one per joint", text=f"{values.shape[1]} columns")
         return units, np.asarray(values * factors)
 
     def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
@@ -95,27 +92,27 @@ class Source:
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
                 expected = "an angle" if joint.type == "revolute" else "a length"
                 problem = f"in {unit} for joint {i + 1} ({joint.name})"
-                raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
+                self.place.refuse(f"{key}.unit", expected=expected, text=problem)
 
 
-def si_units(units: Sequence[str], n: int, known: Units, key: str, place: str) -> tuple[tuple[str, ...], Array]:
+def si_units(units: Sequence[str], n: int, known: Units, key: str, place: Place) -> tuple[tuple[str, ...], Array]:
     """SI unit and factor (n,) of each of n units."""
     if len(units) != n:
-        raise AcquisitionError(f"{len(units)} units", place=place, key=key, expected=f"one, or {n}, one per joint")
+        place.refuse(key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units")
     for unit in units:
         if unit not in known:
-            raise AcquisitionError(place=place, key=key, value=unit, expected=f"one of {', '.join(known)}")
+            place.refuse(key, unit, f"one of {', '.join(known)}")
     return tuple(known[unit][0] for unit in units), np.array([known[unit][1] for unit in units])
 
 
-def position_side(robot: Robot, side: Side | None, key: str, place: str) -> Side:
+def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Side:
     """The side of positions; one that is not stated is the joint's where both are the same."""
     side = _side_or_joint(side, _same(robot.R) and not robot.zero.any(), key, place)
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
         name = "zero_deg" if joint.type == "revolute" else "zero_m"
         problem = f"{name} of joint {joint.name} in robot.toml would do nothing, joint positions are taken as they are"
-        raise AcquisitionError(problem, place=place, key=f"{key}.side", value=side, expected=f"'motor', or no {name}")
+        place.refuse(f"{key}.side", side, f"'motor', or no {name}", text=problem)
     return side
 
 
@@ -124,24 +121,23 @@ def _same(R: Array) -> bool:
     return np.array_equal(R, np.eye(len(R)))
 
 
-def _side_or_joint(side: Side | None, same: bool, key: str, place: str) -> Side:
+def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Side:
     if side is None and not same:
-        raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+        place.refuse(f"{key}.side", None, "'motor' or 'joint'")
     return side or "joint"
 
 
-def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: str) -> Side:
+def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: Place) -> Side:
     """The side of efforts in the units `found`; one that is not stated is that which the units fit."""
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if found == expected[side]]
     if side is None:
         if len(fits) == 2 and not _same(robot.R * robot.gain[:, None]):
-            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+            place.refuse(f"{key}.side", None, "'motor' or 'joint'")
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
-        problem = f"gives {one(found)} at the {side}"
         wanted = f"{one(expected[side])} as robot.toml says"
-        raise AcquisitionError(problem, place=place, key=f"{key}.unit", expected=wanted)
+        place.refuse(f"{key}.unit", expected=wanted, text=f"gives {one(found)} at the {side}")
     return side
 
 

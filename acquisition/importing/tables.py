@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import read_columns
 from ..recording import OPTIONAL, Header
 from ..robot import Robot, parse_toml
@@ -36,19 +36,19 @@ def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Pat
     AcquisitionError
         With `place` (file), `key`, `value` and `expected`; nothing is written then.
     """
-    place = str(map_path)
+    place = Place(str(map_path))
     try:
-        table_map = parse_toml(map_path.read_bytes(), TableMap, place)
+        table_map = parse_toml(map_path.read_bytes(), TableMap, str(map_path))
     except OSError as error:
-        raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
+        place.refuse(text=f"cannot be read: {error.strerror}")
     source = Source(tables=tables, robot=robot, place=place)
     parts, provenance = _parts(source, table_map)
     rows = len(parts["position"])
     for key, part in parts.items():
         if len(part) != rows:
-            raise AcquisitionError(f"{len(part)} rows", place=place, key=key, expected=f"{rows} as in position")
+            place.refuse(key, expected=f"{rows} as in position", text=f"{len(part)} rows")
     if rows < 2:
-        raise AcquisitionError(f"{rows} row", place=place, key="position", expected="2 at least")
+        place.refuse("position", expected="2 at least", text=f"{rows} row")
     names = ", ".join(table.name for table in tables)
     grid = _on_grid(source, table_map, parts)
     header = Header(
@@ -80,9 +80,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     time, given_hz = table_map.time, table_map.sample_rate_hz
     if time is None:
         if given_hz is None:
-            raise AcquisitionError(
-                place=source.place, key="sample_rate_hz", value=None, expected="it, or a [time] table"
-            )
+            source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
         return OnGrid(parts=parts, start_s=0.0, rate_hz=given_hz)
     times = _times(source, time, parts)
     twice = 0
@@ -93,7 +91,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
     grid = on_grid(times, parts)
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
         expected = f"{grid.rate_hz:.9g} as the times say" if times.even else "none beside time.resample_hz"
-        raise AcquisitionError(place=source.place, key="sample_rate_hz", value=given_hz, expected=expected)
+        source.place.refuse("sample_rate_hz", given_hz, expected)
     assert grid.report is not None
     return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + twice))
 
@@ -103,12 +101,11 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> Times:
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
         key = "time.tick_s" if time.tick_s is None else "time.ticks"
-        raise AcquisitionError(place=place, key=key, value=None, expected="ticks and tick_s together, or neither")
+        place.refuse(key, None, "ticks and tick_s together, or neither")
     if time.column is None and time.ticks is None:
-        raise AcquisitionError(place=place, key="time.column", value=None, expected="it, or ticks and tick_s")
+        place.refuse("time.column", None, "it, or ticks and tick_s")
     if time.unit not in TIME_UNITS:
-        expected = f"one of {', '.join(TIME_UNITS)}"
-        raise AcquisitionError(place=place, key="time.unit", value=time.unit, expected=expected)
+        place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
     table = source.table("time.table", time.table)
     time_s, clock, off_s = np.zeros(0), "stamps", None
     if time.column is not None:
@@ -119,7 +116,7 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> Times:
         off_s = _off_ticks(time_s, stamp_s, time.tick_s, place) if time.column is not None else None
     return Times(
         time_s=time_s,
-        place=f"{table}: {time.column if time.ticks is None else time.ticks}",
+        place=Place(f"{table}: {time.column if time.ticks is None else time.ticks}"),
         way_out="take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]",
         clock=clock,
         stamps_off_s=off_s,
@@ -135,29 +132,27 @@ def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Arra
     assert time.tick_s is not None
     if time.ticks == FROM_VELOCITY:
         if time.column is None or "velocity" not in parts:
-            expected = "time.column, the stamps, and [velocity] beside it"
-            raise AcquisitionError(place=source.place, key="time.ticks", value=time.ticks, expected=expected)
+            source.place.refuse("time.ticks", time.ticks, "time.column, the stamps, and [velocity] beside it")
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
     table = source.table("time.table", time.table)
     ticks = _column(table, time.ticks, len(parts["position"]), source.place)
     broken = np.flatnonzero(ticks != np.rint(ticks))
     if len(broken):
-        where, value = f"{table}: row {broken[0] + 1}", float(ticks[broken[0]])
-        raise AcquisitionError(place=where, key=str(time.ticks), value=value, expected="whole counts")
+        row = broken[0]
+        Place(f"{table}: row {row + 1}").refuse(str(time.ticks), float(ticks[row]), "whole counts")
     return ticks
 
 
-def _column(table: Path, name: str | int, rows: int, place: str) -> Array:
+def _column(table: Path, name: str | int, rows: int, place: Place) -> Array:
     column = read_columns(table, [name], 1)
     if column.shape != (rows, 1):
-        raise AcquisitionError(f"shape {column.shape}", place=place, key="time", expected=f"one column of {rows} rows")
+        place.refuse("time", expected=f"one column of {rows} rows", text=f"shape {column.shape}")
     return np.asarray(column[:, 0])
 
 
-def _off_ticks(time_s: Array, stamp_s: Array, tick_s: float, place: str) -> float:
+def _off_ticks(time_s: Array, stamp_s: Array, tick_s: float, place: Place) -> float:
     """Deviation in s of stamps about the time that ticks give; refuses ticks of another length."""
     rate, start = np.polyfit(time_s - time_s[0], stamp_s, 1)
     if not abs(rate - 1) <= TICK_OFF:
-        expected = f"{tick_s * rate:.6g} as the stamps say"
-        raise AcquisitionError(place=place, key="time.tick_s", value=tick_s, expected=expected)
+        place.refuse("time.tick_s", tick_s, f"{tick_s * rate:.6g} as the stamps say")
     return float(np.std(stamp_s - start - rate * (time_s - time_s[0])))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..recording import LARGEST_STAMP_NS
 from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
 from .table_map import LARGEST_GAP_PERIODS
@@ -77,7 +77,7 @@ class Times:
     """
 
     time_s: Array
-    place: str
+    place: Place
     way_out: str
     first_ns: int = 0
     clock: str = "stamps"
@@ -109,7 +109,7 @@ class OnGrid:
         start_s = max(0.0, self.start_s)
         if not start_s + rows / self.rate_hz < LARGEST_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
             problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
-            raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
+            Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
         steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
@@ -153,7 +153,7 @@ def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
 
 
 def resample(
-    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: str
+    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: Place
 ) -> OnGrid:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
@@ -166,42 +166,41 @@ def resample(
 
     time_s, parts, doubled = _without_doubled(time_s, parts, place)
     if len(time_s) < 4:
-        raise AcquisitionError(f"{len(time_s)} rows of different times", place=place, key="time", expected="4 at least")
+        place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
     report = report_of(time_s, doubled)
     in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
     time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
-        raise AcquisitionError(
-            f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, {steps[k] / report.period_s:.1f} periods",
-            place=place,
-            key="time",
+        after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
+        place.refuse(
+            "time",
             expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
             "it apart, or state time.largest_gap_periods",
+            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > FINEST:
         expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
-        raise AcquisitionError(place=place, key="resample_hz", value=rate_hz, expected=expected)
+        place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
     return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
 
 
-def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> tuple[Array, Mapping[str, Array], int]:
+def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: Place) -> tuple[Array, Mapping[str, Array], int]:
     """Times that grow, and the values at them, without rows that are there twice; how many these were."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        raise AcquisitionError(
-            f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
-            place=place,
-            key=f"row {row + 2}",
+        place.refuse(
+            f"row {row + 2}",
             expected="growing times of one source; rows of two publishers, a clock that was set or a counter that "
             "wrapped do not have them",
+            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
@@ -210,7 +209,7 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> t
             row = int(same[np.argmax(differ)])
             problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
             expected = "one row for each time; time.ticks names a counter where stamps are too coarse"
-            raise AcquisitionError(problem, place=place, key=f"row {row + 2}", expected=expected)
+            place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.concatenate([[True], steps > 0])
     return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
 
@@ -252,15 +251,14 @@ def rate_doubts(report: TimeReport | None) -> list[str]:
     return doubts
 
 
-def uniform_rate_hz(time_s: Array, place: str) -> float:
+def uniform_rate_hz(time_s: Array, place: Place) -> float:
     """Rate of the uniform grid through times (N,); refuses times that do not grow or that leave the grid."""
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        expected = "a later time; time.resample_hz leaves out doubled rows"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
+        place.refuse(f"row {row + 2}", expected="a later time; time.resample_hz leaves out doubled rows", text=found)
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
     if bad.any():
@@ -268,13 +266,13 @@ def uniform_rate_hz(time_s: Array, place: str) -> float:
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
         found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause}); {way_out}"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
+        place.refuse(f"row {row + 2}", expected=expected, text=found)
     period = float(time_s[-1] - time_s[0]) / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
         found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
-        raise AcquisitionError(found, place=place, key=f"row {row + 1}", expected=expected)
+        place.refuse(f"row {row + 1}", expected=expected, text=found)
     # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
     scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
     return _roundest(1 / period, scatter)

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate, counted_steps, pdo_frames, sync_steps
@@ -113,17 +113,16 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
     if len(sync_rows) < 2:
-        problem = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
-        raise AcquisitionError(problem, place=place, expected="many")
+        text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
+        Place(place).refuse(text=text, expected="many")
     carriers = _carriers(bus)
     pdos, shorts = [], []
     for pdo, name in carriers.items():
         rows, short = traffic.of(pdo)
         found = pdo_frames(rows, sync_rows, traffic.at("data", rows))
         if not len(found.rows):
-            problem = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
-            expected = "the drive's answers to SYNC; is it mapped and started?"
-            raise AcquisitionError(problem, place=place, expected=expected)
+            text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
+            Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
         pdos.append(found)
         shorts.append(short)
     times, counter = traffic.at("time_ns", sync_rows), traffic.at("data", sync_rows)[:, 0]
@@ -151,13 +150,11 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     )
     del pdos, found, rows  # of a long session these are much memory
     if found_rows.missing_share > max_missing and max(found_rows.missing) > FEW_MISSING:
-        problem = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
-        raise AcquisitionError(
-            problem, place=place, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together"
-        )
+        text = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
+        Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
     answered = found_rows.answered
     if len(answered) < 2:
-        raise AcquisitionError(f"{len(answered)} SYNC answered by all drives", place=place, expected="many")
+        Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
     rows_of = dict(zip(carriers, found_rows.rows, strict=True))
     made = SampleRows(
         traffic, robot, bus, rows_of, clock.stamps[answered], _targets(traffic, sync_rows, index_of, answered, bus)
@@ -291,9 +288,8 @@ def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
     """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
     stated_s = bus.file.sync_period_s
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
-        raise AcquisitionError(
-            f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            place=place,
+        Place(place).refuse(
+            text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
             expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
             "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )
