@@ -1,6 +1,7 @@
 """Imports the joint states of a ROS 2 bag into a recording."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,8 @@ from .bag_reader import read_joint_states
 from .quantities import effort_at_joint, effort_side, position_side, si_units
 from .samples import Imported, write_samples
 from .stamps import smallest_difference
-from .table_map import EFFORT_UNITS
-from .time_base import Times, on_grid
+from .table_map import EFFORT_UNITS, LARGEST_GAP_PERIODS
+from .time_base import resample, with_doubts
 
 SUFFIXES = (".mcap", ".db3")
 # Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
@@ -69,15 +70,11 @@ def import_bag(
     if states.others:
         doubts.append(f"{states.others} messages without any of the joints are left out")
     first_ns = int(states.stamps_ns[0])
-    times = Times(
-        time_s=np.asarray((states.stamps_ns - first_ns) * np.float64(1e-9)),
-        place=place,
-        way_out="record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz",
-        first_ns=first_ns,
-        clock="times of reception" if states.received else "header stamps",
-        rate_hz=resample_hz,
-    )
-    grid = on_grid(times, parts)
+    time_s = np.asarray((states.stamps_ns - first_ns) * np.float64(1e-9))
+    grid = resample(time_s, parts, rate_hz=resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
+    clock = "times of reception" if states.received else "header stamps"
+    way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
+    grid = replace(with_doubts(grid, time_s, states.position, clock, way_out), first_ns=first_ns)
     header = Header(
         robot=robot,
         source=f"ROS 2 bag {bag.name}, topic {topic}",

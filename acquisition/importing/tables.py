@@ -18,7 +18,7 @@ from .quantities import Source
 from .samples import Imported, write_samples
 from .stamps import ticks_from_velocity
 from .table_map import FROM_VELOCITY, TIME_UNITS, TableMap, Time
-from .time_base import OnGrid, Times, on_grid
+from .time_base import OnGrid, even, resample, with_doubts
 
 TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
 
@@ -82,22 +82,30 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         if given_hz is None:
             source.place.refuse("sample_rate_hz", None, "it, or a [time] table")
         return OnGrid(parts=parts, start_s=0.0, rate_hz=given_hz)
-    times = _times(source, time, parts)
+    time_s, off_s = _times(source, time, parts)
     twice = 0
     if time.ticks == FROM_VELOCITY:  # rows of one tick are one row, though a PC stamped them apart
-        new = np.concatenate([[True], np.diff(times.time_s) > 0])
-        times, twice = replace(times, time_s=times.time_s[new]), int((~new).sum())
-        parts = {name: x[new] for name, x in parts.items()}
-    grid = on_grid(times, parts)
+        new = np.concatenate([[True], np.diff(time_s) > 0])
+        time_s, parts, twice = time_s[new], {name: x[new] for name, x in parts.items()}, int((~new).sum())
+    place = Place(f"{source.table('time.table', time.table)}: {time.column if time.ticks is None else time.ticks}")
+    gap = time.largest_gap_periods
+    if time.resample_hz is None:
+        grid = even(time_s, parts, place)
+    else:
+        grid = resample(time_s, parts, rate_hz=time.resample_hz, largest_gap_periods=gap, place=place)
     if given_hz is not None and abs(given_hz / grid.rate_hz - 1) > 1e-3:
-        expected = f"{grid.rate_hz:.9g} as the times say" if times.even else "none beside time.resample_hz"
+        given = f"{grid.rate_hz:.9g} as the times say"
+        expected = given if time.resample_hz is None else "none beside time.resample_hz"
         source.place.refuse("sample_rate_hz", given_hz, expected)
+    clock = "stamps" if time.ticks is None else "ticks"
+    way_out = "take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
+    grid = with_doubts(grid, time_s, parts["position"], clock, way_out)
     assert grid.report is not None
-    return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + twice))
+    return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + twice, stamps_off_s=off_s))
 
 
-def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> Times:
-    """Times of the rows: the column of stamps, or ticks, which the stamps are then compared with."""
+def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> tuple[Array, float | None]:
+    """Times (N,) of the rows by their stamps or by ticks; what stamps deviate from ticks, s, where both are there."""
     place, rows = source.place, len(parts["position"])
     if (time.ticks is None) != (time.tick_s is None):
         key = "time.tick_s" if time.tick_s is None else "time.ticks"
@@ -106,32 +114,23 @@ def _times(source: Source, time: Time, parts: Mapping[str, Array]) -> Times:
         place.refuse("time.column", None, "it, or ticks and tick_s")
     if time.unit not in TIME_UNITS:
         place.refuse("time.unit", time.unit, f"one of {', '.join(TIME_UNITS)}")
-    table = source.table("time.table", time.table)
-    time_s, clock, off_s = np.zeros(0), "stamps", None
+    stamp_s = None
     if time.column is not None:
-        time_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
-    if time.ticks is not None and time.tick_s is not None:
-        stamp_s, clock = time_s, "ticks"
-        time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
-        off_s = _off_ticks(time_s, stamp_s, time.tick_s, place) if time.column is not None else None
-    return Times(
-        time_s=time_s,
-        place=Place(f"{table}: {time.column if time.ticks is None else time.ticks}"),
-        way_out="take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]",
-        clock=clock,
-        stamps_off_s=off_s,
-        even=time.resample_hz is None,
-        rate_hz=time.resample_hz,
-        largest_gap_periods=time.largest_gap_periods,
-    )
+        table = source.table("time.table", time.table)
+        stamp_s = _column(table, time.column, rows, place) * TIME_UNITS[time.unit]
+    if time.tick_s is None:
+        assert stamp_s is not None
+        return stamp_s, None
+    time_s = _ticks(source, time, parts, stamp_s) * time.tick_s
+    return time_s, None if stamp_s is None else _off_ticks(time_s, stamp_s, time.tick_s, place)
 
 
-def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Array) -> Array:
+def _ticks(source: Source, time: Time, parts: Mapping[str, Array], stamp_s: Array | None) -> Array:
     """Ticks (N,) of the rows: those of a counter, or counted by positions and speeds."""
     assert time.ticks is not None
     assert time.tick_s is not None
     if time.ticks == FROM_VELOCITY:
-        if time.column is None or "velocity" not in parts:
+        if stamp_s is None or "velocity" not in parts:
             source.place.refuse("time.ticks", time.ticks, "time.column, the stamps, and [velocity] beside it")
         return ticks_from_velocity(stamp_s, parts["position"], parts["velocity"], time.tick_s)
     table = source.table("time.table", time.table)

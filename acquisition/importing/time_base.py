@@ -9,7 +9,6 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..recording import LARGEST_STAMP_NS
 from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
-from .table_map import LARGEST_GAP_PERIODS
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
@@ -65,29 +64,6 @@ class TimeReport:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Times:
-    """Times of rows as they were read, and how rows come to a uniform grid.
-
-    Attributes:
-        time_s: (N,) from `first_ns` on; repeats and gaps included.
-        place: file and column or topic, for errors.
-        clock: what the times are, in words; stamps_off_s: as in the report.
-        even: whether rows lie on a grid as they are; else interpolated to `rate_hz`, by default the roundest they have.
-        way_out: what to do where the motion contradicts the times.
-    """
-
-    time_s: Array
-    place: Place
-    way_out: str
-    first_ns: int = 0
-    clock: str = "stamps"
-    stamps_off_s: float | None = None
-    even: bool = False
-    rate_hz: float | None = None
-    largest_gap_periods: float = LARGEST_GAP_PERIODS
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class OnGrid:
     """Values (M, n) by name on a uniform grid from `start_s` after `first_ns` on; the report of the times before, doubts."""
 
@@ -114,24 +90,13 @@ class OnGrid:
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
 
-def on_grid(times: Times, parts: Mapping[str, Array]) -> OnGrid:
-    """Bring `parts` (N, n), `position` one of them, to a uniform grid, with the report of their times and doubts about these.
-
-    Raises `AcquisitionError` where times cannot be those of the rows.
-    """
-    time_s, place = times.time_s, times.place
-    if times.even:
-        rate_hz = uniform_rate_hz(time_s, place)
-        found = OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
-    else:
-        gap = times.largest_gap_periods
-        found = resample(time_s, parts, rate_hz=times.rate_hz, largest_gap_periods=gap, place=place)
-    assert found.report is not None
-    report = replace(found.report, clock=times.clock, stamps_off_s=times.stamps_off_s)
+def with_doubts(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
+    """A grid of rows at times (N,) by a `clock` and positions q (N, n), with doubts about these times."""
+    assert grid.report is not None
+    report = replace(grid.report, clock=clock)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
-    warning = stamps_warning(time_s[growing], parts[POSITION][growing], times.way_out)
-    doubts = [*rate_doubts(report), *([warning] if warning else [])]
-    return replace(found, first_ns=times.first_ns, report=report, doubts=tuple(doubts))
+    warning = stamps_warning(time_s[growing], q[growing], way_out)
+    return replace(grid, report=report, doubts=(*rate_doubts(report), *([warning] if warning else [])))
 
 
 def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -251,8 +216,8 @@ def rate_doubts(report: TimeReport | None) -> list[str]:
     return doubts
 
 
-def uniform_rate_hz(time_s: Array, place: Place) -> float:
-    """Rate of the uniform grid through times (N,); refuses times that do not grow or that leave the grid."""
+def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
+    """Values (N, n) at times (N,) that lie on a uniform grid as they are; refuses times that do not grow or leave the grid."""
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
     if (steps <= 0).any():
@@ -267,12 +232,14 @@ def uniform_rate_hz(time_s: Array, place: Place) -> float:
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
         found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause}); {way_out}"
         place.refuse(f"row {row + 2}", expected=expected, text=found)
-    period = float(time_s[-1] - time_s[0]) / len(steps)
+    duration_s = float(time_s[-1] - time_s[0])
+    period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
         found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
         place.refuse(f"row {row + 1}", expected=expected, text=found)
     # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
-    scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
-    return _roundest(1 / period, scatter)
+    scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
+    rate_hz = _roundest(1 / period, scatter)
+    return OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
