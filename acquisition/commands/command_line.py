@@ -12,7 +12,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, TypeVar, cast
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias, TypeVar, cast
 
 from ..errors import one_line
 
@@ -30,20 +31,13 @@ DISTRIBUTION = "robot-idim"
 PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")
 
 
-class CommandModule(Protocol):
-    """What a module of one command has: `add`."""
-
-    def add(self, commands: Commands, /) -> None:
-        """Declare the command's options, and set `run`: a function of the options that returns the exit status (None is 0)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Program:
     """A command line: its name, one line about it, its commands in the order of the help, the errors it prints in one line."""
 
     name: str
     description: str
-    commands: tuple[CommandModule, ...]
+    commands: tuple[ModuleType, ...]
     errors: tuple[type[Exception], ...]
 
     def parser(self) -> argparse.ArgumentParser:
