@@ -4,12 +4,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
 from ..bus import SUFFIXES, Frame, block_of, read_log
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, Place
 from ..files import atomic_write, write_columns
 from ..recording import (
     UNCERTAIN,
@@ -26,7 +27,7 @@ from ..recording import (
     rewrite,
     written_by_master,
 )
-from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
+from ..robot import Robot, check_recorded_positions, extra_columns, resolve
 from ..session import Recorded, write_decoded
 from .bag_writer import new_bag
 from .samples import Imported
@@ -52,19 +53,12 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     recording = read_recording(path)
     robot = robot or recording.robot
     if not recording.frames:
-        raise AcquisitionError("holds no CAN frames", place=str(path), expected="a recording of drives")
+        Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded, bus = _decoded(frames, robot, str(path), place)
+    decoded, of_bus = _decoded(frames, robot, str(path), place)
     decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
-    header = replace(
-        recording.header,
-        robot=robot,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        notes={**recording.metadata, "decoded_from": recording.sha256},
-    )
-    end_ns = int(frames["time_ns"][-1])
+    notes = {**recording.metadata, "decoded_from": recording.sha256}
+    header, end_ns = replace(recording.header, notes=notes, **of_bus), int(frames["time_ns"][-1])
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
     return _imported(header, decoded, out)
@@ -86,10 +80,9 @@ def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
     """How many samples of an older version do not stand: their joints are not proven to be of one instant."""
     if recording.samples is None or not _is_older(recording):
         return []
-    count = int(np.count_nonzero(~np.isin(recording.samples["stamp_ns"], decoded.rows.stamps)))
-    text = (
-        f"{count} of {len(recording.samples)} rows of an older version fall: their joints may differ in their instants"
-    )
+    stamps = recording.samples["stamp_ns"]
+    count = int(np.count_nonzero(~np.isin(stamps, decoded.rows.stamps)))
+    text = f"{count} of {len(stamps)} rows of an older version fall: their joints may differ in their instants"
     return [text] if count else []
 
 
@@ -133,16 +126,10 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     """
     frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded, bus = _decoded(frames, robot, str(log), place)
+    decoded, of_bus = _decoded(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
-    header = Header(
-        robot=robot,
-        source=f"log {log.name}",
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        notes={"left_out": "; ".join(left_out)} if left_out else {},
-    )
+    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    header = Header(source=f"log {log.name}", notes=notes, **of_bus)
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
@@ -159,7 +146,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         else:
             found.append((interface, frame))
     if not found:
-        raise AcquisitionError(f"holds no CAN frames ({fd} of CAN FD)", place=str(log), expected="some of classic CAN")
+        Place(str(log)).refuse(text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN")
     counts = Counter(interface for interface, _ in found)
     named = [interface for interface in counts if interface is not None]
     wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
@@ -168,7 +155,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
         expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
-        raise AcquisitionError(f"frames: {', '.join(left_out)}", place=str(log), expected=expected)
+        Place(str(log)).refuse(text=f"frames: {', '.join(left_out)}", expected=expected)
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
@@ -181,24 +168,20 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     objects of the drives; the unit is in the name of the column.
     """
     samples, robot = _samples(path, warn)
-    names = ["time_s"]
     fields = [field for field in samples.dtype.names or () if field not in ("stamp_ns", "extra")]
-    for field in fields:
-        for i, joint in enumerate(robot.joints):
-            unit = _unit(robot, field, i)
-            names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
+    names = [
+        "time_s",
+        *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in enumerate(robot.joints)),
+    ]
     if "extra" in (samples.dtype.names or ()):
         fields.append("extra")
-        names += ["_".join(" ".join((c.motor, c.name, c.unit)).split()) for c in extra_columns(robot)]
+        names += [f"{c.motor} {c.name} {c.unit}" for c in extra_columns(robot)]
     start_ns = samples["stamp_ns"][0]
-    write_columns(
-        out,
-        names,
-        (
-            np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
-            for part in in_parts(samples)
-        ),
+    columns = (
+        np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
+        for part in in_parts(samples)
     )
+    write_columns(out, ["_".join(name.split()) for name in names], columns)
     return len(samples)
 
 
@@ -248,7 +231,7 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     recording = read_recording(path)
     if recording.samples is None:
         expected = "some; `robot-acquire decode` makes them of frames"
-        raise AcquisitionError(recording.no_samples, place=str(path), expected=expected)
+        Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
     if missing:
         warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
@@ -265,12 +248,19 @@ def _unit(robot: Robot, field: str, joint: int) -> str:
     return f"{unit}_s" if field == "velocity" else unit
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, Bus]:
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, dict[str, Any]]:
+    """Samples of frames, checked, and what a header says of them."""
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
     q = np.concatenate([block["position"] for block in decoded.rows.blocks()])
     warnings = check_recorded_positions(robot, decoded.rows.stamps * np.float64(1e-9), q, name)
-    return replace(decoded, warnings=decoded.warnings + warnings), bus
+    of_bus = {
+        "robot": robot,
+        "sample_rate_hz": 1.0 / bus.file.sync_period_s,
+        "effort_provenance": bus.provenance,
+        "effort_timing": bus.file.effort_timing,
+    }
+    return replace(decoded, warnings=decoded.warnings + warnings), of_bus
 
 
 def _imported(header: Header, decoded: Decoded, out: Path) -> Imported:
