@@ -89,7 +89,7 @@ class _Parts:
         self._source: tuple[str, tuple[str, ...]] | None = None
         self._received: list[int] = []
         self._stamps: list[int] = []
-        self._values: tuple[list[Array], list[Array], list[Array]] = ([], [], [])
+        self._values: dict[str, list[Array]] = {"position": [], "velocity": [], "effort": []}
         self.count, self._others, self.publishers = 0, 0, 1
 
     def add(self, received_ns: int, message: Any) -> None:
@@ -104,12 +104,8 @@ class _Parts:
             return
         self._received.append(received_ns)
         self._stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
-        for values, found, kind in zip(
-            self._values,
-            (message.position, message.velocity, message.effort),
-            ("position", "velocity", "effort"),
-            strict=True,
-        ):
+        for kind, values in self._values.items():
+            found = getattr(message, kind)
             if len(found) not in (0, len(source[1])) or (kind == "position" and not len(found)):
                 self._refuse_message(f"{len(found)} values of {kind}", f"{len(source[1])}, one for each name")
             if len(found):
@@ -146,12 +142,12 @@ class _Parts:
             row = 1 + int(np.argmin(stamps[1:] != 0))
             where = Place(f"{self._place}: state {row + 1}")
             where.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
-        for kind, values in zip(("velocity", "effort"), self._values[1:], strict=True):
+        for kind, values in self._values.items():
             if len(values) not in (0, count):
                 problem = f"{kind} in {len(values)} of {count} messages"
                 Place(self._place).refuse(expected=f"{kind} in all or in none", text=problem)
-        position, velocity, effort = (np.array(values, dtype=np.float64) if values else None for values in self._values)
-        assert position is not None
+        arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
+        position = arrays["position"]
         if not np.isfinite(position).all():
             row, joint = np.argwhere(~np.isfinite(position))[0]
             key = f"position of joint {self._joints[joint]}"
@@ -161,8 +157,8 @@ class _Parts:
             stamps_ns=np.array(self._received, dtype=np.int64) if received else stamps,
             received=received,
             position=position,
-            velocity=velocity,
-            effort=effort,
+            velocity=arrays.get("velocity"),
+            effort=arrays.get("effort"),
             others=self._others,
             publishers=self.publishers,
         )

@@ -32,7 +32,7 @@ from ..session import Recorded, write_decoded
 from .bag_writer import new_bag
 from .samples import Imported
 
-STATES, REFERENCE, DESCRIPTION = "/joint_states", "/joint_states/reference", "/robot_description"
+TOPICS, DESCRIPTION = {"position": "/joint_states", "reference": "/joint_states/reference"}, "/robot_description"
 
 
 def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Imported:
@@ -210,14 +210,11 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
             if "velocity" in fields:
                 speeds["position"] = part["velocity"]
             for k, row in enumerate(part):
-                stamp = int(row["stamp_ns"])
-                effort = row["effort"] if robot.gain_known else nothing  # N m or N by definition of the message
-                bag.joint_state(STATES, stamp, names, (row["position"], speeds["position"][k], effort))
-                if "reference" in fields:
-                    bag.joint_state(REFERENCE, stamp, names, (row["reference"], speeds["reference"][k], nothing))
-            counts[STATES] += len(part)
-            if "reference" in fields:
-                counts[REFERENCE] += len(part)
+                for field, speed in speeds.items():
+                    # N m or N by definition of the message.
+                    effort = row["effort"] if field == "position" and robot.gain_known else nothing
+                    bag.joint_state(TOPICS[field], int(row["stamp_ns"]), names, (row[field], speed[k], effort))
+            counts.update({TOPICS[field]: len(part) for field in speeds})
             first += len(part)
     return counts
 

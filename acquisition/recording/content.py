@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
 
 import mcap.records
 import zstandard
@@ -27,20 +27,19 @@ _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
 _LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
+Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
+Wanted: TypeAlias = Callable[[str], bool]
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents.
+    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents."""
 
-    All contents are in one growing buffer, each up to its entry in `ends`: hours of samples are too much to be held in memory.
-    """
-
-    layout: str
-    stamps_ns: list[int]
-    ends: list[int]
-    data: GrowingBytes
+    def __init__(self, layout: str) -> None:
+        self.layout = layout
+        self.stamps_ns: list[int] = []
+        # All contents, each up to its entry in `ends`: hours of samples are too much to be held in memory.
+        self.data, self.ends = GrowingBytes(), list[int]()
 
     def add(self, stamp_ns: int, content: bytes) -> None:
         """Append a message."""
@@ -67,9 +66,7 @@ class Content:
     sha256: str
 
 
-def read_content(
-    path: Path, name: str, accept: Callable[[Mapping[str, str], str], None], wanted: Callable[[str], bool]
-) -> Content:
+def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Content:
     """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
 
     `accept(metadata, place)` raises to refuse the file before its data is read. Of a file without its end, what was written
@@ -83,13 +80,7 @@ def read_content(
         raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
 
 
-def _read(
-    records: "_Records",
-    place: str,
-    name: str,
-    accept: Callable[[Mapping[str, str], str], None],
-    wanted: Callable[[str], bool],
-) -> Content:
+def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
         raise AcquisitionError(f"begins with {records.first!r}", place=place, expected="an MCAP file")
     metadata: dict[str, str] | None = None
@@ -206,7 +197,7 @@ def _check_crc(found: int, crc: bytes) -> None:
 class _Chunks:
     """The chunks read so far: their channels, and the messages of the wanted topics."""
 
-    def __init__(self, wanted: Callable[[str], bool]) -> None:
+    def __init__(self, wanted: Wanted) -> None:
         self._wanted, self._size = wanted, 0
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Messages | None] = {}  # by channel id; None: not of a wanted topic
@@ -235,9 +226,7 @@ class _Chunks:
         self._channels[channel.id] = None
         if self._wanted(channel.topic):
             layout = self._schemas.get(channel.schema_id, "")
-            topic = self.messages.setdefault(
-                channel.topic, Messages(layout=layout, stamps_ns=[], ends=[], data=GrowingBytes())
-            )
+            topic = self.messages.setdefault(channel.topic, Messages(layout))
             if topic.layout != layout:
                 raise ValueError(f"{channel.topic} changes its layout")
             self._channels[channel.id] = topic
