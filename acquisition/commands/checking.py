@@ -148,9 +148,8 @@ def _scale(master: Master, drive: Drive) -> str:
     for index, name in SCALES.items():
         try:
             if (index, 2) in entries:
-                values.append(
-                    f"{name} {index:04X} {master.read(drive.node, index, 1)}/{master.read(drive.node, index, 2)}"
-                )
+                per, turns = (master.read(drive.node, index, sub) for sub in (1, 2))
+                values.append(f"{name} {index:04X} {per}/{turns}")
             elif (index, 0) in entries:
                 values.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
         except AcquisitionError:
@@ -164,14 +163,10 @@ def _agreement(bus: Bus) -> str:
     """Which values were compared: only these are checked."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     rated = [d.name for d in bus.drives if d.rated]
-    parts = [
-        f"{what} of {', '.join(names)}" for what, names in (("identity", identity), ("rated values", rated)) if names
-    ]
-    return (
-        "agrees with " + " and ".join(parts)
-        if parts
-        else "nothing to compare: no dictionary with an identity, no rated value"
-    )
+    if not identity and not rated:
+        return "nothing to compare: no dictionary with an identity, no rated value"
+    compared = (("identity", identity), ("rated values", rated))
+    return "agrees with " + " and ".join(f"{what} of {', '.join(names)}" for what, names in compared if names)
 
 
 def _mapped(master: Master, node: int) -> str:
@@ -191,9 +186,8 @@ def _mapped(master: Master, node: int) -> str:
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
-    text = (
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, at most {fastest_hz:.0f} Hz"
-    )
+    rate_hz = 1 / bus.file.sync_period_s
+    text = f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
     return Finding(subject="bus load", found=text, ok=bus.load <= LARGEST_LOAD)
 
 

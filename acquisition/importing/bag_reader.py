@@ -46,7 +46,7 @@ def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointSta
         The bag cannot be read, the topic does not exist or is of another type, joints are missing, messages come from several
         publishers, or a position is not finite.
     """
-    parts = _Parts(joints, f"{path}: {topic}")
+    parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -83,7 +83,7 @@ def _refuse_topic(topic: str, found: dict[str, str], place: Place) -> None:
 class _Parts:
     """Joint states so far. Messages of one publisher have one frame and one list of names."""
 
-    def __init__(self, joints: Sequence[str], place: str) -> None:
+    def __init__(self, joints: Sequence[str], place: Place) -> None:
         self._joints, self._place = list(joints), place
         self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
         self._source: tuple[str, tuple[str, ...]] | None = None
@@ -135,7 +135,7 @@ class _Parts:
         if not self._stamps:
             names = sorted({name for _, names in self._places for name in names})
             found = f"has {listed(names)}" if names else "has no messages"
-            Place(self._place).refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=found)
+            self._place.refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=found)
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
         if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
@@ -145,7 +145,7 @@ class _Parts:
         for kind, values in self._values.items():
             if len(values) not in (0, count):
                 problem = f"{kind} in {len(values)} of {count} messages"
-                Place(self._place).refuse(expected=f"{kind} in all or in none", text=problem)
+                self._place.refuse(expected=f"{kind} in all or in none", text=problem)
         arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
         position = arrays["position"]
         if not np.isfinite(position).all():

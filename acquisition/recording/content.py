@@ -9,7 +9,6 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
 from typing import Any, BinaryIO, TypeAlias
@@ -55,19 +54,12 @@ class Messages:
             begin = end
 
 
-@dataclass(frozen=True, kw_only=True)
-class Content:
-    """What a file holds. `metadata` is None if the file does not have the record; `cut`: the file has no proper end."""
-
-    metadata: Mapping[str, str] | None
-    attachments: Mapping[str, bytes]
-    messages: Mapping[str, Messages]
-    cut: bool
-    sha256: str
+Content: TypeAlias = tuple[Mapping[str, str] | None, Mapping[str, bytes], Mapping[str, Messages], bool, str]
 
 
 def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Content:
-    """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
+    """The metadata record `name` (None without it), attachments by name, messages of the `wanted` topics, whether the file is
+    cut, and its SHA-256.
 
     `accept(metadata, place)` raises to refuse the file before its data is read. Of a file without its end, what was written
     before the cut is returned. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
@@ -115,13 +107,7 @@ def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wa
             raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not complete:
         raise AcquisitionError("damaged: its end is there, but the records before do not lead to it", place=place)
-    return Content(
-        metadata=metadata,
-        attachments=attachments,
-        messages=chunks.messages,
-        cut=not records.has_end,
-        sha256=records.sha256(),
-    )
+    return metadata, attachments, chunks.messages, not records.has_end, records.sha256()
 
 
 class _Records:

@@ -139,8 +139,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     """
     path = Path(path)
     place = Place(str(path))
-    content = read_content(path, "recording", _check_metadata, _is_read)
-    metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
+    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", _check_metadata, _is_read)
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected="a recording of robot-acquire")
@@ -175,7 +174,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         robot=robot,
         sample_rate_hz=_rate(metadata, place),
         cut=cut,
-        sha256=content.sha256,
+        sha256=sha256,
     )
 
 

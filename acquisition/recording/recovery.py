@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import atomic_write
 from .reader import Recording, read_recording
 from .schema import Header
@@ -37,7 +37,7 @@ def recover(
     """
     recording = read_recording(cut_path)
     if not recording.cut:
-        raise AcquisitionError("has its proper end: nothing to recover", place=str(cut_path))
+        Place(str(cut_path)).refuse(text="has its proper end: nothing to recover")
 
     def add(writer: RecordingWriter) -> None:
         if recording.frames and decode is not None:
