@@ -1,7 +1,6 @@
 """Joint states out of ROS 2 bags."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -12,33 +11,18 @@ from ..errors import AcquisitionError, Place, listed
 from ..recording import JOINT_STATE
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class JointStates:
-    """Joint states of a topic, in the order of the bag.
-
-    Attributes:
-        stamps_ns: (N,) of the headers; of reception where headers have none (`received`).
-        position, velocity, effort: (N, n); the last two None where messages do not have them.
-        others: messages of the topic that have none of the joints.
-        publishers: connections of the topic, or profiles of quality of service that it was offered with, if these are more.
-    """
-
-    stamps_ns: Ints
-    received: bool
-    position: Array
-    velocity: Array | None
-    effort: Array | None
-    others: int
-    publishers: int
-
-
-def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointStates:
-    """Joint states of the `joints`, by name.
+def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, bool, dict[str, Array], list[str]]:
+    """Joint states of the `joints`, by name, in the order of the bag.
 
     Parameters
     ----------
     path : folder of a bag, or its file: .mcap (zstd, lz4 or no compression) or .db3.
     topic : of sensor_msgs/msg/JointState.
+
+    Returns
+    -------
+    Stamps (N,) in ns of the headers, of reception where headers have none (True then); `position` (N, n), `velocity` and
+    `effort` where messages have them; warnings.
 
     Raises
     ------
@@ -65,7 +49,7 @@ def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> JointSta
         after = f" after {parts.count} messages" if parts.count else ""
         problem = f"cannot be read{after}: {(str(error) or type(error).__name__)[:200]}"
         Place(str(path)).refuse(expected="a ROS 2 bag: a folder, .mcap or .db3", text=problem)
-    return parts.states()
+    return parts.states(topic)
 
 
 def _refuse_topic(topic: str, found: dict[str, str], place: Place) -> None:
@@ -130,7 +114,7 @@ class _Parts:
     def _refuse_message(self, problem: str, expected: str) -> NoReturn:
         Place(f"{self._place}: message {self.count}").refuse(expected=expected, text=problem)
 
-    def states(self) -> JointStates:
+    def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
         """All that was added."""
         if not self._stamps:
             names = sorted({name for _, names in self._places for name in names})
@@ -153,12 +137,9 @@ class _Parts:
             key = f"position of joint {self._joints[joint]}"
             where = Place(f"{self._place}: state {row + 1}")
             where.refuse(key, float(position[row, joint]), "a finite number")
-        return JointStates(
-            stamps_ns=np.array(self._received, dtype=np.int64) if received else stamps,
-            received=received,
-            position=position,
-            velocity=arrays.get("velocity"),
-            effort=arrays.get("effort"),
-            others=self._others,
-            publishers=self.publishers,
-        )
+        doubts = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
+        if self.publishers > 1:
+            doubts.append(f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one")
+        if self._others:
+            doubts.append(f"{self._others} messages without any of the joints are left out")
+        return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, doubts

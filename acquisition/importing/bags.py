@@ -54,27 +54,19 @@ def import_bag(
     joints = [joint.name for joint in robot.joints]
     place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
-    states = read_joint_states(bag, topic, joints)
-    effort, provenance = _effort(robot, states.effort, effort_unit, place)
-    _refuse_several(states.position, effort, joints, place)
-    parts = {"position": states.position, "effort": effort}
-    doubts = []
-    if states.velocity is not None and np.isfinite(states.velocity).all():
-        parts["velocity"] = states.velocity
-    elif states.velocity is not None:
+    stamps_ns, received, parts, doubts = read_joint_states(bag, topic, joints)
+    position = parts["position"]
+    parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
+    _refuse_several(position, parts["effort"], joints, place)
+    if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
+        del parts["velocity"]
         doubts.append("velocities that are not finite numbers are left out")
-    if states.received:
-        doubts.append("headers have no stamps: times are those of reception, which jitter more")
-    if states.publishers > 1:
-        doubts.append(f"{topic} has {states.publishers} publishers (connections or QoS profiles): record it with one")
-    if states.others:
-        doubts.append(f"{states.others} messages without any of the joints are left out")
-    first_ns = int(states.stamps_ns[0])
-    time_s = np.asarray((states.stamps_ns - first_ns) * np.float64(1e-9))
+    first_ns = int(stamps_ns[0])
+    time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
     grid = resample(time_s, parts, rate_hz=resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
-    clock = "times of reception" if states.received else "header stamps"
+    clock = "times of reception" if received else "header stamps"
     way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
-    grid = replace(with_doubts(grid, time_s, states.position, clock, way_out), first_ns=first_ns)
+    grid = replace(with_doubts(grid, time_s, position, clock, way_out), first_ns=first_ns)
     header = Header(
         robot=robot,
         source=f"ROS 2 bag {bag.name}, topic {topic}",
