@@ -153,12 +153,13 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:
             continue
+        where = Place(f"{place}: {topic}")
         if topic == "/samples":
-            samples = _rows(blocks, sample_layouts(robot), f"{place}: {topic}")
-            check_samples(samples, -1, f"{place}: {topic}")
+            samples = _rows(blocks, sample_layouts(robot), where)
+            check_samples(samples, -1, str(where))
         elif match := FRAMES_TOPIC.fullmatch(topic):
-            frames[match[1]] = _rows(blocks, [FRAME], f"{place}: {topic}")
-            check_frames(frames[match[1]], f"{place}: {topic}")
+            frames[match[1]] = _rows(blocks, [FRAME], where)
+            check_frames(frames[match[1]], str(where))
     events = _decoded(topics, "/events", _EventText, path)
     health = _decoded(topics, "/health", dict[str, float | None], path)
     return Recording(
@@ -193,16 +194,13 @@ def has_reference(path: Path) -> bool:
     return all(b"'reference'" in text for text in schemas)
 
 
-def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
+def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
     """Concatenated rows. The schema's text is compared with the layouts this version writes, never evaluated."""
-    for dtype in known:
-        if repr(dtype.descr) == blocks.layout:
-            break
-    else:
-        Place(place).refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
+    dtype = next((layout for layout in known if repr(layout.descr) == blocks.layout), None)
+    if dtype is None:
+        place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
     if any(end % dtype.itemsize for end in blocks.ends):
-        expected = f"blocks of whole rows of {dtype.itemsize} bytes"
-        Place(place).refuse(text=f"{len(blocks.data)} bytes", expected=expected)
+        place.refuse(text=f"{len(blocks.data)} bytes", expected=f"blocks of whole rows of {dtype.itemsize} bytes")
     rows = np.frombuffer(blocks.data.whole(), dtype)
     rows.flags.writeable = False
     return rows
@@ -210,10 +208,8 @@ def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block
 
 def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
     try:
-        return [
-            (stamp, msgspec.json.decode(text, type=kind))
-            for stamp, text in (topics[topic].items() if topic in topics else [])
-        ]
+        messages = topics[topic].items() if topic in topics else ()
+        return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
         Place(f"{path}: {topic}").refuse(text=str(error))
 
