@@ -13,18 +13,20 @@ import pytest
 from conftest import REPLAY, robot_named
 from fits_of_records import ls_of
 
-from acquisition.importing import UNLIMITED, quaternions, roll_pitch_yaw, rotation
 from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit
+from identification.export.dh_urdf import UNLIMITED, dh_urdf, roll_pitch_yaw
+from identification.export.mjcf import quaternions
 from identification.export.robot_toml import with_parameters
-from identification.methods import Prior, with_consistent
+from identification.export.urdf import rotation
+from identification.methods import Prior, fit_document, fit_file, read_fit, with_consistent
 from identification.methods.stored_fit import Covariance, LeftOut
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
-from identification.report import fit_document, fit_file, read_fit, write_json
+from identification.report import write_json
 from identification.study import study_truth
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -125,6 +127,16 @@ def test_a_new_urdf_has_the_torques_of_the_links(name, tmp_path):
     told = [line for line in section.lines if "is known of" in line]
     stated = "1e+09 is written: state effort_nm, effort_n or saturation"
     assert told == ([] if known else [f"no effort is known of {', '.join(names)}: {stated}"])
+
+
+def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_in():
+    robot = robot_named("scara")
+    motors = tuple(
+        msgspec.structs.replace(m, drive_gain=None, drive_gain_unit=None, effort_unit="A") for m in robot.motors
+    )
+    joints = tuple(msgspec.structs.replace(joint, effort_nm=30.0) for joint in robot.joints)
+    model = InverseModel(dataclasses.replace(robot, motors=motors, joints=joints))
+    assert dh_urdf(model).count('effort="30.0"') == robot.n
 
 
 def inverse_in_mujoco(text, q, dq, ddq, *, friction):
@@ -420,7 +432,7 @@ def test_rotations_are_those_of_their_angles_and_quaternions():
         R = pin.rpy.rpyToMatrix(*angles)
         np.testing.assert_allclose(rotation(*angles), R, atol=1e-15)
         np.testing.assert_allclose(rotation(*roll_pitch_yaw(R)), R, atol=1e-14)
-        x, y, z, w = quaternions(R)
+        ((x, y, z, w),) = quaternions(R[None])
         np.testing.assert_allclose(pin.Quaternion(w, x, y, z).matrix(), R, atol=1e-14)
 
 

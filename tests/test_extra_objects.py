@@ -104,8 +104,8 @@ def test_extras_are_recorded_exported_and_summed_up(tmp_path):
     assert header[-4:] == ["motor_1_velocity_rad/s", "motor_1_torque_N_m", "motor_1_temperature_degC", "motor_1_2082:0"]
     table = np.loadtxt(tmp_path / "a.csv", delimiter=",", skiprows=1)
     assert table[:, -4:].tolist() == recording.samples["extra"].tolist()
-    ranges = overview(recording).extras
-    assert [(e.name, e.value) for e in ranges[2:]] == [
+    ranges = overview(recording)["extras"]
+    assert [(e["name"], e["value"]) for e in ranges[2:]] == [
         ("temperature", (pytest.approx(25.3),) * 2),
         ("2082:0", (7.0, 7.0)),
     ]

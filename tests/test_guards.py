@@ -293,7 +293,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
         assert "late in motion: expected 0.0" in session.outcome.reason
     if for_s == 2.0:
         assert session.outcome.reason.startswith("SYNC 2 s late in motion: expected 0.02 s at most")
-        (gap,) = overview(session.recording).gaps
+        (gap,) = overview(session.recording)["gaps"]
         assert gap.missing == pytest.approx(2.0 / 0.002, abs=5)
         with pytest.raises(IdentificationError, match=r"samples: .*gap\(s\).*expected 2.000 ms throughout"):
             load_signals(tmp_path / "a.mcap")

@@ -192,7 +192,10 @@ def test_another_description_of_the_robot(tmp_path):
 @pytest.mark.parametrize(
     ("added", "message"),
     [
-        ('[known_torque]\ncolumns = ["k"]\nunit = "N m"', "known_torque.unit: gives N m: expected N, as joints take"),
+        (
+            '[known_torque]\ncolumns = ["k"]\nunit = "N m"',
+            "known_torque.unit: gives N m at the joint: expected N as robot",
+        ),
         (
             '[known_torque]\ncolumns = ["k"]\nunit = "N"\nside = "motor"',
             "known_torque.side = 'motor': expected 'joint'",

@@ -10,7 +10,7 @@ from conftest import REPLAY, robot_named
 from jittered_time import MAP, covered
 
 from acquisition.commands import main
-from acquisition.errors import AcquisitionError
+from acquisition.errors import AcquisitionError, Place
 from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
 from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
@@ -25,7 +25,7 @@ def motion(t: np.ndarray) -> np.ndarray:
 
 
 def on_grid(t: np.ndarray, **parts: np.ndarray):
-    return resample(t, parts or {"q": motion(t)}, rate_hz=100.0, largest_gap_periods=3.0, place="log")
+    return resample(t, parts or {"q": motion(t)}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log"))
 
 
 def test_values_are_interpolated_at_their_times():
@@ -95,7 +95,7 @@ def test_gaps_beyond_what_is_stated_are_refused(missing, refused):
     assert "log: time: a gap of 0.04 s after 0.49 s, 4.0 periods: expected 3 periods of 0.01 s" in str(caught.value)
     assert "time.largest_gap_periods" in str(caught.value)
     parts = {"q": motion(t)}
-    assert resample(t, parts, rate_hz=None, largest_gap_periods=4, place="log").rate_hz == 100.0
+    assert resample(t, parts, rate_hz=None, largest_gap_periods=4, place=Place("log")).rate_hz == 100.0
 
 
 @pytest.mark.parametrize("rate_hz", [500.0, 125.0, 62.5, 100.0])
@@ -135,7 +135,7 @@ def test_stamps_off_by_a_tick_are_found_and_no_others():
     assert set(left_out) <= set(wrong)
     slow = set(wrong) - set(left_out)  # where both joints nearly stand, nothing shows
     assert len(slow) <= 4
-    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place="log")
+    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log"))
     assert found.report.off == len(left_out)
     t = stamps[0] + np.arange(len(found.parts["position"])) / 100
     off = np.abs(found.parts["position"] - motion(t))[10:-10].max()
@@ -179,7 +179,7 @@ def test_stamps_of_a_log_with_stalls_are_found():
     left_out = np.flatnonzero(~rows_in_time(stamps, q))
     assert len(set(wrong) & set(left_out)) >= 0.98 * 300
     assert len(set(left_out) - set(wrong)) < 0.2 * 300
-    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place="log").report
+    found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log")).report
     assert rate_doubts(found) == []
     (doubt,) = rate_doubts(replace(found, off=500))
     assert doubt.startswith("2.5 % of the rows are left out")
@@ -188,7 +188,7 @@ def test_stamps_of_a_log_with_stalls_are_found():
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     def doubts(rate_hz: float) -> list[str]:
         return rate_doubts(
-            resample(UNEVEN, {"q": motion(UNEVEN)}, rate_hz=rate_hz, largest_gap_periods=3, place="").report
+            resample(UNEVEN, {"q": motion(UNEVEN)}, rate_hz=rate_hz, largest_gap_periods=3, place=Place("")).report
         )
 
     assert doubts(100.0) == doubts(200.0) == []

@@ -46,7 +46,7 @@ class Finding:
 
     subject: str
     found: str
-    ok: bool
+    ok: bool = True
     node: int | None = None
     track: bool = False
 
@@ -57,16 +57,16 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     link = Link(handle, passive=False)
     try:
         sock = socket_of(handle)
-        findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file), ok=True)]
+        findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file))]
         ripple = demand_ripple_warnings(bus.file, robot.controller.bandwidth_hz)
-        findings += [Finding(subject="effort", found=text, ok=True) for text in ripple]
+        findings += [Finding(subject="effort", found=text) for text in ripple]
         if sock is not None:
             granted = queue_bytes(sock)
             text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
             ok = granted >= QUEUE_BYTES // 10
             findings.append(Finding(subject="kernel queue", found=f"{granted} bytes{text}", ok=ok))
         with steady() as scheduling:
-            findings.append(Finding(subject="scheduling", found=scheduling.words, ok=True))
+            findings.append(Finding(subject="scheduling", found=scheduling.words))
             found = look(link, bus)
         if all(finding.ok for finding in found if finding.subject in (STRANGER, "state")):
             found += _positions(robot, Master(link, bus))
@@ -102,39 +102,43 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
     if (other := listen_for_others(master)) is not None:
         text = f"{other}, so nothing is known of states, PDOs, supervision, scales, identity, rated values and SYNC"
         return [Finding(subject=STRANGER, found=text, ok=False)]
-    findings: list[Finding] = []
-    silent = 0
-    for drive in bus.drives:
-        try:
-            state = master.state(drive)
-            text = "fault: expected it to be cleared, and its cause" if state is State.FAULT else state.words
-            findings.append(Finding(subject="state", found=text, ok=state is not State.FAULT, node=drive.node))
-        except AcquisitionError as error:
-            silent += 1
-            text = str(error).removeprefix(f"{error.place}: ")  # the same of all drives
-            findings.append(Finding(subject="state", found=text, ok=False, node=drive.node))
-            continue
-        properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
-        properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
-        properties += [("scale", text) for text in [_scale(master, drive)] if text]
-        findings += [Finding(subject=name, found=text, ok=True, node=drive.node) for name, text in properties]
-        ramp, faster = stop_ramp(master, drive)
-        text = f"{ramp}: expected {faster}" if faster else ramp
-        findings.append(Finding(subject="quick stop", found=text, ok=not faster, node=drive.node, track=True))
-        if lack := supervision_refusal(master, drive):
-            text = f"{lack}: --track refuses without --unsupervised-drives"
-            findings.append(Finding(subject="supervision", found=text, ok=False, node=drive.node, track=True))
-    if silent == len(bus.drives):
+    found = [_of_drive(master, drive) for drive in bus.drives]
+    findings = [finding for of_drive in found for finding in of_drive]
+    answered = [len(of_drive) > 1 for of_drive in found]
+    if not any(answered):
         return [*findings, Finding(subject="drives", found=NOBODY, ok=False)]
-    if not silent:
+    if all(answered):
         try:
             differences = master.differences()
         except AcquisitionError as error:
             differences = [str(error)]
         findings += [Finding(subject="description", found=text, ok=False) for text in differences]
         if not differences:
-            findings.append(Finding(subject="description", found=_agreement(bus), ok=True))
+            findings.append(Finding(subject="description", found=_agreement(bus)))
     return [*findings, _jitter(master)]
+
+
+def _of_drive(master: Master, drive: Drive) -> list[Finding]:
+    """Findings of a drive; only that of its state where it does not answer."""
+    try:
+        state = master.state(drive)
+    except AcquisitionError as error:
+        text = str(error).removeprefix(f"{error.place}: ")  # the same of all drives
+        return [Finding(subject="state", found=text, ok=False, node=drive.node)]
+    fault = state is State.FAULT
+    text = "fault: expected it to be cleared, and its cause" if fault else state.words
+    findings = [Finding(subject="state", found=text, ok=not fault, node=drive.node)]
+    properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
+    properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
+    properties += [("scale", text) for text in [_scale(master, drive)] if text]
+    findings += [Finding(subject=name, found=text, node=drive.node) for name, text in properties]
+    ramp, faster = stop_ramp(master, drive)
+    text = f"{ramp}: expected {faster}" if faster else ramp
+    findings.append(Finding(subject="quick stop", found=text, ok=not faster, node=drive.node, track=True))
+    if lack := supervision_refusal(master, drive):
+        text = f"{lack}: --track refuses without --unsupervised-drives"
+        findings.append(Finding(subject="supervision", found=text, ok=False, node=drive.node, track=True))
+    return findings
 
 
 def _scale(master: Master, drive: Drive) -> str:
@@ -144,9 +148,8 @@ def _scale(master: Master, drive: Drive) -> str:
     for index, name in SCALES.items():
         try:
             if (index, 2) in entries:
-                values.append(
-                    f"{name} {index:04X} {master.read(drive.node, index, 1)}/{master.read(drive.node, index, 2)}"
-                )
+                per, turns = (master.read(drive.node, index, sub) for sub in (1, 2))
+                values.append(f"{name} {index:04X} {per}/{turns}")
             elif (index, 0) in entries:
                 values.append(f"{name} {index:04X} 0x{master.read(drive.node, index):08X}")
         except AcquisitionError:
@@ -160,14 +163,10 @@ def _agreement(bus: Bus) -> str:
     """Which values were compared: only these are checked."""
     identity = [d.name for d in bus.drives if d.dictionary is not None and d.dictionary.identity]
     rated = [d.name for d in bus.drives if d.rated]
-    parts = [
-        f"{what} of {', '.join(names)}" for what, names in (("identity", identity), ("rated values", rated)) if names
-    ]
-    return (
-        "agrees with " + " and ".join(parts)
-        if parts
-        else "nothing to compare: no dictionary with an identity, no rated value"
-    )
+    if not identity and not rated:
+        return "nothing to compare: no dictionary with an identity, no rated value"
+    compared = (("identity", identity), ("rated values", rated))
+    return "agrees with " + " and ".join(f"{what} of {', '.join(names)}" for what, names in compared if names)
 
 
 def _mapped(master: Master, node: int) -> str:
@@ -187,9 +186,8 @@ def _mapped(master: Master, node: int) -> str:
 def _load(bus: Bus) -> Finding:
     bits = bus.load * bus.file.bitrate * bus.file.sync_period_s
     fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
-    text = (
-        f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {1 / bus.file.sync_period_s:g} Hz, at most {fastest_hz:.0f} Hz"
-    )
+    rate_hz = 1 / bus.file.sync_period_s
+    text = f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
     return Finding(subject="bus load", found=text, ok=bus.load <= LARGEST_LOAD)
 
 
@@ -214,7 +212,7 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
     try:
         words = position_words(robot, joint_positions(robot, master))
         text = f"{', '.join(words)}: see that the robot stands like that"
-        findings.append(Finding(subject="joint positions", found=text, ok=True))
+        findings.append(Finding(subject="joint positions", found=text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             is_homed = homed(master, drive, file)
             text = "not described: the drive's zero may be where it was switched on"

@@ -12,7 +12,8 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol, TextIO, TypeAlias, TypeVar, cast
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, TextIO, TypeAlias, TypeVar, cast
 
 from ..errors import one_line
 
@@ -30,28 +31,20 @@ DISTRIBUTION = "robot-idim"
 PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can", "canopen", "msgspec")
 
 
-class CommandModule(Protocol):
-    """What a module of one command has: `add`."""
-
-    def add(self, commands: Commands, /) -> None:
-        """Declare the command's options, and set `run`: a function of the options that returns the exit status (None is 0)."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class Program:
     """A command line: its name, one line about it, its commands in the order of the help, the errors it prints in one line."""
 
     name: str
     description: str
-    commands: tuple[CommandModule, ...]
+    commands: tuple[ModuleType, ...]
     errors: tuple[type[Exception], ...]
 
     def parser(self) -> argparse.ArgumentParser:
         """The parser of all commands; the options that it returns have `run`."""
         parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
-        parser.add_argument(
-            "--version", action=_Versions, nargs=0, help="versions of this program and its dependencies"
-        )
+        versions = "versions of this program and its dependencies"
+        parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
         for command in self.commands:
             command.add(commands)
@@ -62,8 +55,7 @@ class Program:
 
         def command() -> int | None:
             options = self.parser().parse_args(arguments)
-            status: int | None = options.run(options)
-            return status
+            return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)
 
@@ -136,30 +128,27 @@ class _Stream:
             stream.reconfigure(errors="replace")  # a terminal without Unicode shows ? for other characters
 
     def write(self, text: str) -> int:
-        if self.error is None:
-            try:
-                self.stream.write(text)
-            except OSError as error:
-                self._fail(error)
+        self._unless_failed(lambda: self.stream.write(text))
         return len(text)
 
     def flush(self) -> None:
-        if self.error is None:
-            try:
-                self.stream.flush()
-            except OSError as error:
-                self._fail(error)
+        self._unless_failed(self.stream.flush)
 
     def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
-    def _fail(self, error: OSError) -> None:
-        self.error = error
-        # Python flushes again at exit and would report the error: the rest is written to /dev/null.
-        with suppress(OSError):  # the stream of a test has no descriptor
-            null = os.open(os.devnull, os.O_WRONLY)
-            os.dup2(null, self.stream.fileno())
-            os.close(null)
+    def _unless_failed(self, call: Callable[[], object]) -> None:
+        if self.error is not None:
+            return
+        try:
+            call()
+        except OSError as error:
+            self.error = error
+            # Python flushes again at exit and would report the error: the rest is written to /dev/null.
+            with suppress(OSError):  # the stream of a test has no descriptor
+                null = os.open(os.devnull, os.O_WRONLY)
+                os.dup2(null, self.stream.fileno())
+                os.close(null)
 
 
 def run_command(program: str, errors: Sequence[type[Exception]], command: Callable[[], int | None]) -> int:

@@ -3,13 +3,13 @@
 import argparse
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TextIO
 
 from ..errors import one_line
 from .command_line import Commands, Progress, add_overwrite
 
 if TYPE_CHECKING:
-    from ..importing import Converted
+    from ..importing import Imported
 
 
 def add(commands: Commands) -> None:
@@ -33,12 +33,16 @@ def run(options: argparse.Namespace) -> None:
         robot = None if options.robot is None else load_robot(options.robot)
         place = str(options.robot or f"{options.recording}: robot.toml")
         found = decode_recording(options.recording, options.output, robot, place)
-    print_converted(options.output, found)
+    print_imported(found, sys.stderr)
 
 
-def print_converted(out: Path, found: "Converted") -> None:
-    """Print warnings and size of a recording made of CAN frames."""
+def print_imported(found: "Imported", warnings: TextIO) -> None:
+    """Print what was written, and its warnings to the stream `warnings`."""
+    parts = [f"{found.out}: {found.robot}", f"{found.samples} samples at {found.sample_rate_hz:g} Hz"]
+    parts += [f"effort in {', '.join(dict.fromkeys(found.effort_units))}"] if found.effort_units else []
+    parts += ["with reference"] if found.has_reference else []
+    print(one_line(", ".join([*parts, *(f"with {name.replace('_', ' ')}" for name in found.optional)])))
+    if found.times:
+        print(one_line(f"times: {found.times}"))
     for text in found.warnings:
-        print(one_line(f"warning: {text}"), file=sys.stderr)
-    reference = ", with reference" if found.has_reference else ""
-    print(one_line(f"{out}: {found.robot}, {found.samples} samples at {found.sample_rate_hz:g} Hz{reference}"))
+        print(one_line(f"warning: {text}"), file=warnings)

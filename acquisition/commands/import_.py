@@ -2,12 +2,13 @@
 
 import argparse
 import math
+import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ..errors import AcquisitionError, one_line
+from ..errors import AcquisitionError
 from .command_line import Commands, Progress, add_overwrite
-from .decode import print_converted
+from .decode import print_imported
 
 if TYPE_CHECKING:
     from ..importing import Imported
@@ -53,40 +54,26 @@ def run(options: argparse.Namespace) -> None:
     from ..files import refuse_clash
 
     refuse_clash([options.robot, options.map, *options.tables], options.output, overwrite=options.overwrite)
-    of_bag = {"--topic": options.topic, "--effort-unit": options.effort_unit, "--resample-hz": options.resample_hz}
-    if options.topic is not None:
-        _import_bag(options)
-        return
-    for name, value in of_bag.items():
+    with Progress("importing"):
+        if options.topic is not None:
+            found = _bag(options)
+        else:
+            _refuse_bag_options(options)
+            found = _log(options) if options.map is None else _tables(options)
+    print_imported(found, sys.stderr if options.topic is None and options.map is None else sys.stdout)
+
+
+def _refuse_bag_options(options: argparse.Namespace) -> None:
+    for name, value in (("--effort-unit", options.effort_unit), ("--resample-hz", options.resample_hz)):
         if value is not None:
             expected = "--topic with it; tables have time.resample_hz and effort.unit in MAP.toml"
             raise AcquisitionError("is of ROS 2 bags", key=name, value=value, expected=expected)
-    if options.map is None:
-        _import_log(options)
-        return
-    with Progress("importing"):
-        from ..importing import import_tables
-        from ..robot import load_robot
-
-        result = import_tables(options.tables, load_robot(options.robot), options.map, options.output)
-    _print_imported(result)
 
 
-def _print_imported(result: "Imported") -> None:
-    units = ", ".join(dict.fromkeys(result.effort_units))
-    also = ["reference"] if result.has_reference else []
-    also += [name.replace("_", " ") for name in result.optional]
-    rate = f"{result.samples} samples at {result.sample_rate_hz:g} Hz"
-    print(
-        one_line(", ".join([f"{result.out}: {result.robot}", rate, f"effort in {units}", *(f"with {x}" for x in also)]))
-    )
-    if result.times:
-        print(one_line(f"times: {result.times}"))
-    for text in result.warnings:
-        print(one_line(f"warning: {text}"))
+def _bag(options: argparse.Namespace) -> "Imported":
+    from ..importing import import_bag
+    from ..robot import load_robot
 
-
-def _import_bag(options: argparse.Namespace) -> None:
     if options.map is not None:
         raise AcquisitionError("is for tables", key="--map", value=str(options.map), expected="none with --topic")
     if len(options.tables) > 1:
@@ -96,29 +83,34 @@ def _import_bag(options: argparse.Namespace) -> None:
         raise AcquisitionError("a bag does not say", key="--effort-unit", value=None, expected=expected)
     if options.resample_hz is not None and not 0 < options.resample_hz < math.inf:
         raise AcquisitionError(key="--resample-hz", value=options.resample_hz, expected="a number above 0")
-    with Progress("importing"):
-        from ..importing import BagChoice, import_bag
-        from ..robot import load_robot
+    return import_bag(
+        options.tables[0],
+        load_robot(options.robot),
+        options.output,
+        topic=options.topic,
+        effort_unit=[unit.strip() for unit in options.effort_unit.split(",")],
+        resample_hz=options.resample_hz,
+    )
 
-        units = tuple(unit.strip() for unit in options.effort_unit.split(","))
-        choice = BagChoice(topic=options.topic, effort_unit=units, resample_hz=options.resample_hz)
-        result = import_bag(options.tables[0], load_robot(options.robot), choice, options.output)
-    _print_imported(result)
+
+def _tables(options: argparse.Namespace) -> "Imported":
+    from ..importing import import_tables
+    from ..robot import load_robot
+
+    return import_tables(options.tables, load_robot(options.robot), options.map, options.output)
 
 
-def _import_log(options: argparse.Namespace) -> None:
-    with Progress("importing"):
-        from ..importing import import_log, is_bag, is_log
-        from ..robot import load_robot
+def _log(options: argparse.Namespace) -> "Imported":
+    from ..importing import import_log, is_bag, is_log
+    from ..robot import load_robot
 
-        tables = [path for path in options.tables if not is_log(path)]
-        if tables and is_bag(tables[0]):
-            expected = "the topic of its joint states, such as --topic /joint_states"
-            raise AcquisitionError("a ROS 2 bag, and --topic is not there", place=str(tables[0]), expected=expected)
-        if tables:
-            expected = "MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
-            raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)
-        if len(options.tables) > 1:
-            raise AcquisitionError("a second CAN log", place=str(options.tables[1]), expected="one")
-        found = import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))
-    print_converted(options.output, found)
+    tables = [path for path in options.tables if not is_log(path)]
+    if tables and is_bag(tables[0]):
+        expected = "the topic of its joint states, such as --topic /joint_states"
+        raise AcquisitionError("a ROS 2 bag, and --topic is not there", place=str(tables[0]), expected=expected)
+    if tables:
+        expected = "MAP.toml, which says what its columns are; CAN logs end in .log, .asc, .blf or .trc"
+        raise AcquisitionError("a table, and --map is not there", place=str(tables[0]), expected=expected)
+    if len(options.tables) > 1:
+        raise AcquisitionError("a second CAN log", place=str(options.tables[1]), expected="one")
+    return import_log(options.tables[0], options.output, load_robot(options.robot), str(options.robot))

@@ -1,8 +1,7 @@
 """Recordings out of tables, ROS 2 bags and CAN logs, decoding again, export."""
 
-from .bags import BagChoice, import_bag, is_bag
+from .bags import import_bag, is_bag
 from .conversions import (
-    Converted,
     decode_recording,
     export_bag,
     export_csv,
@@ -11,6 +10,5 @@ from .conversions import (
     recover_recording,
     row_doubts,
 )
-from .placements import UNLIMITED, quaternions, roll_pitch_yaw, rotation, urdf_of
 from .samples import Imported
 from .tables import import_tables

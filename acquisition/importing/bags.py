@@ -1,40 +1,27 @@
 """Imports the joint states of a ROS 2 bag into a recording."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
+from ..recording import Header
 from ..robot import Robot
-from .bag_reader import JointStates, read_joint_states
+from .bag_reader import read_joint_states
 from .quantities import effort_at_joint, effort_side, position_side, si_units
-from .samples import Imported, Samples, write_samples
-from .stamps import smallest_difference, stamps_warning
+from .samples import Imported, write_samples
+from .stamps import smallest_difference
 from .table_map import EFFORT_UNITS, LARGEST_GAP_PERIODS
-from .time_base import rate_doubts, resample, stamps_ns
+from .time_base import resample, with_doubts
 
 SUFFIXES = (".mcap", ".db3")
-WINDOW, NYQUIST_RATIO = (
-    16,
-    100.0,
-)  # rows; noise and motion are 100 times as much at Nyquist in a few per cent of the windows
+# Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
+WINDOW, NYQUIST_RATIO = 16, 100.0
 MAX_ALTERNATING, MAX_WITHOUT_EFFORT = 0.1, 0.01  # of the windows, of the rows: more are of two publishers
 QUANTA = 3.0  # by which two publishers differ at least
-
-
-@dataclass(frozen=True, kw_only=True)
-class BagChoice:
-    """What a bag does not say: the topic of its joint states, the unit of their efforts, the rate to interpolate to.
-
-    `effort_unit`: one for all joints or one for each. N m and N are torques and forces at the joints; A, V and the like are of
-    the motors, in the order of the joints. `resample_hz` None: the roundest rate that the stamps have.
-    """
-
-    topic: str
-    effort_unit: tuple[str, ...]
-    resample_hz: float | None = None
 
 
 def is_bag(path: Path) -> bool:
@@ -42,7 +29,9 @@ def is_bag(path: Path) -> bool:
     return path.is_dir() or path.suffix.lower() in SUFFIXES
 
 
-def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Imported:
+def import_bag(
+    bag: Path, robot: Robot, out: Path, *, topic: str, effort_unit: Sequence[str], resample_hz: float | None = None
+) -> Imported:
     """Write the recording `out` from joint states of a ROS 2 bag; joints go by their names in robot.toml.
 
     Times are the headers' stamps, or those of reception where headers have none; values are interpolated to a uniform grid.
@@ -51,6 +40,10 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
     Parameters
     ----------
     bag : a folder, .mcap or .db3.
+    topic : of the joint states.
+    effort_unit : one for all joints or one for each. N m and N are torques and forces at the joints; A, V and the like are of
+        the motors, in the order of the joints.
+    resample_hz : of the grid; None: the roundest that the stamps have.
 
     Raises
     ------
@@ -59,49 +52,33 @@ def import_bag(bag: Path, robot: Robot, choice: BagChoice, out: Path) -> Importe
         or of other units than robot.toml says, stamps do not grow or leave gaps. Nothing is written then.
     """
     joints = [joint.name for joint in robot.joints]
-    place = f"{bag}: {choice.topic}"
+    place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
-    states = read_joint_states(bag, choice.topic, joints)
-    effort, provenance = _effort(robot, states, choice, place)
-    _refuse_several(states.position, effort, joints, place)
-    parts = {"position": states.position, "effort": effort}
-    doubts = []
-    if states.velocity is not None and np.isfinite(states.velocity).all():
-        parts["velocity"] = states.velocity
-    elif states.velocity is not None:
+    stamps_ns, received, parts, doubts = read_joint_states(bag, topic, joints)
+    position = parts["position"]
+    parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
+    _refuse_several(position, parts["effort"], joints, place)
+    if "velocity" in parts and not np.isfinite(parts["velocity"]).all():
+        del parts["velocity"]
         doubts.append("velocities that are not finite numbers are left out")
-    if states.received:
-        doubts.append("headers have no stamps: times are those of reception, which jitter more")
-    if states.publishers > 1:
-        doubts.append(
-            f"{choice.topic} has {states.publishers} publishers (connections or QoS profiles): record it with one"
-        )
-    if states.others:
-        doubts.append(f"{states.others} messages without any of the joints are left out")
-    first_ns = int(states.stamps_ns[0])
-    time_s = np.asarray((states.stamps_ns - first_ns) * np.float64(1e-9))
-    grid = resample(time_s, parts, rate_hz=choice.resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
-    assert grid.report is not None
-    growing = np.concatenate([[True], np.diff(time_s) > 0])
+    first_ns = int(stamps_ns[0])
+    time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
+    grid = resample(time_s, parts, rate_hz=resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
+    clock = "times of reception" if received else "header stamps"
     way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
-    warning = stamps_warning(time_s[growing], states.position[growing], way_out)
-    clock = "times of reception" if states.received else "header stamps"
-    samples = Samples(
+    grid = replace(with_doubts(grid, time_s, position, clock, way_out), first_ns=first_ns)
+    header = Header(
         robot=robot,
-        parts=grid.parts,
-        stamps=first_ns + stamps_ns(0.0, len(grid.parts["position"]), grid.rate_hz, place),
-        rate_hz=grid.rate_hz,
-        place=place,
-        source=f"ROS 2 bag {bag.name}, topic {choice.topic}",
-        provenance=provenance,
-        report=replace(grid.report, clock=clock),
+        source=f"ROS 2 bag {bag.name}, topic {topic}",
+        sample_rate_hz=grid.rate_hz,
+        effort_provenance=provenance,
         effort_timing="measured",
-        doubts=(*doubts, *rate_doubts(grid.report), *([warning] if warning else [])),
+        notes=grid.notes,
     )
-    return write_samples(samples, out)
+    return write_samples(header, grid, doubts, str(place), out)
 
 
-def _refuse_several(position: Array, effort: Array, joints: list[str], place: str) -> None:
+def _refuse_several(position: Array, effort: Array, joints: list[str], place: Place) -> None:
     """Refuse the states of two publishers in turns: rows with no effort at all among others, or every other row elsewhere."""
     none = np.asarray(~effort.any(axis=1))
     large = np.asarray((np.abs(effort) > QUANTA * smallest_difference(effort)).any(axis=1))
@@ -109,13 +86,12 @@ def _refuse_several(position: Array, effort: Array, joints: list[str], place: st
     expected = "one publisher: record the topic of the arm's own driver, or stop the other node"
     if alone.sum() > MAX_WITHOUT_EFFORT * len(effort):
         problem = f"{100 * alone.mean():.2g} % of the rows have no effort, between others that have"
-        raise AcquisitionError(problem, place=place, key="effort", expected=expected)
+        place.refuse("effort", expected=expected, text=problem)
     for key, x in (("position", position), ("effort", effort)):
         share = _alternating(x)
         if share.max() > MAX_ALTERNATING:
             problem = f"every other row is elsewhere, in {100 * share.max():.2g} % of the time"
-            key = f"{key} of joint {joints[int(share.argmax())]}"
-            raise AcquisitionError(problem, place=place, key=key, expected=expected)
+            place.refuse(f"{key} of joint {joints[int(share.argmax())]}", expected=expected, text=problem)
 
 
 def _alternating(x: Array) -> Array:
@@ -135,33 +111,30 @@ def _alternating(x: Array) -> Array:
     return np.asarray(np.maximum(found.sum(axis=0) - 2, 0) / len(windows))  # two may be chance, in a short recording
 
 
-def _effort(robot: Robot, states: JointStates, choice: BagChoice, place: str) -> tuple[Array, str]:
+def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], place: Place) -> tuple[Array, str]:
     """Joint efforts (N, n) and where they come from. A bag does not say what its efforts are."""
-    if states.effort is None:
-        raise AcquisitionError("messages have no effort", place=place, expected="measured torques or currents in them")
-    _refuse_no_effort(robot, states.effort, place)
-    given = choice.effort_unit * robot.n if len(choice.effort_unit) == 1 else choice.effort_unit
-    units = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
-    found = tuple(unit for unit, _ in units)
-    at_joint = all(unit in ("N m", "N") for unit in found)
-    if at_joint and len(choice.effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
-        found = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
-    side = effort_side(robot, found, "joint" if at_joint else None, "effort", place)
-    effort, rule = effort_at_joint(robot, states.effort * np.array([factor for _, factor in units]), side)
-    return effort, f"effort of {place}: {', '.join(choice.effort_unit)} at the {side}, as stated; {rule}"
+    if effort is None:
+        place.refuse(expected="measured torques or currents in them", text="messages have no effort")
+    _refuse_no_effort(robot, effort, place)
+    given = tuple(effort_unit) * (robot.n if len(effort_unit) == 1 else 1)
+    units, factors = si_units(given, robot.n, EFFORT_UNITS, "--effort-unit", place)
+    at_joint = all(unit in ("N m", "N") for unit in units)
+    if at_joint and len(effort_unit) == 1:  # an effort in N m is a force in N where a joint slides
+        units = tuple("N m" if joint.type == "revolute" else "N" for joint in robot.joints)
+    side = effort_side(robot, units, "joint" if at_joint else None, "effort", place)
+    joint_effort, rule = effort_at_joint(robot, effort * factors, side)
+    return joint_effort, f"effort of {place}: {', '.join(effort_unit)} at the {side}, as stated; {rule}"
 
 
-def _refuse_no_effort(robot: Robot, effort: Array, place: str) -> None:
+def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
     finite = np.isfinite(effort)
     for j, joint in enumerate(robot.joints):
         where = f"effort of joint {joint.name}"
         if not finite[:, j].any():
-            raise AcquisitionError("is not a number throughout", place=place, key=where, expected="measured efforts")
+            place.refuse(where, expected="measured efforts", text="is not a number throughout")
         if not finite[:, j].all():
             row = int(np.argmin(finite[:, j]))
-            raise AcquisitionError(
-                place=f"{place}: state {row + 1}", key=where, value=float(effort[row, j]), expected="a finite number"
-            )
+            Place(f"{place}: state {row + 1}").refuse(where, float(effort[row, j]), "a finite number")
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
-        raise AcquisitionError("is zero throughout", place=place, key="effort", expected=expected)
+        place.refuse("effort", expected=expected, text="is zero throughout")

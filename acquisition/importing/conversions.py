@@ -1,16 +1,16 @@
 """Conversions of recordings and logs: decode again, export to CSV and ROS 2 bags, import CAN logs."""
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..arrays import Array
 from ..bus import SUFFIXES, Frame, block_of, read_log
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, Place
 from ..files import atomic_write, write_columns
 from ..recording import (
     UNCERTAIN,
@@ -24,29 +24,18 @@ from ..recording import (
     in_parts,
     read_recording,
     recover,
+    rewrite,
     written_by_master,
 )
-from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
+from ..robot import Robot, check_recorded_positions, extra_columns, resolve
 from ..session import Recorded, write_decoded
-from .bag_writer import BagWriter
-from .placements import link_frames, quaternions, urdf_of
+from .bag_writer import new_bag
+from .samples import Imported
 
-VIEWED_HZ = 100.0  # transforms are for viewers: at most so many
-STATES, REFERENCE, DESCRIPTION, TRANSFORMS = "/joint_states", "/joint_states/reference", "/robot_description", "/tf"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Converted:
-    """What was written."""
-
-    robot: str
-    samples: int
-    sample_rate_hz: float
-    has_reference: bool
-    warnings: tuple[str, ...]
+TOPICS, DESCRIPTION = {"position": "/joint_states", "reference": "/joint_states/reference"}, "/robot_description"
 
 
-def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Converted:
+def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> Imported:
     """Decode the frames of a recording again, into a new recording.
 
     Parameters
@@ -64,28 +53,15 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     recording = read_recording(path)
     robot = robot or recording.robot
     if not recording.frames:
-        raise AcquisitionError("holds no CAN frames", place=str(path), expected="a recording of drives")
-    channel, frames = max(recording.frames.items(), key=lambda item: len(item[1]))
-    decoded, bus = _decoded(frames, robot, str(path), place)
+        Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
+    frames = max(recording.frames.values(), key=len)
+    decoded, of_bus = _decoded(frames, robot, str(path), place)
     decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
-    header = replace(
-        recording.header,
-        robot=robot,
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        notes={**recording.metadata, "decoded_from": recording.sha256},
-    )
-    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
-        for name, block in recording.frames.items():
-            writer.frames(name, block)
-        for event in recording.events:
-            if event.kind != "warning":  # those of the decoding before
-                writer.event(event.stamp_ns, event.kind, event.text)
-        for health in recording.health:
-            writer.health(health.stamp_ns, health.counters)
-        decoded.write(writer, int(frames["time_ns"][-1]))
-    return _converted(robot, decoded, channel)
+    notes = {**recording.metadata, "decoded_from": recording.sha256}
+    header, end_ns = replace(recording.header, notes=notes, **of_bus), int(frames["time_ns"][-1])
+    # Warnings are those of the decoding before.
+    rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
+    return _imported(header, decoded, out)
 
 
 def row_doubts(recording: Recording) -> str:
@@ -104,10 +80,9 @@ def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
     """How many samples of an older version do not stand: their joints are not proven to be of one instant."""
     if recording.samples is None or not _is_older(recording):
         return []
-    count = int(np.count_nonzero(~np.isin(recording.samples["stamp_ns"], decoded.rows.stamps)))
-    text = (
-        f"{count} of {len(recording.samples)} rows of an older version fall: their joints may differ in their instants"
-    )
+    stamps = recording.samples["stamp_ns"]
+    count = int(np.count_nonzero(~np.isin(stamps, decoded.rows.stamps)))
+    text = f"{count} of {len(stamps)} rows of an older version fall: their joints may differ in their instants"
     return [text] if count else []
 
 
@@ -134,7 +109,7 @@ def is_log(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
 
 
-def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
+def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     """Write the recording `out` from a CAN log of another tool.
 
     Parameters
@@ -151,20 +126,14 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Converted:
     """
     frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded, bus = _decoded(frames, robot, str(log), place)
+    decoded, of_bus = _decoded(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
-    header = Header(
-        robot=robot,
-        source=f"log {log.name}",
-        sample_rate_hz=1.0 / bus.file.sync_period_s,
-        effort_provenance=bus.provenance,
-        effort_timing=bus.file.effort_timing,
-        notes={"left_out": "; ".join(left_out)} if left_out else {},
-    )
+    notes = {"left_out": "; ".join(left_out)} if left_out else {}
+    header = Header(source=f"log {log.name}", notes=notes, **of_bus)
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _converted(robot, decoded, "log")
+    return _imported(header, decoded, out)
 
 
 def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
@@ -177,7 +146,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
         else:
             found.append((interface, frame))
     if not found:
-        raise AcquisitionError(f"holds no CAN frames ({fd} of CAN FD)", place=str(log), expected="some of classic CAN")
+        Place(str(log)).refuse(text=f"holds no CAN frames ({fd} of CAN FD)", expected="some of classic CAN")
     counts = Counter(interface for interface, _ in found)
     named = [interface for interface in counts if interface is not None]
     wanted = {None, *named}  # error frames may have no interface: with one bus in the log they are of that one
@@ -186,7 +155,7 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     left_out = [f"{count} of interface {name or '(not named)'}" for name, count in counts.items() if name not in wanted]
     if not wanted & set(counts):
         expected = "one interface: filter the log, or name one of them as bus.channel in robot.toml"
-        raise AcquisitionError(f"frames: {', '.join(left_out)}", place=str(log), expected=expected)
+        Place(str(log)).refuse(text=f"frames: {', '.join(left_out)}", expected=expected)
     left_out += [f"{fd} of CAN FD"] if fd else []
     frames = block_of([frame for interface, frame in found if interface in wanted])
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
@@ -199,24 +168,20 @@ def export_csv(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     objects of the drives; the unit is in the name of the column.
     """
     samples, robot = _samples(path, warn)
-    names = ["time_s"]
     fields = [field for field in samples.dtype.names or () if field not in ("stamp_ns", "extra")]
-    for field in fields:
-        for i, joint in enumerate(robot.joints):
-            unit = _unit(robot, field, i)
-            names.append(f"{joint.name}_{field}_{unit.replace(' ', '_')}")
+    names = [
+        "time_s",
+        *(f"{j.name}_{field}_{_unit(robot, field, i)}" for field in fields for i, j in enumerate(robot.joints)),
+    ]
     if "extra" in (samples.dtype.names or ()):
         fields.append("extra")
-        names += ["_".join(" ".join((c.motor, c.name, c.unit)).split()) for c in extra_columns(robot)]
+        names += [f"{c.motor} {c.name} {c.unit}" for c in extra_columns(robot)]
     start_ns = samples["stamp_ns"][0]
-    write_columns(
-        out,
-        names,
-        (
-            np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
-            for part in in_parts(samples)
-        ),
+    columns = (
+        np.column_stack([(part["stamp_ns"] - start_ns) * 1e-9, *(part[field] for field in fields)])
+        for part in in_parts(samples)
     )
+    write_columns(out, ["_".join(name.split()) for name in names], columns)
     return len(samples)
 
 
@@ -225,17 +190,16 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 
     All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
     differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
-    or one made of the DH rows; /tf has the transform of each link from the one before, at most 100 a second.
+    if the robot has one.
     """
     samples, robot = _samples(path, warn)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
-    frames = link_frames(robot, str(path))
     t_s = (samples["stamp_ns"] - samples["stamp_ns"][0]) * np.float64(1e-9)
-    rate_hz = 0.0 if len(t_s) < 2 else 1 / float(np.median(np.diff(t_s)))
-    step, counts, first = max(1, math.ceil(rate_hz / VIEWED_HZ - 1e-9)), Counter[str](), 0
-    with BagWriter(out) as bag:
-        bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), urdf_of(robot))
-        counts[DESCRIPTION] += 1
+    counts, first = Counter[str](), 0
+    with new_bag(out) as bag:
+        if robot.urdf is not None:
+            bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), robot.urdf)
+            counts[DESCRIPTION] += 1
         for part in in_parts(samples):
             around = slice(max(0, first - 1), first + len(part) + 1)
             speeds = {
@@ -245,21 +209,12 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
             }
             if "velocity" in fields:
                 speeds["position"] = part["velocity"]
-            viewed = slice(-first % step, None, step)
-            shift, turn = frames.transforms(part["position"][viewed])
-            turn = quaternions(turn)
             for k, row in enumerate(part):
-                stamp = int(row["stamp_ns"])
-                effort = row["effort"] if robot.gain_known else nothing  # N m or N by definition of the message
-                bag.joint_state(STATES, stamp, names, (row["position"], speeds["position"][k], effort))
-                counts[STATES] += 1
-                if "reference" in fields:
-                    bag.joint_state(REFERENCE, stamp, names, (row["reference"], speeds["reference"][k], nothing))
-                    counts[REFERENCE] += 1
-                if (first + k) % step == 0:
-                    at = (first + k) // step - -(-first // step)
-                    bag.transforms(TRANSFORMS, stamp, frames.names, shift[at], turn[at])
-                    counts[TRANSFORMS] += 1
+                for field, speed in speeds.items():
+                    # N m or N by definition of the message.
+                    effort = row["effort"] if field == "position" and robot.gain_known else nothing
+                    bag.joint_state(TOPICS[field], int(row["stamp_ns"]), names, (row[field], speed[k], effort))
+            counts.update({TOPICS[field]: len(part) for field in speeds})
             first += len(part)
     return counts
 
@@ -273,7 +228,7 @@ def _samples(path: Path, warn: Callable[[str], None]) -> tuple[Block, Robot]:
     recording = read_recording(path)
     if recording.samples is None:
         expected = "some; `robot-acquire decode` makes them of frames"
-        raise AcquisitionError(recording.no_samples, place=str(path), expected=expected)
+        Place(str(path)).refuse(text=recording.no_samples, expected=expected)
     missing = [gap.missing for gap in gaps(recording.samples, recording.sample_rate_hz) if not gap.late]
     if missing:
         warn(f"{sum(missing)} samples are missing in {len(missing)} gaps")
@@ -290,19 +245,27 @@ def _unit(robot: Robot, field: str, joint: int) -> str:
     return f"{unit}_s" if field == "velocity" else unit
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, Bus]:
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, dict[str, Any]]:
+    """Samples of frames, checked, and what a header says of them."""
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
     q = np.concatenate([block["position"] for block in decoded.rows.blocks()])
     warnings = check_recorded_positions(robot, decoded.rows.stamps * np.float64(1e-9), q, name)
-    return replace(decoded, warnings=decoded.warnings + warnings), bus
+    of_bus = {
+        "robot": robot,
+        "sample_rate_hz": 1.0 / bus.file.sync_period_s,
+        "effort_provenance": bus.provenance,
+        "effort_timing": bus.file.effort_timing,
+    }
+    return replace(decoded, warnings=decoded.warnings + warnings), of_bus
 
 
-def _converted(robot: Robot, decoded: Decoded, channel: str) -> Converted:
-    return Converted(
-        robot=robot.name,
+def _imported(header: Header, decoded: Decoded, out: Path) -> Imported:
+    return Imported(
+        out=out,
+        robot=header.robot.name,
         samples=len(decoded.rows.stamps),
-        sample_rate_hz=1.0 / robot.bus.sync_period_s if robot.bus else 0.0,
+        sample_rate_hz=header.sample_rate_hz,
         has_reference=decoded.rows.targets is not None,
         warnings=decoded.warnings,
     )

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import read_columns
 from ..robot import Robot
 from .table_map import EFFORT_UNITS, POSITION_UNITS, VELOCITY_UNITS, Quantity, Side
@@ -24,39 +24,32 @@ class Source:
 
     tables: Sequence[Path]
     robot: Robot
-    place: str
+    place: Place
 
     def table(self, key: str, number: int) -> Path:
         """The file that a map counts as `number`, from 1."""
         if number > len(self.tables):
-            expected = f"{len(self.tables)} at most, the number of tables given"
-            raise AcquisitionError(place=self.place, key=key, value=number, expected=expected)
+            self.place.refuse(key, number, f"{len(self.tables)} at most, the number of tables given")
         return self.tables[number - 1]
 
     def position(self, key: str, quantity: Quantity) -> Array:
         """Joint positions (N, n) in rad or m."""
-        units = self._si(key, quantity, POSITION_UNITS)
+        units, values = self._read(key, quantity, POSITION_UNITS)
         side = position_side(self.robot, quantity.side, key, self.place)
         self._check_kinds(key, units, side)
-        values = self._values(key, quantity, units)
         return self.robot.joint_position(values) if side == "motor" else values
 
     def velocity(self, key: str, quantity: Quantity) -> Array:
         """Joint speeds (N, n) in rad/s or m/s."""
-        units, side = self._si(key, quantity, VELOCITY_UNITS), quantity.side
-        if side is None:
-            if not np.array_equal(self.robot.R, np.eye(self.robot.n)):
-                raise AcquisitionError(place=self.place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
-            side = "joint"
+        units, values = self._read(key, quantity, VELOCITY_UNITS)
+        side = _side_or_joint(quantity.side, _same(self.robot.R), key, self.place)
         self._check_kinds(key, units, side)
-        values = self._values(key, quantity, units)
         return self.robot.joint_velocity(values) if side == "motor" else values
 
     def effort(self, key: str, quantity: Quantity) -> tuple[Array, str]:
         """Joint efforts (N, n) in the robot's units, and where they come from."""
-        units = self._si(key, quantity, EFFORT_UNITS)
-        side = effort_side(self.robot, tuple(unit for unit, _ in units), quantity.side, key, self.place)
-        values = self._values(key, quantity, units)
+        units, values = self._read(key, quantity, EFFORT_UNITS)
+        side = effort_side(self.robot, units, quantity.side, key, self.place)
         unit = quantity.unit if isinstance(quantity.unit, str) else ", ".join(quantity.unit)
         columns = ", ".join(str(column) for column in quantity.columns)
         origin = f"{self.tables[quantity.table - 1].name}: {columns}: {unit} at the {side}"
@@ -65,92 +58,86 @@ class Source:
 
     def known_torque(self, key: str, quantity: Quantity) -> Array:
         """Known torques (N, n) on the joints in N m, forces in N."""
-        units, robot = self._si(key, quantity, EFFORT_UNITS), self.robot
-        if not robot.gain_known:
-            problem = "cannot be added to efforts in " + one(robot.effort_units)
+        if not self.robot.gain_known:
+            problem = "cannot be added to efforts in " + one(self.robot.effort_units)
             expected = "the drive gains in robot.toml, which make them N m or N"
-            raise AcquisitionError(problem, place=self.place, key=key, expected=expected)
-        if quantity.side == "motor":
-            expected = "'joint', where it acts"
-            raise AcquisitionError(place=self.place, key=f"{key}.side", value="motor", expected=expected)
-        found = tuple(unit for unit, _ in units)
-        if found != robot.effort_units:
-            problem, expected = f"gives {one(found)}", f"{one(robot.effort_units)}, as joints take"
-            raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
-        return self._values(key, quantity, units)
+            self.place.refuse(key, expected=expected, text=problem)
+        return self._effort_at(key, quantity, "joint", "where it acts")
 
     def feedforward(self, key: str, quantity: Quantity) -> Array:
         """What is added to the controller's output (N, n), by motor, in the units of the recorded effort."""
-        units, recorded = self._si(key, quantity, EFFORT_UNITS), tuple(m.recorded_unit for m in self.robot.motors)
-        if quantity.side == "joint":
-            expected = "'motor', where the controller's output acts"
-            raise AcquisitionError(place=self.place, key=f"{key}.side", value="joint", expected=expected)
-        found = tuple(unit for unit, _ in units)
-        if found != recorded:
-            problem, expected = f"gives {one(found)} at the motor", f"{one(recorded)} as robot.toml says"
-            raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
-        return self._values(key, quantity, units)
+        return self._effort_at(key, quantity, "motor", "where the controller's output acts")
 
-    def _si(self, key: str, quantity: Quantity, known: Units) -> list[tuple[str, float]]:
-        """SI unit and factor of each column."""
+    def _effort_at(self, key: str, quantity: Quantity, side: Side, why: str) -> Array:
+        """Efforts (N, n) that can only be of one side, as they are there."""
+        if quantity.side not in (None, side):
+            self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
+        units, values = self._read(key, quantity, EFFORT_UNITS)
+        effort_side(self.robot, units, side, key, self.place)
+        return values
+
+    def _read(self, key: str, quantity: Quantity, known: Units) -> tuple[tuple[str, ...], Array]:
+        """SI unit of each column, and the values (N, n) in them."""
         n = self.robot.n
-        units = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
-        return si_units(units, n, known, f"{key}.unit", self.place)
+        given = (quantity.unit,) * n if isinstance(quantity.unit, str) else quantity.unit
+        units, factors = si_units(given, n, known, f"{key}.unit", self.place)
+        values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
+        if values.shape[1] != n:
+            self.place.refuse(f"{key}.columns", expected=f"{n}, one per joint", text=f"{values.shape[1]} columns")
+        return units, np.asarray(values * factors)
 
-    def _check_kinds(self, key: str, units: Sequence[tuple[str, float]], side: Side) -> None:
-        for i, (joint, (unit, _)) in enumerate(zip(self.robot.joints, units, strict=True)):
+    def _check_kinds(self, key: str, units: Sequence[str], side: Side) -> None:
+        for i, (joint, unit) in enumerate(zip(self.robot.joints, units, strict=True)):
             # A motor turns whatever its joint does; a motor that slides drives a joint that slides.
             if unit != joint.position_unit and not (side == "motor" and unit == "rad"):
                 expected = "an angle" if joint.type == "revolute" else "a length"
                 problem = f"in {unit} for joint {i + 1} ({joint.name})"
-                raise AcquisitionError(problem, place=self.place, key=f"{key}.unit", expected=expected)
-
-    def _values(self, key: str, quantity: Quantity, units: Sequence[tuple[str, float]]) -> Array:
-        n = self.robot.n
-        values = read_columns(self.table(f"{key}.table", quantity.table), quantity.columns, n)
-        if values.shape[1] != n:
-            found = f"{values.shape[1]} columns"
-            raise AcquisitionError(found, place=self.place, key=f"{key}.columns", expected=f"{n}, one per joint")
-        return np.asarray(values * np.array([factor for _, factor in units]))
+                self.place.refuse(f"{key}.unit", expected=expected, text=problem)
 
 
-def si_units(units: Sequence[str], n: int, known: Units, key: str, place: str) -> list[tuple[str, float]]:
-    """SI unit and factor of each of n units."""
+def si_units(units: Sequence[str], n: int, known: Units, key: str, place: Place) -> tuple[tuple[str, ...], Array]:
+    """SI unit and factor (n,) of each of n units."""
     if len(units) != n:
-        raise AcquisitionError(f"{len(units)} units", place=place, key=key, expected=f"one, or {n}, one per joint")
+        place.refuse(key, expected=f"one, or {n}, one per joint", text=f"{len(units)} units")
     for unit in units:
         if unit not in known:
-            raise AcquisitionError(place=place, key=key, value=unit, expected=f"one of {', '.join(known)}")
-    return [known[unit] for unit in units]
+            place.refuse(key, unit, f"one of {', '.join(known)}")
+    return tuple(known[unit][0] for unit in units), np.array([known[unit][1] for unit in units])
 
 
-def position_side(robot: Robot, side: Side | None, key: str, place: str) -> Side:
+def position_side(robot: Robot, side: Side | None, key: str, place: Place) -> Side:
     """The side of positions; one that is not stated is the joint's where both are the same."""
-    if side is None:
-        if not (np.array_equal(robot.R, np.eye(robot.n)) and not robot.zero.any()):
-            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
-        side = "joint"
+    side = _side_or_joint(side, _same(robot.R) and not robot.zero.any(), key, place)
     if side == "joint" and robot.zero.any():
         joint = robot.joints[int(np.flatnonzero(robot.zero)[0])]
         name = "zero_deg" if joint.type == "revolute" else "zero_m"
         problem = f"{name} of joint {joint.name} in robot.toml would do nothing, joint positions are taken as they are"
-        raise AcquisitionError(problem, place=place, key=f"{key}.side", value=side, expected=f"'motor', or no {name}")
+        place.refuse(f"{key}.side", side, f"'motor', or no {name}", text=problem)
     return side
 
 
-def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: str) -> Side:
+def _same(R: Array) -> bool:
+    """Whether values of motors are those of joints by the matrix R (n, n)."""
+    return np.array_equal(R, np.eye(len(R)))
+
+
+def _side_or_joint(side: Side | None, same: bool, key: str, place: Place) -> Side:
+    if side is None and not same:
+        place.refuse(f"{key}.side", None, "'motor' or 'joint'")
+    return side or "joint"
+
+
+def effort_side(robot: Robot, found: tuple[str, ...], side: Side | None, key: str, place: Place) -> Side:
     """The side of efforts in the units `found`; one that is not stated is that which the units fit."""
     expected = {"motor": tuple(m.recorded_unit for m in robot.motors), "joint": robot.effort_units}
     fits = [side for side in ("motor", "joint") if found == expected[side]]
     if side is None:
-        same = np.array_equal(robot.R * robot.gain[:, None], np.eye(robot.n))
-        if len(fits) == 2 and not same:
-            raise AcquisitionError(place=place, key=f"{key}.side", value=None, expected="'motor' or 'joint'")
+        if len(fits) == 2 and not _same(robot.R * robot.gain[:, None]):
+            place.refuse(f"{key}.side", None, "'motor' or 'joint'")
         side = "joint" if fits == ["joint"] else "motor"
     if side not in fits:
-        problem = f"gives {one(found)} at the {side}"
         wanted = f"{one(expected[side])} as robot.toml says"
-        raise AcquisitionError(problem, place=place, key=f"{key}.unit", expected=wanted)
+        place.refuse(f"{key}.unit", expected=wanted, text=f"gives {one(found)} at the {side}")
     return side
 
 

@@ -10,10 +10,8 @@ ROUGHER = 2.0  # how much rougher positions may be by their stamps than by their
 LEAST_SCATTER = 0.02  # periods: stamps scattered less than this are not looked into
 LEFT_OPEN = 3.0  # periods: no row is left out where a longer step would be left
 OFF_STAMP, FAR_DEVIATIONS = 0.05, 6.0  # periods, and deviations of the scatter: stamps further off are left out
-EVEN, REGULAR = (
-    1e-3,
-    0.25,
-)  # of a period: no stamp is off among steps as even; none by over a period among steps as regular
+EVEN = 1e-3  # of a period: no stamp is off among steps as even
+REGULAR = 0.25  # of a period: no stamp is off by over a period among steps as regular
 MIN_QUANTA = 3.0  # of the position, that a row moves in the time that its stamp is off
 TICK_DEVIATIONS = 5.0  # of the noise of a step, that a joint moves in a tick: its ticks can be counted
 _PASSES = 4  # a stamp that is off hides those beside it

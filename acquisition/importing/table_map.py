@@ -35,7 +35,7 @@ EFFORT_UNITS = {
     "mN m": ("N m", 1e-3),
     "N": ("N", 1.0),
 }
-TIME_UNITS = {"s": ("s", 1.0), "ms": ("s", 1e-3), "us": ("s", 1e-6), "ns": ("s", 1e-9)}
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
 
 LARGEST_GAP_PERIODS = 3.0
 FROM_VELOCITY = "from velocity"  # in place of the column of a counter

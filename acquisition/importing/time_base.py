@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..recording import LARGEST_STAMP_NS
-from .stamps import LONG_STEP, row_numbers, rows_in_time
+from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
@@ -65,12 +65,38 @@ class TimeReport:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnGrid:
-    """Values (M, n) by name on a uniform grid that begins at `start_s`, its rate, and the report of the times before."""
+    """Values (M, n) by name on a uniform grid from `start_s` after `first_ns` on; the report of the times before, doubts."""
 
     parts: Mapping[str, Array]
     start_s: float
     rate_hz: float
+    first_ns: int = 0
     report: TimeReport | None = None
+    doubts: tuple[str, ...] = ()
+
+    @property
+    def notes(self) -> Mapping[str, str]:
+        """The report, for the metadata of a recording."""
+        return {} if self.report is None else {"times": self.report.text}
+
+    def stamps_ns(self, place: str) -> Ints:
+        """Stamps (M,) in ns; from 0 where they would begin before 0. Errors name `place`."""
+        rows = len(self.parts[POSITION])
+        start_s = max(0.0, self.start_s)
+        if not start_s + rows / self.rate_hz < LARGEST_STAMP_NS * 1e-9 or self.rate_hz > 1e8:
+            problem = f"{rows} rows at {self.rate_hz} Hz from {start_s} s"
+            Place(place).refuse(expected="68 years and 100 MHz at most", text=problem)
+        steps = np.rint(np.arange(rows) * (1e9 / self.rate_hz)).astype(np.int64)
+        return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
+
+
+def with_doubts(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
+    """A grid of rows at times (N,) by a `clock` and positions q (N, n), with doubts about these times."""
+    assert grid.report is not None
+    report = replace(grid.report, clock=clock)
+    growing = np.concatenate([[True], np.diff(time_s) > 0])
+    warning = stamps_warning(time_s[growing], q[growing], way_out)
+    return replace(grid, report=report, doubts=(*rate_doubts(report), *([warning] if warning else [])))
 
 
 def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -92,7 +118,7 @@ def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
 
 
 def resample(
-    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: str
+    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: Place
 ) -> OnGrid:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
@@ -105,42 +131,41 @@ def resample(
 
     time_s, parts, doubled = _without_doubled(time_s, parts, place)
     if len(time_s) < 4:
-        raise AcquisitionError(f"{len(time_s)} rows of different times", place=place, key="time", expected="4 at least")
+        place.refuse("time", expected="4 at least", text=f"{len(time_s)} rows of different times")
     report = report_of(time_s, doubled)
     in_time = rows_in_time(time_s, parts[POSITION]) if POSITION in parts else np.ones(len(time_s), dtype=bool)
     time_s, parts = time_s[in_time], {name: x[in_time] for name, x in parts.items()}
     steps = np.diff(time_s)
     k = int(np.argmax(steps))
     if steps[k] > (largest_gap_periods + 0.5) * report.period_s:
-        raise AcquisitionError(
-            f"a gap of {steps[k]:.6g} s after {time_s[k] - time_s[0]:.6g} s, {steps[k] / report.period_s:.1f} periods",
-            place=place,
-            key="time",
+        after_s, periods = time_s[k] - time_s[0], steps[k] / report.period_s
+        place.refuse(
+            "time",
             expected=f"{largest_gap_periods:g} periods of {report.period_s:.6g} s at most; import the parts before and after "
             "it apart, or state time.largest_gap_periods",
+            text=f"a gap of {steps[k]:.6g} s after {after_s:.6g} s, {periods:.1f} periods",
         )
     rate_hz = rate_hz or roundest_rate_hz(time_s)
     count = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
     if count < 2 or rate_hz * report.period_s > FINEST:
         expected = f"about the {1 / report.period_s:.4g} Hz of the rows, which last {time_s[-1] - time_s[0]:.4g} s"
-        raise AcquisitionError(place=place, key="resample_hz", value=rate_hz, expected=expected)
+        place.refuse("resample_hz", rate_hz, expected)
     grid = np.minimum(time_s[0] + np.arange(count) / rate_hz, time_s[-1])
     report = replace(report, grid_hz=rate_hz, off=int((~in_time).sum()))
     interpolated = {name: np.asarray(CubicSpline(time_s, x)(grid)) for name, x in parts.items()}
     return OnGrid(parts=interpolated, start_s=float(time_s[0]), rate_hz=rate_hz, report=report)
 
 
-def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> tuple[Array, Mapping[str, Array], int]:
+def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: Place) -> tuple[Array, Mapping[str, Array], int]:
     """Times that grow, and the values at them, without rows that are there twice; how many these were."""
     steps = np.diff(time_s)
     if (steps < 0).any():
         row = int(np.argmax(steps < 0))
-        raise AcquisitionError(
-            f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
-            place=place,
-            key=f"row {row + 2}",
+        place.refuse(
+            f"row {row + 2}",
             expected="growing times of one source; rows of two publishers, a clock that was set or a counter that "
             "wrapped do not have them",
+            text=f"time runs backwards: {time_s[row + 1]:.9g} s after {time_s[row]:.9g} s",
         )
     same = np.flatnonzero(steps == 0)
     for name, x in parts.items():
@@ -149,7 +174,7 @@ def _without_doubled(time_s: Array, parts: Mapping[str, Array], place: str) -> t
             row = int(same[np.argmax(differ)])
             problem = f"{name} differs from the row before at the same time, {time_s[row]:.9g} s"
             expected = "one row for each time; time.ticks names a counter where stamps are too coarse"
-            raise AcquisitionError(problem, place=place, key=f"row {row + 2}", expected=expected)
+            place.refuse(f"row {row + 2}", expected=expected, text=problem)
     keep = np.concatenate([[True], steps > 0])
     return time_s[keep], {name: x[keep] for name, x in parts.items()}, len(same)
 
@@ -172,45 +197,33 @@ def rate_doubts(report: TimeReport | None) -> list[str]:
     """Warnings about a grid that is coarser than the rows, or much finer, and about many rows that were left out."""
     if report is None or report.grid_hz is None:
         return []
-    doubts, ratio = [], report.grid_hz * report.period_s
+    doubts, ratio, own_hz = [], report.grid_hz * report.period_s, 1 / report.period_s
     if report.off > MANY_OFF * report.rows:
         share = 100 * report.off / report.rows
-        doubts = [
+        doubts.append(
             f"{share:.2g} % of the rows are left out, whose {report.clock} the motion contradicts: take another clock"
-        ]
+        )
     if ratio < COARSER:
-        return [
-            *doubts,
-            f"resample_hz = {report.grid_hz:g} is below the rows' {1 / report.period_s:.4g} Hz: noise above half of it is "
-            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself",
-        ]
+        doubts.append(
+            f"resample_hz = {report.grid_hz:g} is below the rows' {own_hz:.4g} Hz: noise above half of it is "
+            "folded into the samples; interpolate to the rows' own rate, a fit decimates by itself"
+        )
     if ratio > FINER:
-        return [
-            *doubts,
-            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {1 / report.period_s:.4g} Hz: samples between "
-            "rows are interpolated, they tell nothing new",
-        ]
+        doubts.append(
+            f"resample_hz = {report.grid_hz:g} is {ratio:.2g} times the rows' {own_hz:.4g} Hz: samples between "
+            "rows are interpolated, they tell nothing new"
+        )
     return doubts
 
 
-def stamps_ns(start_s: float, rows: int, rate_hz: float, place: str) -> Ints:
-    """Stamps (N,) in ns of so many rows at a rate, from `start_s` on; from 0 where that is before 0."""
-    start_s = max(0.0, start_s)
-    if not start_s + rows / rate_hz < LARGEST_STAMP_NS * 1e-9 or rate_hz > 1e8:
-        problem = f"{rows} rows at {rate_hz} Hz from {start_s} s"
-        raise AcquisitionError(problem, place=place, expected="68 years and 100 MHz at most")
-    return np.asarray(round(start_s * 1e9) + np.rint(np.arange(rows) * (1e9 / rate_hz)).astype(np.int64))
-
-
-def uniform_rate_hz(time_s: Array, place: str) -> float:
-    """Rate of the uniform grid through times (N,); refuses times that do not grow or that leave the grid."""
+def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
+    """Values (N, n) at times (N,) that lie on a uniform grid as they are; refuses times that do not grow or leave the grid."""
     way_out = "time.resample_hz interpolates rows to a uniform grid"
     steps = np.diff(time_s)
     if (steps <= 0).any():
         row = int(np.argmax(steps <= 0))
         found = f"{time_s[row + 1]:.9g} s after {time_s[row]:.9g} s"
-        expected = "a later time; time.resample_hz leaves out doubled rows"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
+        place.refuse(f"row {row + 2}", expected="a later time; time.resample_hz leaves out doubled rows", text=found)
     period = float(np.median(steps))
     bad = np.abs(steps - period) > 0.1 * period
     if bad.any():
@@ -218,13 +231,15 @@ def uniform_rate_hz(time_s: Array, place: str) -> float:
         missing = round(steps[row] / period) - 1
         cause = f"{missing} rows missing" if missing > 0 else "not uniform"
         found, expected = f"{steps[row]:.6g} s after the row before", f"{period:.6g} s ({cause}); {way_out}"
-        raise AcquisitionError(found, place=place, key=f"row {row + 2}", expected=expected)
-    period = float(time_s[-1] - time_s[0]) / len(steps)
+        place.refuse(f"row {row + 2}", expected=expected, text=found)
+    duration_s = float(time_s[-1] - time_s[0])
+    period = duration_s / len(steps)
     off = np.abs(time_s - time_s[0] - period * np.arange(len(time_s)))
     if off.max() > 0.5 * period:
         row = int(np.argmax(off))
         found, expected = f"{off[row]:.6g} s off a uniform grid", f"{0.5 * period:.6g} s at most; {way_out}"
-        raise AcquisitionError(found, place=place, key=f"row {row + 1}", expected=expected)
+        place.refuse(f"row {row + 1}", expected=expected, text=found)
     # The roundest rate that the scatter of the times cannot tell from the measured one: 1000, not 1000.00000013.
-    scatter = min(max(float(off.max()) / float(time_s[-1] - time_s[0]), 1e-12), 1e-4)
-    return _roundest(1 / period, scatter)
+    scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
+    rate_hz = _roundest(1 / period, scatter)
+    return OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))

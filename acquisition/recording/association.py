@@ -9,7 +9,7 @@ came as often as SYNC did. Nothing is pending
 - as often as the PDOs since such a place are as many as the SYNCs.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,15 +47,13 @@ class Association:
     Attributes:
         answered: (N,) grid indices of the SYNCs whose answers are all known.
         rows: of each PDO the (N,) frames that answer them.
-        late, duplicate, missing: of each PDO; missing and duplicate ones in the span in which all drives answer.
+        counts: of each PDO the late, duplicate and missing ones, these in the span in which all drives answer.
         missing_share: of the PDO of which most are missing, in that span.
     """
 
     answered: Rows
     rows: tuple[Rows, ...]
-    late: tuple[int, ...]
-    duplicate: tuple[int, ...]
-    missing: tuple[int, ...]
+    counts: tuple[Mapping[str, int], ...]
     missing_share: float
 
 
@@ -157,29 +155,23 @@ def associate(pdos: Sequence[PdoFrames], steps: Rows, paused: Bools, torn: Bools
         whole &= np.diff(balance[cuts]) == 0
     first, end = np.searchsorted(pdos[0].sync_rows, [max(p.rows[0] for p in pdos), min(p.rows[-1] for p in pdos)])
     span = np.clip(cuts, first - 1, max(first - 1, end))
-    missing, duplicate = [], []
+    counts: list[dict[str, int]] = []
     for pdo, balance in zip(pdos, behind, strict=True):
         grown = np.diff(balance[span])[~whole]
-        missing.append(int(grown[grown > 0].sum()))
-        duplicate.append(pdo.repeats - int(grown[grown < 0].sum()))
-    share = max(missing) / max(1, int(edges[span[-1]] - edges[span[0]]))
+        duplicate = pdo.repeats - int(grown[grown < 0].sum())
+        counts.append({"duplicate": duplicate, "missing": int(grown[grown > 0].sum())})
+    share = max(losses["missing"] for losses in counts) / max(1, int(edges[span[-1]] - edges[span[0]]))
     keep = np.repeat(whole, np.diff(cuts))
     del behind, balances, balance, edges, sums, span  # of a long session these are much memory
     asked = np.repeat(np.flatnonzero(keep).astype(np.int32), steps[keep])  # the interval of each of the SYNCs
-    rows, late = [], []
-    for pdo in pdos:
+    rows = []
+    for pdo, losses in zip(pdos, counts, strict=True):
         interval = pdo.interval
         used = keep[interval]
         rows.append(pdo.rows[used])
-        late.append(int(np.count_nonzero(interval[used] != asked)))
-    return Association(
-        answered=np.flatnonzero(np.repeat(keep, steps)).astype(np.int32),
-        rows=tuple(rows),
-        late=tuple(late),
-        duplicate=tuple(duplicate),
-        missing=tuple(missing),
-        missing_share=share,
-    )
+        losses["late"] = int(np.count_nonzero(interval[used] != asked))
+    answered = np.flatnonzero(np.repeat(keep, steps)).astype(np.int32)
+    return Association(answered=answered, rows=tuple(rows), counts=tuple(counts), missing_share=share)
 
 
 def _sums(values: NDArray[Any]) -> Rows:

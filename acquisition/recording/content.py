@@ -9,10 +9,9 @@ import os
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeAlias
 
 import mcap.records
 import zstandard
@@ -27,20 +26,19 @@ _MAGIC = b"\x89MCAP0\r\n"
 _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
 _LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
+Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
+Wanted: TypeAlias = Callable[[str], bool]
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 
-@dataclass(frozen=True, kw_only=True)
 class Messages:
-    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents.
+    """Messages of one topic, in file order: the text of their schema, their log times in ns, and their contents."""
 
-    All contents are in one growing buffer, each up to its entry in `ends`: hours of samples are too much to be held in memory.
-    """
-
-    layout: str
-    stamps_ns: list[int]
-    ends: list[int]
-    data: GrowingBytes
+    def __init__(self, layout: str) -> None:
+        self.layout = layout
+        self.stamps_ns: list[int] = []
+        # All contents, each up to its entry in `ends`: hours of samples are too much to be held in memory.
+        self.data, self.ends = GrowingBytes(), list[int]()
 
     def add(self, stamp_ns: int, content: bytes) -> None:
         """Append a message."""
@@ -56,21 +54,12 @@ class Messages:
             begin = end
 
 
-@dataclass(frozen=True, kw_only=True)
-class Content:
-    """What a file holds. `metadata` is None if the file does not have the record; `cut`: the file has no proper end."""
-
-    metadata: Mapping[str, str] | None
-    attachments: Mapping[str, bytes]
-    messages: Mapping[str, Messages]
-    cut: bool
-    sha256: str
+Content: TypeAlias = tuple[Mapping[str, str] | None, Mapping[str, bytes], Mapping[str, Messages], bool, str]
 
 
-def read_content(
-    path: Path, name: str, accept: Callable[[Mapping[str, str], str], None], wanted: Callable[[str], bool]
-) -> Content:
-    """Read the metadata record `name`, all attachments, and the messages of the `wanted` topics.
+def read_content(path: Path, name: str, accept: Accept, wanted: Wanted) -> Content:
+    """The metadata record `name` (None without it), attachments by name, messages of the `wanted` topics, whether the file is
+    cut, and its SHA-256.
 
     `accept(metadata, place)` raises to refuse the file before its data is read. Of a file without its end, what was written
     before the cut is returned. Raises `AcquisitionError` when the file cannot be read, is not MCAP, or is damaged.
@@ -83,13 +72,7 @@ def read_content(
         raise AcquisitionError(f"cannot be read: {error.strerror}", place=place) from error
 
 
-def _read(
-    records: "_Records",
-    place: str,
-    name: str,
-    accept: Callable[[Mapping[str, str], str], None],
-    wanted: Callable[[str], bool],
-) -> Content:
+def _read(records: "_Records", place: str, name: str, accept: Accept, wanted: Wanted) -> Content:
     if records.first != _MAGIC:
         raise AcquisitionError(f"begins with {records.first!r}", place=place, expected="an MCAP file")
     metadata: dict[str, str] | None = None
@@ -124,13 +107,7 @@ def _read(
             raise AcquisitionError(f"damaged at byte {at}: {what}", place=place) from error
     if records.has_end and not complete:
         raise AcquisitionError("damaged: its end is there, but the records before do not lead to it", place=place)
-    return Content(
-        metadata=metadata,
-        attachments=attachments,
-        messages=chunks.messages,
-        cut=not records.has_end,
-        sha256=records.sha256(),
-    )
+    return metadata, attachments, chunks.messages, not records.has_end, records.sha256()
 
 
 class _Records:
@@ -206,7 +183,7 @@ def _check_crc(found: int, crc: bytes) -> None:
 class _Chunks:
     """The chunks read so far: their channels, and the messages of the wanted topics."""
 
-    def __init__(self, wanted: Callable[[str], bool]) -> None:
+    def __init__(self, wanted: Wanted) -> None:
         self._wanted, self._size = wanted, 0
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Messages | None] = {}  # by channel id; None: not of a wanted topic
@@ -235,9 +212,7 @@ class _Chunks:
         self._channels[channel.id] = None
         if self._wanted(channel.topic):
             layout = self._schemas.get(channel.schema_id, "")
-            topic = self.messages.setdefault(
-                channel.topic, Messages(layout=layout, stamps_ns=[], ends=[], data=GrowingBytes())
-            )
+            topic = self.messages.setdefault(channel.topic, Messages(layout))
             if topic.layout != layout:
                 raise ValueError(f"{channel.topic} changes its layout")
             self._channels[channel.id] = topic

@@ -12,7 +12,7 @@ from functools import cached_property
 import numpy as np
 
 from ..arrays import Array, Ints
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
 from .association import associate, counted_steps, pdo_frames, sync_steps
@@ -26,6 +26,7 @@ FEWEST_SYNCS = 10  # with fewer their period is not checked
 MAX_MISSING = 0.05  # of the PDOs of a drive; with more, rows of different instants may look right
 FEW_MISSING = 2  # PDOs of a drive, which are no share in a short recording
 UNCERTAIN = "uncertain"  # counter of SYNCs without a sample, in `/health`
+LOSSES = ("late", "duplicate", "missing", "short")  # what PDOs are counted by
 _AT_ONCE = 10_000  # samples
 FEWEST_TARGETS = 0.1  # of the SYNCs; with fewer there is no reference
 
@@ -84,7 +85,7 @@ class Decoded:
             UNCERTAIN: self.syncs + self.syncs_lost - len(self.rows.stamps),
             "sync_jitter_sd_s": self.jitter_s[0],
             "sync_jitter_worst_s": self.jitter_s[1],
-            **{word: sum(getattr(p, word) for p in self.pdos) for word in ("late", "duplicate", "missing", "short")},
+            **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
         }
 
 
@@ -113,17 +114,16 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     traffic = Traffic(frames)
     sync_rows = traffic.rows_of(bus.file.sync_can_id)
     if len(sync_rows) < 2:
-        problem = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
-        raise AcquisitionError(problem, place=place, expected="many")
+        text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
+        Place(place).refuse(text=text, expected="many")
     carriers = _carriers(bus)
     pdos, shorts = [], []
     for pdo, name in carriers.items():
         rows, short = traffic.of(pdo)
         found = pdo_frames(rows, sync_rows, traffic.at("data", rows))
         if not len(found.rows):
-            problem = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
-            expected = "the drive's answers to SYNC; is it mapped and started?"
-            raise AcquisitionError(problem, place=place, expected=expected)
+            text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
+            Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
         pdos.append(found)
         shorts.append(short)
     times, counter = traffic.at("time_ns", sync_rows), traffic.at("data", sync_rows)[:, 0]
@@ -137,31 +137,20 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
         _refuse_period(clock.period_s, bus, place)
     del times, counter
     found_rows = associate(pdos, steps, paused, torn)
-    columns = (found_rows.late, found_rows.duplicate, found_rows.missing, shorts)
     counts = tuple(
-        PdoCount(
-            name=name,
-            received=len(pdo.rows) + pdo.repeats,
-            late=late,
-            duplicate=duplicate,
-            missing=missing,
-            short=short,
-        )
-        for name, pdo, late, duplicate, missing, short in zip(carriers.values(), pdos, *columns, strict=True)
+        PdoCount(name=name, received=len(pdo.rows) + pdo.repeats, short=short, **count)
+        for name, pdo, short, count in zip(carriers.values(), pdos, shorts, found_rows.counts, strict=True)
     )
     del pdos, found, rows  # of a long session these are much memory
-    if found_rows.missing_share > max_missing and max(found_rows.missing) > FEW_MISSING:
-        problem = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
-        raise AcquisitionError(
-            problem, place=place, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together"
-        )
+    if found_rows.missing_share > max_missing and max(count.missing for count in counts) > FEW_MISSING:
+        text = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
+        Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
     answered = found_rows.answered
     if len(answered) < 2:
-        raise AcquisitionError(f"{len(answered)} SYNC answered by all drives", place=place, expected="many")
+        Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
     rows_of = dict(zip(carriers, found_rows.rows, strict=True))
-    made = SampleRows(
-        traffic, robot, bus, rows_of, clock.stamps[answered], _targets(traffic, sync_rows, index_of, answered, bus)
-    )
+    targets = _targets(traffic, sync_rows, index_of, answered, bus)
+    made = SampleRows(traffic, robot, bus, rows_of, clock.stamps[answered], targets)
     lost = int(np.sum(steps - 1))
     warnings = _warnings(counts, lost, clock, bus, answered)
     return Decoded(
@@ -209,10 +198,8 @@ class SampleRows:
                 motor[1, :, i] = drive.effort.si(self._integers(drive, drive.effort.entry, part))
                 if self.targets is not None:
                     motor[2, :, i] = self._target(drive, self.targets[i][part], counts)
-            samples["position"], samples["effort"] = (
-                self.robot.joint_position(motor[0]),
-                self.robot.joint_effort(motor[1]),
-            )
+            samples["position"] = self.robot.joint_position(motor[0])
+            samples["effort"] = self.robot.joint_effort(motor[1])
             if known is not None:
                 samples["reference"] = self.robot.joint_position(motor[2])
                 samples["reference"][: max(0, int(known) - first)] = samples["position"][: max(0, int(known) - first)]
@@ -291,9 +278,8 @@ def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
     """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
     stated_s = bus.file.sync_period_s
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
-        raise AcquisitionError(
-            f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
-            place=place,
+        Place(place).refuse(
+            text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",
             expected=f"{measured_s:.3g}; correct robot.toml and import again, or make samples of a recording's frames by "
             "`robot-acquire decode LOG.mcap --robot CORRECTED.toml -o OUT.mcap`",
         )
@@ -324,7 +310,7 @@ def _warnings(counts: Sequence[PdoCount], lost: int, clock: SyncTimes, bus: Bus,
     if missing:
         found.append(f"{missing} samples are missing in {int(np.count_nonzero(np.diff(answered) > 1))} gaps")
     for count in counts:
-        losses = [f"{getattr(count, w)} {w}" for w in ("late", "duplicate", "missing", "short") if getattr(count, w)]
+        losses = [f"{getattr(count, word)} {word}" for word in LOSSES if getattr(count, word)]
         if losses:
             found.append(f"{count.name}: {', '.join(losses)} of {count.received}")
     return found

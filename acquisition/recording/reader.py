@@ -13,7 +13,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..robot import EffortTiming, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
@@ -138,38 +138,30 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         their layout.
     """
     path = Path(path)
-    place = str(path)
-    content = read_content(path, "recording", _check_metadata, _is_read)
-    metadata, attachments, topics, cut = content.metadata, content.attachments, content.messages, content.cut
+    place = Place(str(path))
+    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", _check_metadata, _is_read)
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
-        expected = "a recording of robot-acquire"
-        raise AcquisitionError(f"holds no metadata record 'recording'{note}", place=place, expected=expected)
+        place.refuse(text=f"holds no metadata record 'recording'{note}", expected="a recording of robot-acquire")
     if "robot.toml" not in attachments:
-        expected = "the robot's description as an attachment"
-        raise AcquisitionError(f"holds no robot.toml{note}", place=place, expected=expected)
+        place.refuse(text=f"holds no robot.toml{note}", expected="the robot's description as an attachment")
     robot = robot_from_files(attachments, f"{place}: robot.toml")
-    if metadata.get("effort_unit") != json.dumps(robot.effort_units):
-        expected = json.dumps(robot.effort_units)
-        raise AcquisitionError(
-            place=place,
-            key="effort_unit",
-            value=metadata.get("effort_unit"),
-            shown=str(metadata.get("effort_unit")),
-            expected=expected,
-        )
+    unit, expected = metadata.get("effort_unit"), json.dumps(robot.effort_units)
+    if unit != expected:
+        place.refuse("effort_unit", unit, expected, shown=str(unit))
     samples, frames = None, {}
     for topic, blocks in topics.items():
         if not blocks.stamps_ns:
             continue
+        where = Place(f"{place}: {topic}")
         if topic == "/samples":
-            samples = _rows(blocks, sample_layouts(robot), f"{place}: {topic}")
-            check_samples(samples, -1, f"{place}: {topic}")
+            samples = _rows(blocks, sample_layouts(robot), where)
+            check_samples(samples, -1, str(where))
         elif match := FRAMES_TOPIC.fullmatch(topic):
-            frames[match[1]] = _rows(blocks, [FRAME], f"{place}: {topic}")
-            check_frames(frames[match[1]], f"{place}: {topic}")
-    events = _decoded(topics, "/events", _EventText, place)
-    health = _decoded(topics, "/health", dict[str, float | None], place)
+            frames[match[1]] = _rows(blocks, [FRAME], where)
+            check_frames(frames[match[1]], str(where))
+    events = _decoded(topics, "/events", _EventText, path)
+    health = _decoded(topics, "/health", dict[str, float | None], path)
     return Recording(
         samples=samples,
         frames=frames,
@@ -183,7 +175,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
         robot=robot,
         sample_rate_hz=_rate(metadata, place),
         cut=cut,
-        sha256=content.sha256,
+        sha256=sha256,
     )
 
 
@@ -202,29 +194,24 @@ def has_reference(path: Path) -> bool:
     return all(b"'reference'" in text for text in schemas)
 
 
-def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: str) -> Block:
+def _rows(blocks: Messages, known: list[np.dtype[np.void]], place: Place) -> Block:
     """Concatenated rows. The schema's text is compared with the layouts this version writes, never evaluated."""
-    for dtype in known:
-        if repr(dtype.descr) == blocks.layout:
-            break
-    else:
-        raise AcquisitionError(f"layout {blocks.layout[:200]!r}", place=place, expected=str(known[-1].descr))
+    dtype = next((layout for layout in known if repr(layout.descr) == blocks.layout), None)
+    if dtype is None:
+        place.refuse(text=f"layout {blocks.layout[:200]!r}", expected=str(known[-1].descr))
     if any(end % dtype.itemsize for end in blocks.ends):
-        expected = f"blocks of whole rows of {dtype.itemsize} bytes"
-        raise AcquisitionError(f"{len(blocks.data)} bytes", place=place, expected=expected)
+        place.refuse(text=f"{len(blocks.data)} bytes", expected=f"blocks of whole rows of {dtype.itemsize} bytes")
     rows = np.frombuffer(blocks.data.whole(), dtype)
     rows.flags.writeable = False
     return rows
 
 
-def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, place: str) -> list[tuple[int, Any]]:
+def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) -> list[tuple[int, Any]]:
     try:
-        return [
-            (stamp, msgspec.json.decode(text, type=kind))
-            for stamp, text in (topics[topic].items() if topic in topics else [])
-        ]
+        messages = topics[topic].items() if topic in topics else ()
+        return [(stamp, msgspec.json.decode(text, type=kind)) for stamp, text in messages]
     except (msgspec.MsgspecError, ValueError, RecursionError) as error:
-        raise AcquisitionError(str(error), place=f"{place}: {topic}") from error
+        Place(f"{path}: {topic}").refuse(text=str(error))
 
 
 def _is_read(topic: str) -> bool:
@@ -235,21 +222,20 @@ def _is_read(topic: str) -> bool:
 def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
     text = metadata.get("schema_version", "")
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
-        raise AcquisitionError(place=place, key="schema_version", value=text, expected="a whole number from 1")
+        Place(place).refuse("schema_version", text, "a whole number from 1")
     if int(text) > SCHEMA_VERSION:
         expected = f"{SCHEMA_VERSION} at most; a newer robot-idim wrote this file"
-        raise AcquisitionError(place=place, key="schema_version", value=int(text), expected=expected)
+        Place(place).refuse("schema_version", int(text), expected)
     if metadata.get("crc32") != metadata_crc(metadata):
-        expected = repr(metadata_crc(metadata))
-        raise AcquisitionError(place=f"{place}: metadata", key="crc32", value=metadata.get("crc32"), expected=expected)
+        Place(f"{place}: metadata").refuse("crc32", metadata.get("crc32"), repr(metadata_crc(metadata)))
 
 
-def _rate(metadata: Mapping[str, str], place: str) -> float:
+def _rate(metadata: Mapping[str, str], place: Place) -> float:
     text = metadata.get("sample_rate_hz", "")
     try:
         rate_hz = float(text)
     except ValueError:
         rate_hz = math.nan
     if not 0 < rate_hz < math.inf:
-        raise AcquisitionError(place=place, key="sample_rate_hz", value=text, expected="a positive number")
+        place.refuse("sample_rate_hz", text, "a positive number")
     return rate_hz

@@ -1,13 +1,29 @@
-"""A whole recording from one that was cut by a kill or a power failure."""
+"""A recording written anew: a whole one from one that was cut by a kill or a power failure, or with samples made again."""
 
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import atomic_write
 from .reader import Recording, read_recording
+from .schema import Header
 from .writer import RecordingWriter
+
+
+def rewrite(
+    recording: Recording, header: Header, out: Path, add: Callable[[RecordingWriter], None], *, without: str = ""
+) -> None:
+    """Write the frames, events (but those of the kind `without`) and health of a recording anew; `add` writes the samples."""
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
+        for channel, frames in recording.frames.items():
+            writer.frames(channel, frames)
+        for event in recording.events:
+            if event.kind != without:
+                writer.event(event.stamp_ns, event.kind, event.text)
+        for health in recording.health:
+            writer.health(health.stamp_ns, health.counters)
+        add(writer)
 
 
 def recover(
@@ -21,18 +37,14 @@ def recover(
     """
     recording = read_recording(cut_path)
     if not recording.cut:
-        raise AcquisitionError("has its proper end: nothing to recover", place=str(cut_path))
-    notes = {**recording.metadata, "recovered_from": recording.sha256}
-    header = replace(recording.header, notes=notes)
-    with atomic_write(out_path) as partial, RecordingWriter(partial, header) as writer:
-        for channel, frames in recording.frames.items():
-            writer.frames(channel, frames)
-        for event in recording.events:
-            writer.event(event.stamp_ns, event.kind, event.text)
-        for health in recording.health:
-            writer.health(health.stamp_ns, health.counters)
+        Place(str(cut_path)).refuse(text="has its proper end: nothing to recover")
+
+    def add(writer: RecordingWriter) -> None:
         if recording.frames and decode is not None:
             decode(recording, writer)
         elif recording.samples is not None:
             writer.samples(recording.samples)
+
+    notes = {**recording.metadata, "recovered_from": recording.sha256}
+    rewrite(recording, replace(recording.header, notes=notes), out_path, add)
     return recording

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Ints
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import let_go
 
 # One raw CAN frame; `data` beyond `length` is zero.
@@ -84,17 +84,15 @@ def check_samples(samples: Block, after_ns: int, place: str) -> None:
         bad = (stamps <= np.concatenate([[after_ns], stamps[:-1]])) | (stamps > LARGEST_STAMP_NS)
         if bad.any():
             row = int(np.argmax(bad))
-            where = f"{place}: row {first + row + 1}"
-            expected = f"growing stamps from 0 to {LARGEST_STAMP_NS}"
-            raise AcquisitionError(place=where, key="stamp_ns", value=int(stamps[row]), expected=expected)
+            where = Place(f"{place}: row {first + row + 1}")
+            where.refuse("stamp_ns", int(stamps[row]), f"growing stamps from 0 to {LARGEST_STAMP_NS}")
         after_ns = int(stamps[-1])
         for field in (samples.dtype.names or ())[1:]:
             finite = np.isfinite(rows[field])
             if not finite.all():
                 row, joint = np.argwhere(~finite)[0]
-                value = rows[field][row, joint]
-                where, key = f"{place}: row {first + row + 1}", f"{field} of joint {joint + 1}"
-                raise AcquisitionError(place=where, key=key, value=float(value), expected="a finite number")
+                where, value = Place(f"{place}: row {first + row + 1}"), float(rows[field][row, joint])
+                where.refuse(f"{field} of joint {joint + 1}", value, "a finite number")
         first += len(rows)
 
 
@@ -106,6 +104,6 @@ def check_frames(frames: Block, place: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
-            where = f"{place}: row {first + row + 1}"
-            raise AcquisitionError(problem, place=where, expected="8 bytes at most and a time from 0")
+            where = Place(f"{place}: row {first + row + 1}")
+            where.refuse(text=problem, expected="8 bytes at most and a time from 0")
         first += len(rows)

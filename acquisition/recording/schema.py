@@ -1,16 +1,8 @@
 """What writer and reader of a recording agree on: channels, schema version, layouts of rows, CRC of the metadata.
 
-| channel | content |
-|---|---|
-| `/can/<channel>/frames` | blocks of raw CAN frames, both directions: `FRAME` rows |
-| `/samples` | blocks of joint samples in SI, optional columns, and extra objects: `sample_dtype` rows |
-| `/joint_states/measured`, `.../reference` | sensor_msgs/msg/JointState in CDR, at most 100 Hz, for viewers only |
-| `/events` | JSON `{kind, text}`: session phases, errors of drives, marks |
-| `/health` | JSON counters: kernel drops, late and missing messages |
-
-The metadata record `recording` and the attachments (`robot.toml`, the URDF) are written before the data, so that a file
-without its end can still be read. Blocks are numpy rows, which cost far less than a message per row; the text of their
-schema is the numpy dtype's `descr`.
+The README has a table of the channels. The metadata record `recording` and the attachments (`robot.toml`, the URDF) are
+written before the data, so that a file without its end can still be read. Blocks are numpy rows, which cost far less than a
+message per row; the text of their schema is the numpy dtype's `descr`.
 """
 
 import json

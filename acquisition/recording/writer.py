@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from mcap.writer import Writer
 
-from ..errors import AcquisitionError
+from ..errors import Place
 from .ros_messages import JOINT_STATE, RosMessages
 from .rows import FRAME, Block, check_frames, check_samples
 from .schema import FRAMES_TOPIC, Header, sample_layouts
@@ -52,15 +52,14 @@ class RecordingWriter:
 
     def samples(self, block: Block) -> None:
         """Add rows of `sample_dtype` and their JointState messages."""
-        n, place = self._robot.n, f"{self._place}: /samples"
+        place = Place(f"{self._place}: /samples")
         if block.dtype not in sample_layouts(self._robot):
-            raise AcquisitionError(f"rows of {block.dtype}", place=place, expected=f"sample_dtype of {n} joints")
+            place.refuse(text=f"rows of {block.dtype}", expected=f"sample_dtype of {self._robot.n} joints")
         if self._layout not in (None, block.dtype):
-            expected = f"{self._layout} as in the block before"
-            raise AcquisitionError(f"rows of {block.dtype}", place=place, expected=expected)
+            place.refuse(text=f"rows of {block.dtype}", expected=f"{self._layout} as in the block before")
         if len(block) == 0:
             return
-        check_samples(block, self._last_stamp_ns, place)
+        check_samples(block, self._last_stamp_ns, str(place))
         self._layout, self._last_stamp_ns = block.dtype, int(block["stamp_ns"][-1])
         for part in _parts(block):
             self._block("/samples", "robot_idim/samples", part, int(part["stamp_ns"][0]))
@@ -74,10 +73,9 @@ class RecordingWriter:
         """Add rows of `FRAME` of one CAN channel. They are stored in blocks of at most 100 ms."""
         topic = f"/can/{channel}/frames"
         if not FRAMES_TOPIC.fullmatch(topic):
-            expected = "letters, digits and _ . - only"
-            raise AcquisitionError(f"CAN channel {channel!r}", place=self._place, expected=expected)
+            Place(self._place).refuse(text=f"CAN channel {channel!r}", expected="letters, digits and _ . - only")
         if block.dtype != FRAME:
-            raise AcquisitionError(f"rows of {block.dtype}", place=f"{self._place}: {topic}", expected=str(FRAME))
+            Place(f"{self._place}: {topic}").refuse(text=f"rows of {block.dtype}", expected=str(FRAME))
         if len(block):
             check_frames(block, f"{self._place}: {topic}")
             tenths = np.flatnonzero(np.diff(block["time_ns"] // 100_000_000)) + 1
@@ -119,8 +117,7 @@ class RecordingWriter:
 
     def _json(self, topic: str, schema: str, layout: Mapping[str, Any], stamp_ns: int, content: Any) -> None:
         if stamp_ns < 0:
-            where = f"{self._place}: {topic}"
-            raise AcquisitionError(place=where, key="stamp_ns", value=stamp_ns, expected="a time from 0")
+            Place(f"{self._place}: {topic}").refuse("stamp_ns", stamp_ns, "a time from 0")
         channel = self._channel(topic, "json", schema, "jsonschema", json.dumps(layout))
         self._writer.add_message(channel, stamp_ns, msgspec.json.encode(content), stamp_ns)
 

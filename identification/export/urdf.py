@@ -11,20 +11,22 @@ import numpy as np
 
 from acquisition.errors import listed
 from acquisition.files import Edits, Element, parse_xml, text_of
-from acquisition.importing import UNLIMITED, rotation, urdf_of
 from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import is_a_body
+from .dh_urdf import UNLIMITED, dh_link_names, dh_urdf
 from .mechanism import LEAST, Mechanism
 from .numbers import inertial_keys
 
 
 def link_names(robot: Robot) -> tuple[str, ...]:
     """Names of the links that the joints move: those of the URDF, or `link_1` and so on of a robot of DH rows."""
+    if robot.urdf is None:
+        return dh_link_names(robot)
     child = {}
-    for joint in ET.fromstring(urdf_of(robot)).findall("joint"):
+    for joint in ET.fromstring(robot.urdf).findall("joint"):
         moved = joint.find("child")
         if moved is not None:
             child[joint.get("name")] = moved.get("link", "")
@@ -37,7 +39,7 @@ def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
     Armatures and couplings have no place in it.
     """
     robot = m.model.robot
-    source = urdf_of(robot).encode()
+    source = (dh_urdf(m.model) if robot.urdf is None else robot.urdf).encode()
     root, edits = parse_xml(source, f"robot {robot.name}: URDF"), Edits(source=source)
     notes = _unlimited(root) if robot.urdf is None else []
     links = {link.attributes.get("name", ""): link for link in root.all("link")}
@@ -100,6 +102,15 @@ def _pose(element: Element) -> Array:
         T[:3, 3] = _numbers(origin.attributes.get("xyz", "0 0 0"))
         T[:3, :3] = rotation(*_numbers(origin.attributes.get("rpy", "0 0 0")))
     return T
+
+
+def rotation(roll: float, pitch: float, yaw: float) -> Array:
+    """Rot(z, yaw) Rot(y, pitch) Rot(x, roll) (3, 3), as a URDF means these angles."""
+    (sr, cr), (sp, cp), (sy, cy) = ((np.sin(a), np.cos(a)) for a in (roll, pitch, yaw))
+    about_z = np.array([[cy, -sy, 0.0], [sy, cy, 0.0], [0.0, 0.0, 1.0]])
+    about_y = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
+    about_x = np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
+    return np.asarray(about_z @ about_y @ about_x)
 
 
 def _inertia_of(link: Element, T: Array) -> Array:
