@@ -63,7 +63,6 @@ class SimulatedNode:
     waiting: dict[int, bytes] = field(default_factory=dict)
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
-    cleared: int = 0
     more_status: int = 0  # bits of the statusword other than those of the state
     boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next is sent a heartbeat time later
 
@@ -138,9 +137,9 @@ class SimulatedNode:
 
     @property
     def statusword(self) -> int:
-        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed; without those in `cleared`."""
+        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed."""
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
-        return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
+        return self.state.value[1] | 0x0210 | follows | self.more_status
 
     def home(self, name: str) -> None:
         """Set the object or bit that reports the drive as homed."""
