@@ -1,7 +1,8 @@
 """Errors: their data, and the one line made of them."""
 
 from collections.abc import Sequence
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Any, Final, NoReturn
 
 _NO_VALUE: Final = object()
 _LONGEST_VALUE = 80  # characters; files from elsewhere may hold anything
@@ -52,3 +53,25 @@ class RobotIdimError(Exception):
 
 class AcquisitionError(RobotIdimError):
     """Bad input, or a session that failed."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A file, or a `table` of it, that is being read: refuses what stands there by key, value and what is expected."""
+
+    name: str
+    table: str = ""
+
+    def __str__(self) -> str:
+        return self.name
+
+    def at(self, table: str) -> "Place":
+        """A table of it."""
+        return Place(self.name, f"{self.table}.{table}".lstrip("."))
+
+    def refuse(
+        self, key: str = "", value: Any = _NO_VALUE, expected: str = "", *, text: str = "", shown: str = ""
+    ) -> NoReturn:
+        """Raise the `AcquisitionError`; `text` and `shown` as there."""
+        key = f"{self.table}.{key}".strip(".")
+        raise AcquisitionError(text, place=self.name, key=key, value=value, shown=shown, expected=expected)
