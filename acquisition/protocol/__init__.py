@@ -32,8 +32,10 @@ from .objects import (
     EffortCodec,
     ObjectEntry,
     PositionCodec,
+    Rule,
     interpolation_period,
     quick_stop_ramp,
+    range_of,
     saturated,
 )
 from .pdo import (

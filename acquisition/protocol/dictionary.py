@@ -90,7 +90,7 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
             value = part.value if part.value is not None else part.default
             entries[part.index, part.subindex] = DictionaryEntry(
                 name=str(item.name if part is item else f"{item.name}: {part.name}"),
-                type=INTEGERS.get(part.data_type or 0, ("", ""))[0],
+                type=INTEGERS.get(part.data_type or 0, ""),
                 writable="w" in (part.access_type or ""),
                 value=value if isinstance(value, int) else None,
             )

@@ -123,6 +123,11 @@ class DriveFile(TomlTable, frozen=True):
             self.refuse("mapping", self.mapping, "a dictionary (EDS or DCF) that holds the mapping")
 
     @property
+    def counts_per_unit(self) -> float:
+        """Counts per rad or m of the motor."""
+        return self.counts_per_m or (self.counts_per_turn or 0.0) / (2 * math.pi)
+
+    @property
     def reports_demand(self) -> bool:
         """Whether its effort is a torque demand, 6074h of any axis: the value of one control step."""
         return (parse_object(self.reference or self.actual or "0000")[0] - TORQUE_DEMAND) % AXIS == 0

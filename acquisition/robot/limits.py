@@ -11,7 +11,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..protocol import BITS
+from ..protocol import range_of
 from .description import Joint
 from .resolving import resolve
 from .robot import Robot
@@ -55,8 +55,7 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     if robot.bus is not None:
         for i, drive in enumerate(resolve(robot, place).drives):
-            kind = drive.effort.entry.type
-            most = 2 ** (BITS[kind] - (kind[0] == "I")) - 1
+            _, most = range_of(drive.effort.entry.type)
             ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
