@@ -52,14 +52,7 @@ from .pdo import (
 )
 from .sdo import (
     ANSWER,
-    NO_SUCH_OBJECT,
-    NO_SUCH_SUB,
-    NOT_MAPPABLE,
-    READ_ONLY,
     REQUEST,
-    TOO_LONG_PDO,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
     abort_answer,
     answer_of,
     check_answer,

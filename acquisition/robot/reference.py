@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import AcquisitionError, Place
 from ..files import read_columns
 from .robot import Robot
 
@@ -52,12 +52,8 @@ def fourier_reference(
         raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
-            raise AcquisitionError(
-                place=f"robot {robot.name}: joint {joint.name}",
-                key=f"joint[{i}].position_{'deg' if joint.type == 'revolute' else 'm'}",
-                value=None,
-                expected="[lowest, highest]: the reference moves within it",
-            )
+            at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
+            at.refuse(joint.key("position"), None, "[lowest, highest]: the reference moves within it")
     rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
     sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
@@ -97,31 +93,25 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     from scipy.interpolate import CubicSpline
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
-    time_s = table[:, 0]
+    time_s, at = table[:, 0], Place(f"{path}: time_s")
     with np.errstate(all="ignore"):  # what overflows is refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
-            raise AcquisitionError(place=f"{path}: time_s", expected="two rows or more, with growing times")
+            at.refuse(expected="two rows or more, with growing times")
         length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
-            problem = f"{length_s:.6g} s from first to last{slower}"
             expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
-            raise AcquisitionError(problem, place=f"{path}: time_s", expected=expected)
+            at.refuse(text=f"{length_s:.6g} s from first to last{slower}", expected=expected)
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
-        except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
-            raise _no_spline(path, time_s, table) from error
+        except ValueError:  # rows so close, or numbers so large, that its equations overflow
+            q = np.array([np.nan])
     if not np.isfinite(q).all():
-        raise _no_spline(path, time_s, table)
+        found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
+        Place(str(path)).refuse(text=found, expected="positions in rad or m at times that a smooth path leads through")
     return q
-
-
-def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
-    found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-    expected = "positions in rad or m at times that a smooth path leads through"
-    return AcquisitionError(found, place=str(path), expected=expected)
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
@@ -133,7 +123,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
                 problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
-                raise AcquisitionError(problem, place=place, expected="one in robot.toml before anything moves")
+                Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
         dq = np.diff(at_rest, axis=0) / period_s
@@ -141,22 +131,18 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         unit = joint.position_unit
+        speed, acceleration = joint.si("speed"), joint.si("acceleration")
         for name, values, bottom, top, per in (
             ("position", q[:, i], low, high, ""),
-            ("speed", dq[:, i], -joint.si("speed"), joint.si("speed"), "/s"),
-            ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
+            ("speed", dq[:, i], -speed, speed, "/s"),
+            ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):
             slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                raise AcquisitionError(
-                    place=f"{place}: at {k * period_s:.4g} s",
-                    key=f"{name} of {joint.name}",
-                    value=float(values[k]),
-                    shown=f"{values[k]:.4g} {unit}{per}",
-                    expected=f"{bottom:.4g} to {top:.4g}",
-                )
+                at, shown = Place(f"{place}: at {k * period_s:.4g} s"), f"{values[k]:.4g} {unit}{per}"
+                at.refuse(f"{name} of {joint.name}", float(values[k]), f"{bottom:.4g} to {top:.4g}", shown=shown)
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:

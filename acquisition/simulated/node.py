@@ -16,19 +16,12 @@ from ..protocol import (
     IDENTITY,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
-    NO_SUCH_OBJECT,
-    NO_SUCH_SUB,
-    NOT_MAPPABLE,
     NOT_VALID,
     PARAMETERS,
-    READ_ONLY,
     REQUEST,
     STANDARD,
     STOP_OPTIONS,
-    TOO_LONG_PDO,
     TRANSITIONS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
     Command,
     Pdo,
     State,
@@ -168,39 +161,38 @@ class SimulatedNode:
     def _serve(self, data: bytes) -> bytes:
         request = request_of(data)
         key = (request.index, request.sub)
-        if request.kind == "other" or request.kind == "abort":
-            return abort_answer(0, 0, UNKNOWN_COMMAND)
+        if request.kind in ("other", "abort"):
+            return abort_answer(0, 0, "command specifier not known")
         if key not in self.values or key not in self.types:
             known = any(index == request.index for index, _ in self.values)
-            return abort_answer(*key, NO_SUCH_SUB if known else NO_SUCH_OBJECT)
+            return abort_answer(*key, f"{'sub-index' if known else 'object'} does not exist")
         size = BITS[self.types[key]] // 8
         if request.kind == "read":
             return value_answer(*key, self.values[key], size)
         if key in self.read_only:
-            return abort_answer(*key, READ_ONLY)
+            return abort_answer(*key, "write to a read-only object")
         value = int.from_bytes(request.data[:size], "little", signed=self.types[key][0] == "I")
-        refusal = self._refuse_mapping(key, value)
-        if refusal:
+        if refusal := self._refuse_mapping(key, value):
             return abort_answer(*key, refusal)
         self._set(key, value)
         if 0x1400 <= request.index <= 0x1BFF:
             self._map()
         return written_answer(*key)
 
-    def _refuse_mapping(self, key: Key, value: int) -> int:
-        """Abort code where a write to a mapping parameter is not allowed, 0 where it is."""
+    def _refuse_mapping(self, key: Key, value: int) -> str:
+        """Why a write to a mapping parameter is not allowed; empty where it is."""
         index, sub = key
         for communication, mapping in PARAMETERS.values():
             if mapping <= index < mapping + 0x200:
                 if not self.values.get((index - mapping + communication, 1), NOT_VALID) & NOT_VALID:
-                    return WRONG_STATE
+                    return "not possible in this state"
                 if sub and self.values.get((index, 0)):
-                    return WRONG_STATE
+                    return "not possible in this state"
                 if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
-                    return NOT_MAPPABLE
+                    return "object cannot be mapped to a PDO"
                 if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > 64:
-                    return TOO_LONG_PDO
-        return 0
+                    return "PDO would be too long"
+        return ""
 
     def _map(self) -> None:
         place = f"node {self.drive.node}"
