@@ -3,17 +3,19 @@
 All begin and end at rest.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError, Place
+from ..errors import Place
 from ..files import read_columns
 from .robot import Robot
 
 HARMONICS = 5
+SLOW_STOP_S = 0.5  # from a stop request to rest; longer where acceleration limits need it
 LIMIT_SHARE = 0.8  # of a joint's stated range and speed
 
 
@@ -49,7 +51,7 @@ def fourier_reference(
     where the period is not positive, or a joint states no range.
     """
     if not period_s > 0:
-        raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
+        Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
             at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
@@ -159,4 +161,28 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     )
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
     q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    return q
+
+
+def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
+    """Joint positions (n,) along a path (N, n), one for each SYNC; once `stopping()` is true, the motion slows down to rest.
+
+    It slows down along the path, by at most half of the joints' acceleration limits in addition to the path's own acceleration.
+    """
+    at, rate = 0.0, 1.0
+    speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
+    stop_s = max(SLOW_STOP_S, *(2 * v / j.si("acceleration") for v, j in zip(speed, robot.joints, strict=True)))
+    while at < len(path) - 1 and rate > 0.0:
+        yield _between(path, at)
+        if stopping():
+            rate = max(0.0, rate - period_s / stop_s)
+        at = min(at + rate, len(path) - 1.0)
+    yield _between(path, at)
+
+
+def _between(path: Array, at: float) -> Array:
+    """Row of a path at a fractional index, by linear interpolation."""
+    k = min(int(at), len(path) - 2) if len(path) > 1 else 0
+    then = path[min(k + 1, len(path) - 1)]
+    q: Array = path[k] + (at - k) * (then - path[k])
     return q
