@@ -26,14 +26,13 @@ from ..protocol import (
     saturated,
 )
 from ..robot import Bus, Robot, axis_index
-from .loops import SUBSTEPS, LoopMemory, cubic
+from .loops import SUBSTEPS, cubic
 from .mechanism import Mechanism, mechanism_of
 from .node import Sent, SimulatedNode, simulated_node
-from .supervision import Supervision, leave_unsupervised
+from .supervision import Supervision
 
-WINDOW = (
-    2  # times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's
-)
+# Times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's.
+WINDOW = 2
 # 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
@@ -45,26 +44,15 @@ class SimulatedDrives:
     lost master (no 1016h, 6007h is 0), and no following error (6065h is off).
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        bus: Bus,
-        mechanism: Mechanism | None = None,
-        *,
-        supervised: bool = True,
-    ) -> None:
+    def __init__(self, robot: Robot, bus: Bus, mechanism: Mechanism | None = None, *, supervised: bool = True) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.home(file.homed)
         following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
-        for node in self.nodes if not supervised else ():
-            leave_unsupervised(node)
         self._supervisions = [
-            Supervision(
-                node, watches_sync=supervised, window=WINDOW * limit * node.drive.position_codec.counts_per_unit
-            )
-            for node, limit in zip(self.nodes, following if supervised else np.full(robot.n, np.inf), strict=True)
+            Supervision(node, WINDOW * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
+            for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or mechanism_of(robot, bus)
         self.bus, self.plant = bus, mechanism.plant
@@ -81,9 +69,10 @@ class SimulatedDrives:
             self._set_ramps(node, limit)
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
         self._next_heartbeat = [0] * robot.n
-        x = np.zeros(robot.n)
-        held = np.ones(robot.n, np.bool_)
-        self._memory = LoopMemory(target=x, travel=x, speed=x, integral=x, actual=x, reported=x, held=held)
+        # State of the loops: target, the way to it, speed at it (times the period), integral of the error, efforts, brakes.
+        self._target, self._travel, self._speed, self._integral = np.zeros((4, robot.n))
+        self._actual, self._reported = np.zeros((2, robot.n))
+        self._held = np.ones(robot.n, np.bool_)
 
     @property
     def states(self) -> list[State]:
@@ -148,7 +137,7 @@ class SimulatedDrives:
         self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)
-        behind = np.where(self._memory.held, 0.0, self._memory.target - self._measured()[0])
+        behind = np.where(self._held, 0.0, self._target - self._measured()[0])
         for i, node in enumerate(self.nodes):
             node.tick()
             if node.operational:
@@ -170,15 +159,15 @@ class SimulatedDrives:
         A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other effort
         is the mean of the torque since the SYNC before: it is half a period late.
         """
-        memory, loops, T = self._memory, self._loops, self._period_s
+        loops, T = self._loops, self._period_s
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
         if self.plant.prescribed_effort() is not None:  # the control loops have no effect
-            self.plant.step(memory.actual, ~enabled | stopping, T)
+            self.plant.step(self._actual, ~enabled | stopping, T)
             return
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
-        start, before = np.where(memory.held, position, memory.target), np.where(memory.held, 0.0, memory.travel)
+        start, before = np.where(self._held, position, self._target), np.where(self._held, 0.0, self._travel)
         # Quick stop: the speed of the target falls by the ramp that 605Ah names, else at the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
         ramps = np.where(stated, stated, self._quick_stop)
@@ -187,21 +176,21 @@ class SimulatedDrives:
         travel = np.where(enabled, target - start, 0.0)
         first, last = travel, travel
         if loops.smooth:  # the speed at a target, of the parabola through it and the two before it
-            first, last = memory.speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
+            first, last = self._speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
         decay, total = np.exp(-T / SUBSTEPS / loops.current_s), np.zeros(len(start))
         for k in range(SUBSTEPS):
             position, dq = self._measured()
             way, speed = cubic((k + 1) / SUBSTEPS, travel, first, last)
             error, ahead = start + way - position, loops.feedforward * speed / T
             x = loops.position_share * error - (1 - loops.feedforward) * dq
-            memory.integral = np.where(enabled, memory.integral + x * T / SUBSTEPS, 0.0)
-            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * memory.integral
+            self._integral = np.where(enabled, self._integral + x * T / SUBSTEPS, 0.0)
+            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * self._integral
             demand = np.where(enabled, demand, 0.0)
-            memory.actual = demand + (memory.actual - demand) * decay
-            self.plant.step(self._robot.joint_effort(memory.actual[None])[0], ~enabled, T / SUBSTEPS)
-            total = total + memory.actual
-        memory.reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
-        memory.target, memory.travel, memory.speed, memory.held = target, travel, last, ~enabled
+            self._actual = demand + (self._actual - demand) * decay
+            self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
+            total = total + self._actual
+        self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
+        self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
         for i, node in enumerate(self.nodes):
             stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
             if stopping[i] and travel[i] == 0.0 and not stays:
@@ -220,8 +209,7 @@ class SimulatedDrives:
         for i, node in enumerate(self.nodes):
             in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
             if enabled[i] and in_csp:
-                raw = node.values[node.drive.target.index, node.drive.target.sub]
-                target[i] = node.drive.position_codec.si(np.array(raw))
+                target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
         return target
 
     def _measured(self) -> tuple[Array, Array]:
@@ -235,17 +223,17 @@ class SimulatedDrives:
     def _sample(self) -> None:
         """Write position, effort and speed into the object dictionaries."""
         q, dq = self.plant.state()
-        counts, speed, motor = self._counts(q), self._robot.motor_velocity(dq), self._memory.reported
+        counts, speed, motor = self._counts(q), self._robot.motor_velocity(dq), self._reported
         if (prescribed := self.plant.prescribed_effort()) is not None:
             motor = self._robot.motor_effort(prescribed[None])[0]
         for i, node in enumerate(self.nodes):
             drive = node.drive
-            node.values[drive.position.index, drive.position.sub] = int(counts[i])
-            node.values[drive.effort.entry.index, drive.effort.entry.sub] = int(drive.effort.raw(motor[i]))
+            node.values[drive.position.key] = int(counts[i])
+            node.values[drive.effort.entry.key] = int(drive.effort.raw(motor[i]))
             for extra in drive.extras:
                 if extra.column.unit in ("rad/s", "m/s"):
                     raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
-                    node.values[extra.entry.index, extra.entry.sub] = int(raw)
+                    node.values[extra.entry.key] = int(raw)
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:

@@ -1,9 +1,8 @@
-"""Control loops of simulated drives: their law, the reference between two targets, their state."""
+"""Control loops of simulated drives: their law, and the reference between two targets."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..robot import SIMULATED_CONTROLLER, Controller, Robot, robot_from_files
@@ -72,16 +71,3 @@ def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array
     rest, a, b = 1 - share, first - travel, last - travel
     speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
     return share * (travel + rest * (rest * a - share * b)), speed
-
-
-@dataclass(kw_only=True)
-class LoopMemory:
-    """State of the drives, each (n,): target, the way to it, speed at it (times the SYNC period), integral, efforts, brakes."""
-
-    target: Array
-    travel: Array
-    speed: Array
-    integral: Array
-    actual: Array
-    reported: Array
-    held: NDArray[np.bool_]

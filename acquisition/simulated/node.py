@@ -138,7 +138,7 @@ class SimulatedNode:
         """Set the object or bit that reports the drive as homed."""
         index, sub, bit = parse_homed(name)
         mask = 1 if bit is None else 1 << bit
-        if (index, sub) == (self.drive.status.index, self.drive.status.sub):
+        if (index, sub) == self.drive.status.key:
             self.more_status |= mask
             self.initial[index, sub] = self.statusword
         else:
@@ -195,11 +195,14 @@ class SimulatedNode:
         return ""
 
     def _map(self) -> None:
-        place = f"node {self.drive.node}"
         values = {key: value for key, value in self.values.items() if 0x1400 <= key[0] <= 0x1BFF}
         known = {key: kind for key, kind in self.types.items() if key in self.values}
-        self.tpdos = tuple(p for p in pdos_of("tpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
-        self.rpdos = tuple(p for p in pdos_of("rpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
+        self.tpdos, self.rpdos = (
+            tuple(
+                p for p in pdos_of(way, values, known, f"node {self.drive.node}") if p.bits <= 64 and p.can_id < 0x800
+            )
+            for way in PARAMETERS
+        )
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
@@ -221,7 +224,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
         used += [extra.entry for extra in drive.extras]
-        types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
+        types = dict(STANDARD) | {e.key: e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
         types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
         types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}
