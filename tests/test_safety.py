@@ -148,7 +148,7 @@ def test_the_interpolation_period_is_exact_or_refused(period_s, said):
 
 
 def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
-    entry = DictionaryEntry(name="", type="U32", writable=False, value=None)
+    entry = DictionaryEntry(type="U32", writable=False, value=None)
     dictionary = ObjectDictionary(
         entries={(0x1018, 1): entry, (0x1018, 2): dataclasses.replace(entry, value=7)},
         vendor=0xFB,

@@ -19,8 +19,9 @@ def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
     ----------
     path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
         line; lines that begin with # are skipped, except a header: the last such line above numbers.
-    columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file, as
-        `mat.read_variables` reads them: one name may give several columns.
+    columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file,
+        or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind a name takes some of its columns
+        or rows, and one name may give several columns.
     count : columns expected in all.
 
     Returns

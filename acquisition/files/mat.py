@@ -30,15 +30,9 @@ class _Part:
 
 
 def read_variables(data: bytes, names: Sequence[str | int], count: int, place: Place) -> tuple[Array, list[str]]:
-    """The named parts of a MAT file, side by side (N, count), and a label of each column.
-
-    A name is that of a variable, or a field of a struct by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind it
-    takes some of its columns or rows. Matrices may be samples by joints or joints by samples: the number of samples is the
-    one with which all parts have the same length and `count` columns in all.
-
-    Raises `AcquisitionError` if the file cannot be read, a name does not exist or is not of real numbers, or rows and columns
-    of a matrix cannot be told apart.
-    """
+    """The named parts of a MAT file, side by side (N, count), and a label of each column."""
+    # Matrices may be samples by joints or joints by samples: the number of samples is the one with which all parts have the
+    # same length and `count` columns in all.
     asked = [_NAME.fullmatch(str(name)) for name in names]
     variables = _load(data, [match["path"].split(".")[0] for match in asked if match], place)
     parts = []

@@ -41,6 +41,8 @@ from .objects import (
 from .pdo import (
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
+    MAX_PDO_BITS,
+    MAX_PDOS,
     NOT_VALID,
     PARAMETERS,
     Pdo,

@@ -26,7 +26,6 @@ _EMPTY = re.compile(
 class DictionaryEntry:
     """An entry: `type` is I8 to U32, or empty for what no PDO can carry; `value` is the DCF's value or the default."""
 
-    name: str
     type: str
     writable: bool
     value: int | None
@@ -88,7 +87,6 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         for part in parts:
             value = part.value if part.value is not None else part.default
             entries[part.index, part.subindex] = DictionaryEntry(
-                name=str(item.name if part is item else f"{item.name}: {part.name}"),
                 type=INTEGERS.get(part.data_type or 0, ""),
                 writable="w" in (part.access_type or ""),
                 value=value if isinstance(value, int) else None,

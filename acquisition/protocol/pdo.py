@@ -7,6 +7,7 @@ from ..errors import Place
 from .objects import BITS, ObjectEntry
 
 NOT_VALID = 1 << 31
+MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
@@ -86,7 +87,7 @@ def pdos_of(
     """
     communication, mapping = PARAMETERS[direction]
     found = []
-    for index in sorted({i for i, _ in values if communication <= i < communication + 0x200}):
+    for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):
         can_id, number = values.get((index, 1)), index - communication + 1
         count = values.get((mapping + number - 1, 0), 0)
         if can_id is None or can_id & NOT_VALID or not can_id & _IDENTIFIER or not count:

@@ -25,6 +25,7 @@ EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instant
 
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
 TORQUE_DEMAND = 0x6074
+USUAL_SYNC = 0x80
 AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
 _WORDS: dict[str, Iterable[str]] = dict.fromkeys(("reference_rule", "actual_rule"), RULES)
 _WORDS |= dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS)
@@ -156,7 +157,7 @@ class BusFile(TomlTable, frozen=True):
     sync_period_s: Positive
     bitrate: int = 1_000_000
     sync_producer: Literal["recorder", "other"] = "recorder"
-    sync_can_id: CanId = 0x80
+    sync_can_id: CanId = USUAL_SYNC
     loopback: bool = True
     heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
     master_node: Node = 127
@@ -184,11 +185,9 @@ class BusFile(TomlTable, frozen=True):
 
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w the position loop's bandwidth.
-
-    A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration, and
-    its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
-    """
+    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w: the position loop."""
+    # A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration,
+    # and its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
     return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
 
 

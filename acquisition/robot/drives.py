@@ -11,6 +11,7 @@ from ..protocol import (
     CONTROLWORD,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
+    MAX_PDO_BITS,
     MODE_OF_OPERATION,
     STATUSWORD,
     EffortCodec,
@@ -21,12 +22,11 @@ from ..protocol import (
     bus_load,
     range_of,
 )
-from .bus import AXIS, BusFile, DriveFile
+from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .extra_objects import ExtraObject
 from .robot import Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
-USUAL_SYNC = 0x80
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
@@ -135,10 +135,8 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
 
 
 def refuse_pdos(bus: Bus, place: str) -> None:
-    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have.
-
-    A controlword on the identifier of another service would be a command of that service, to every node.
-    """
+    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have."""
+    # A controlword on the identifier of another service would be a command of that service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
     if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
@@ -152,7 +150,7 @@ def refuse_pdos(bus: Bus, place: str) -> None:
                 if pdo.number in numbers:
                     at.refuse(text=f"number = {pdo.number} is there twice", expected="one of its own")
                 numbers.add(pdo.number)
-                if pdo.bits > 64:
+                if pdo.bits > MAX_PDO_BITS:
                     at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
                 name = f"identifier 0x{pdo.can_id:03X}"
                 if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
@@ -163,10 +161,8 @@ def refuse_pdos(bus: Bus, place: str) -> None:
 
 
 def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
-    """Refuse counts per metre of a motor that turns, and per turn of one that slides.
-
-    A torque or a force tells which; where efforts are amperes or volts alone, the joints that the motor moves do.
-    """
+    """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
+    # A torque or a force shows which; where efforts are amperes or volts alone, the joints that the motor moves do.
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
     slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
@@ -186,11 +182,8 @@ def axis_of(drive: Drive) -> int:
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
-        problem, expected = (
-            f"control {drive.control} and status {drive.status}",
-            "those of one axis, such as 6040:0 and 6041:0",
-        )
-        Place(f"node {drive.node}").refuse(text=problem, expected=expected)
+        problem = f"control {drive.control} and status {drive.status}"
+        Place(f"node {drive.node}").refuse(text=problem, expected="those of one axis, such as 6040:0 and 6041:0")
     return axis
 
 

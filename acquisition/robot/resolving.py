@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import Place
 from ..protocol import (
     EFFORT_OBJECTS,
+    MAX_PDO_BITS,
     RATED_CURRENT,
     RATED_TORQUE,
     RATED_UNITS,
@@ -144,7 +145,7 @@ def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: En
         if can_id is None:
             at.refuse(f"{way}[{k}].can_id", None, "one: only the first four PDOs have a usual one")
         pdo = Pdo(number=number, can_id=can_id, entries=entries)
-        if pdo.bits > 64:
+        if pdo.bits > MAX_PDO_BITS:
             sizes = " + ".join(str(e.bits // 8) for e in entries)
             problem = f"{sizes} = {pdo.length} bytes"
             at.refuse(f"{way}[{k}].objects", text=problem, expected="8 at most; use a second PDO")
@@ -155,7 +156,7 @@ def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: En
 def _packed(entries: tuple[ObjectEntry, ...]) -> list[tuple[ObjectEntry, ...]]:
     parts: list[tuple[ObjectEntry, ...]] = [()]
     for entry in entries:
-        if sum(e.bits for e in parts[-1]) + entry.bits > 64:
+        if sum(e.bits for e in parts[-1]) + entry.bits > MAX_PDO_BITS:
             parts.append(())
         parts[-1] += (entry,)
     return parts

@@ -154,11 +154,9 @@ class SimulatedDrives:
         return sent
 
     def _move(self) -> None:
-        """Step control loops and plant by one period.
-
-        A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other effort
-        is the mean of the torque since the SYNC before: it is half a period late.
-        """
+        """Step control loops and plant by one period."""
+        # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other
+        # effort is the mean of the torque since the SYNC before: it is half a period late.
         loops, T = self._loops, self._period_s
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping

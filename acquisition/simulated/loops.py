@@ -64,10 +64,8 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Way and speed at a share of the period, by a cubic with the way `travel` and the speeds `first` and `last` at its ends.
-
-    Speeds are times the period, so that all are in rad or m, (n,).
-    """
+    """Way and speed at a share of the period, by a cubic over `travel` with the speeds `first` and `last` at its ends."""
+    # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
     speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
     return share * (travel + rest * (rest * a - share * b)), speed

@@ -14,6 +14,8 @@ from ..protocol import (
     HEARTBEAT,
     HEARTBEAT_TIME,
     IDENTITY,
+    MAX_PDO_BITS,
+    MAX_PDOS,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     NOT_VALID,
@@ -183,24 +185,22 @@ class SimulatedNode:
         """Why a write to a mapping parameter is not allowed; empty where it is."""
         index, sub = key
         for communication, mapping in PARAMETERS.values():
-            if mapping <= index < mapping + 0x200:
+            if mapping <= index < mapping + MAX_PDOS:
                 if not self.values.get((index - mapping + communication, 1), NOT_VALID) & NOT_VALID:
                     return "not possible in this state"
                 if sub and self.values.get((index, 0)):
                     return "not possible in this state"
                 if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
                     return "object cannot be mapped to a PDO"
-                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > 64:
+                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > MAX_PDO_BITS:
                     return "PDO would be too long"
         return ""
 
     def _map(self) -> None:
-        values = {key: value for key, value in self.values.items() if 0x1400 <= key[0] <= 0x1BFF}
+        place = f"node {self.drive.node}"
         known = {key: kind for key, kind in self.types.items() if key in self.values}
         self.tpdos, self.rpdos = (
-            tuple(
-                p for p in pdos_of(way, values, known, f"node {self.drive.node}") if p.bits <= 64 and p.can_id < 0x800
-            )
+            tuple(p for p in pdos_of(way, self.values, known, place) if p.bits <= MAX_PDO_BITS and p.can_id < 0x800)
             for way in PARAMETERS
         )
 
@@ -219,7 +219,7 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         # PDOs are disabled at the start: a master enables those that it uses.
         for (index, sub), value in list(values.items()):
-            if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
+            if sub == 1 and any(first <= index < first + MAX_PDOS for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
