@@ -79,12 +79,9 @@ def _choices(kind: Any, path: str) -> tuple[Any, ...]:
 
 
 def _value_at(data: Any, path: str) -> Any:
-    for step in path.replace("[", ".[").split("."):
+    for step in re.findall(r"[^][.]+", path):
         try:
-            if step.startswith("["):
-                data = data[int(step.strip("[]"))]
-            elif step:
-                data = data[step]
+            data = data[int(step) if isinstance(data, list) else step]
         except (KeyError, IndexError, TypeError, ValueError):
             return None
     return data
