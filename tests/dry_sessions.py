@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Master
@@ -12,7 +13,6 @@ from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
 from acquisition.simulated import Mechanism, SimulatedDrives, cascaded_loops, dry_run
-from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.plants import Plant, typical_inertia
 
@@ -56,7 +56,7 @@ class SyncOfAnother(Through):
         return frame
 
 
-class SlowAnswers(SimulatedDrives):
+class SlowAnswers(FaultyDrives):
     """Drives that answer an SDO request 60 to 100 ms late, once they are operational."""
 
     asked = 0
@@ -66,7 +66,7 @@ class SlowAnswers(SimulatedDrives):
         late = [frame for frame in sent if 0x580 < frame[0] < 0x600 and self.nodes[frame[0] - 0x581].operational]
         self.asked += len(late)
         due_ns = now_ns + 60_000_000 + self.asked * 7_000_000 % 40_000_000
-        self._late += [(due_ns, *frame) for frame in late]
+        self.late += [(due_ns, *frame) for frame in late]
         return [frame for frame in sent if frame not in late]
 
 
@@ -89,12 +89,12 @@ def dry_session(
     *,
     robot: Robot | None = None,
     bus: Bus | None = None,
-    faults: Sequence[SimulatedFault] = (),
+    faults: Sequence[Fault] = (),
     plant: Plant | None = None,
     through: Callable[..., Through] = Through,
     stop: Stop | None = None,
     drives: Bus | None = None,
-    simulated: type[SimulatedDrives] = SimulatedDrives,
+    simulated: type[FaultyDrives] = FaultyDrives,
     log_of: type[InlineLog] = InlineLog,
 ) -> DrySession:
     """A session from start to end; what is left afterwards, 0.2 s later, whatever was raised.

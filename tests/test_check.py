@@ -1,16 +1,17 @@
 """What `robot-acquire check` prints: drives that are alike share a row, differences in words, the verdict in one line."""
 
 import pytest
+from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import Finding, look, refusal, table
-from acquisition.simulated import SimulatedDrives, dry_run
+from acquisition.simulated import dry_run
 
 
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(3))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    run = dry_run(FaultyDrives(robot, bus_of(robot)))
     yield run
     run.close()
 
@@ -29,14 +30,14 @@ def test_drives_that_are_alike_share_a_row(run):
 
 
 def test_a_drive_that_does_not_answer_is_named(run):
-    run.drives._silent.add(1)
+    run.drives.silent.add(1)
     findings = look(run.link, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
     assert refusal(findings) == "no go: state of node 2"
 
 
 def test_where_no_drive_answers_at_all(run):
-    run.drives._silent |= {0, 1, 2}
+    run.drives.silent |= {0, 1, 2}
     findings = look(run.link, run.drives.bus)
     (row,) = [line for line in table(findings) if "state" in line]
     assert "1, 2, 3" in row

@@ -80,7 +80,7 @@ def data(text: str) -> bytes:
         (value_answer(0x6064, 0, -5, 4), "43 64 60 00 FB FF FF FF"),
         (value_answer(0x60C2, 2, -4, 1), "4F C2 60 02 FC 00 00 00"),
         (written_answer(0x6040, 0), "60 40 60 00 00 00 00 00"),
-        (abort_answer(0x2000, 7, 0x06090011), "80 00 20 07 11 00 09 06"),
+        (abort_answer(0x2000, 7, "sub-index does not exist"), "80 00 20 07 11 00 09 06"),
     ],
 )
 def test_sdo_frames_made(frame, expected):

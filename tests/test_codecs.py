@@ -5,7 +5,6 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import EffortCodec, ObjectEntry, PositionCodec, saturated
-from acquisition.protocol.objects import Rule
 from acquisition.robot import Drive
 
 TURN = 2 * np.pi
@@ -152,10 +151,7 @@ def test_integers_are_held_at_both_ends_of_their_type(kind, low, high):
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_efforts_are_held_at_the_ends_of_their_object(sign):
-    rule = Rule(name="mA", unit="A", factor=1e-3)
-    codec = EffortCodec(
-        entry=ObjectEntry(index=0x2031, sub=0, type="I16"), rule=rule, rated=1.0, sign=sign, provenance=""
-    )
+    codec = EffortCodec(entry=ObjectEntry(index=0x2031, sub=0, type="I16"), scale=sign * 1e-3, provenance="")
     assert (codec.raw(np.array([32.767, 32.768, 40.0])) * sign).tolist() == (
         [32767] * 3 if sign == 1 else [32767, 32768, 32768]
     )

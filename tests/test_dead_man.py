@@ -14,6 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 from dry_sessions import DrySession, SlowAnswers, Through, dry_session
+from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 from test_recording_processes import (
     HEARTBEAT,
@@ -40,8 +41,7 @@ from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.dead_man import DeadMan, SignsOfLife, silence_s
-from acquisition.simulated import SimulatedDrives, dry_run, serve
-from acquisition.simulated.faults import SimulatedFault
+from acquisition.simulated import dry_run, serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.4  # from the last SYNC of the session to the quick stop of every drive
@@ -243,8 +243,8 @@ def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
 
 def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     robot = robot_of(bus_text(2))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    run.drives._silent.add(0)
+    run = dry_run(FaultyDrives(robot, bus_of(robot)))
+    run.drives.silent.add(0)
     master, times = Master(run.link, bus_of(robot)), list[int]()
     began_ns = run.link.now_ns()
     master.while_awaiting = lambda: times.append(run.link.now_ns() - began_ns)
@@ -258,7 +258,7 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
-    session = beating_session(tmp_path / "a.mcap", [SimulatedFault(kind=kind, node=3, sync=150)])
+    session = beating_session(tmp_path / "a.mcap", [Fault(kind=kind, node=3, sync=150)])
     assert session.outcome.fault
     assert session.outcome.unconfirmed == ((3,) if kind == "silent" else ())
     times = [t for t, sign in Beating.signs if sign == "alive"]

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from dry_sessions import DrySession, Through, dry_session, swing
+from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.protocol import State
 from acquisition.recording import SENT
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
-from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.mechanism import rated_motor_effort
 from acquisition.simulated.node import SimulatedNode
 from acquisition.simulated.plants import JointwisePlant, typical_plant
@@ -43,7 +43,7 @@ def phase_of(session: DrySession, name: str) -> np.ndarray:
 
 @pytest.mark.parametrize("late_s", [0.0, 2.0])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
-    late = [SimulatedFault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
+    late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=loaded(0.5), faults=late)
     assert session.outcome.reason == "finished"
     enabling = phase_of(session, "enable")
@@ -74,7 +74,7 @@ def test_a_target_follows_while_its_drive_is_not_enabled(tmp_path):
     plant = Turned(
         rated / 140, 0.01 * rated, 0.05 * rated, 0 * rated, slides=np.zeros(2, bool), position=np.zeros(2)
     )  # fmt: skip
-    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+    late = [Fault(kind="slow", node=2, sync=1, count=100)]
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, faults=late, robot=robot)
     assert session.outcome.reason == "finished"
     enabling = phase_of(session, "enable")["position"][:, 1]
@@ -90,7 +90,7 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
 
     def enabled(name: str, limit_deg: float) -> DrySession:
         robot = robot_of(bus_text(2, extra=f"enable_motion_deg = {limit_deg:.6f}"))
-        late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+        late = [Fault(kind="slow", node=2, sync=1, count=100)]
         return dry_session(tmp_path / name, TRACK, robot=robot, plant=loaded(0.5), faults=late)
 
     free = enabled("free.mcap", 1.0)
@@ -145,7 +145,7 @@ def test_two_drives_enabled_together_that_run_away_are_stopped_before_they_have_
 @pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
 def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra, watch_s):
     robot = robot_of(bus_text(2, extra=extra))
-    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100)]
+    late = [Fault(kind="slow", node=2, sync=1, count=100)]
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, faults=late)
     stamps = {e.text: e.stamp_ns for e in session.recording.events if e.kind == "phase"}
     frames = session.recording.frames["test"]
@@ -156,7 +156,7 @@ def test_the_last_drive_enabled_is_watched_before_anything_moves(tmp_path, extra
 def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(tmp_path):
     made = []
 
-    class Falling(SimulatedDrives):
+    class Falling(FaultyDrives):
         def receive(self, now_ns, can_id, data):
             if not made and now_ns > 1_600_000_000:
                 assert self.states == [State.OPERATION_ENABLED, State.SWITCHED_ON]
@@ -164,7 +164,7 @@ def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(t
                 self.nodes[0].state = State.READY_TO_SWITCH_ON
             return super().receive(now_ns, can_id, data)
 
-    late = [SimulatedFault(kind="slow", node=2, sync=1, count=200)]
+    late = [Fault(kind="slow", node=2, sync=1, count=200)]
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=late, simulated=Falling)
     assert session.outcome.reason == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
     assert session.events("phase")[-1] == "enable"
@@ -207,7 +207,7 @@ def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tm
             self.drives = made[-1]
             return super().receive(until_ns)
 
-    late = [SimulatedFault(kind="slow", node=2, sync=1, count=100_000)]
+    late = [Fault(kind="slow", node=2, sync=1, count=100_000)]
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=runaway(), faults=late, through=Here)
     assert session.outcome.fault
     assert session.outcome.reason.startswith("joint_1: ")

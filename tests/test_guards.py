@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from dry_sessions import DrySession, Through, dry_session, swing
+from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_text, robot_of
 
 import acquisition.session.recording_session as record_module
@@ -17,8 +18,6 @@ from acquisition.protocol import State
 from acquisition.recording import overview
 from acquisition.session import Outcome, Stop, Task
 from acquisition.session.guards import SPEED_MARGIN
-from acquisition.simulated import SimulatedDrives
-from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
 from identification.data import load_signals
 from identification.errors import IdentificationError
@@ -127,7 +126,7 @@ class Obedient:
 def test_a_following_error_is_that_of_the_target_which_the_drive_has_had_a_period_for(tmp_path):
     plant = Obedient()
 
-    class Here(SimulatedDrives):
+    class Here(FaultyDrives):
         def __init__(self, *arguments, **named):
             super().__init__(*arguments, **named)
             plant.drives = self
@@ -157,7 +156,7 @@ def test_a_drive_that_says_it_does_not_obey(tmp_path, bit):
     }
 
     def with_clear(sync: int, count: int) -> str:
-        fault = SimulatedFault(kind="clear", node=2, sync=sync, count=count, bits=bit)
+        fault = Fault(kind="clear", node=2, sync=sync, count=count, bits=bit)
         session = dry_session(tmp_path / f"{sync}_{count}.mcap", REST, faults=[fault])
         assert session.drives.all_disabled
         return session.outcome.reason
@@ -234,7 +233,7 @@ def test_a_heartbeat_is_lost_after_three_periods(tmp_path, lost, fault):
 
 @pytest.mark.parametrize(("count", "fault"), [(2, False), (3, True)])
 def test_three_syncs_in_a_row_may_not_stay_unanswered(tmp_path, count, fault):
-    gone = SimulatedFault(kind="missing", node=1, sync=60, count=count)
+    gone = Fault(kind="missing", node=1, sync=60, count=count)
     session = dry_session(tmp_path / "a.mcap", REST, faults=[gone])
     assert session.outcome.fault is fault
     assert session.drives.all_disabled
@@ -367,7 +366,7 @@ def sync_of(tmp_path_factory) -> dict[str, int]:
 @pytest.mark.parametrize("phase", PHASES)
 @pytest.mark.parametrize("kind", ["emergency", "silent", "reset", "deaf"])
 def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind):
-    fault = SimulatedFault(kind=kind, node=1, sync=sync_of[phase], count=10_000 if kind == "deaf" else 1)
+    fault = Fault(kind=kind, node=1, sync=sync_of[phase], count=10_000 if kind == "deaf" else 1)
     session = dry_session(tmp_path / "a.mcap", SHORT, faults=[fault])
     assert session.events("phase")[-1] == phase
     assert session.drives.all_disabled
@@ -386,8 +385,8 @@ def test_every_fault_in_every_phase_ends_disabled(tmp_path, sync_of, phase, kind
 
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_the_terminal_tells_first_what_may_still_be_enabled_then_the_reason(tmp_path, monkeypatch, capsys, kind):
-    faults = [SimulatedFault(kind=kind, node=1, sync=130)]
-    monkeypatch.setattr(record_module, "SimulatedDrives", partial(SimulatedDrives, faults=faults))
+    faults = [Fault(kind=kind, node=1, sync=130)]
+    monkeypatch.setattr(record_module, "SimulatedDrives", partial(FaultyDrives, faults=faults))
     robot, table = tmp_path / "robot.toml", tmp_path / "ref.csv"
     robot.write_text(bus_text(2))
     table.write_text("time_s,joint_1,joint_2\n0,0,0\n0.3,0,0\n")

@@ -10,7 +10,7 @@ from conftest import REPLAY, robot_named
 from independent_robots import plant
 from independent_simulator import Imperfections, Reference, Runs, described_controller, references, simulate
 
-from acquisition.robot import Robot
+from acquisition.robot import Joint, Robot
 from identification.data import Signals
 from identification.errors import IdentificationError
 from identification.methods import Iteration, identify_iv
@@ -122,7 +122,7 @@ def test_a_foreign_reference_of_a_joint_that_moves_little_is_refused():
 
 def test_travel_is_compared_among_joints_of_a_type():
     first = robot_named("scara").joints[0]
-    slide = msgspec.structs.replace(first, type="prismatic")
+    slide = Joint(name="slide", type="prismatic")
     joints = [first, slide, first, slide]
     np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.2, 0.0, 0.3]), joints), [1.0, 0.3, 1.0, 0.3])
     np.testing.assert_array_equal(largest_of_type(np.array([1.0, 0.0, 2.0, 0.0]), joints), [2.0, 2.0, 2.0, 2.0])

@@ -62,8 +62,7 @@ def test_entries_by_hand():
         (0x1800, 0): ("U8", False, 1),
         (0x1800, 1): ("U32", True, 0x185),
     }
-    assert entries[0x6041, 0] == DictionaryEntry(name="statusword", type="U16", writable=False, value=None)
-    assert entries[0x1018, 1].name == "identity: vendor"
+    assert entries[0x6041, 0] == DictionaryEntry(type="U16", writable=False, value=None)
     assert found(EDS, 0x7F).entries[0x1800, 1].value == 0x1FF
 
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from dry_sessions import DrySession, Through, dry_session
+from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.commands.checking import look
@@ -29,7 +30,7 @@ def stopped(file, objects: dict[int, int]) -> tuple[DrySession, list[tuple[float
     """A quick stop in full motion, of drives with these objects: time, state of a drive and speed of its joint since."""
     stop, seen = Stop(), []
 
-    class Set(SimulatedDrives):
+    class Set(FaultyDrives):
         def __init__(self, *arguments, **named):
             super().__init__(*arguments, **named)
             for node in self.nodes:

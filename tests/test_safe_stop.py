@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 from dry_sessions import SlowAnswers, Through
+from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.bus.stopping as stopping
@@ -42,7 +43,7 @@ def moving(
     *,
     started: bool = True,
     ramp: dict[int, int] | None = None,
-    simulated: type[SimulatedDrives] = SimulatedDrives,
+    simulated: type[SimulatedDrives] = FaultyDrives,
     extra: str = "",
 ) -> tuple[DryRun, Master, list[tuple[int, int, bytes]]]:
     """Two enabled drives, and what is sent to them from here on."""
@@ -143,7 +144,7 @@ def test_where_sync_of_another_producer_ends_nothing_stands():
 def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
     def silence(t: float) -> float:
         if t > 0.024:
-            run.drives._silent.add(0)
+            run.drives.silent.add(0)
         return 1.0
 
     run, master, sent = moving(silence)
@@ -173,7 +174,7 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
 
 def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
     run, master, sent = moving(lambda t: 1.0)
-    run.drives._silent.add(1)
+    run.drives.silent.add(1)
     began_ns = run.link.now_ns()
     assert safe_stop(master) == [2]
     assert run.drives.states[0] is State.SWITCH_ON_DISABLED

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from conftest import needs_data
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
+from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
@@ -26,7 +27,6 @@ from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
 from acquisition.session import Operator, ProcessLog, RecordOptions, Role, Stop, Task, record, stop_on_signals
 from acquisition.simulated import SimulatedDrives, dry_run, serve
-from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
 
 TRACK = Task(reference=swing(2))
@@ -148,7 +148,7 @@ def test_the_interpolation_period_is_exact_or_refused(period_s, said):
 
 
 def test_identity_is_compared_where_the_dictionary_states_it_anywhere():
-    entry = DictionaryEntry(name="", type="U32", writable=False, value=None)
+    entry = DictionaryEntry(type="U32", writable=False, value=None)
     dictionary = ObjectDictionary(
         entries={(0x1018, 1): entry, (0x1018, 2): dataclasses.replace(entry, value=7)},
         vendor=0xFB,
@@ -221,7 +221,7 @@ def test_sync_of_another_producer_stops_ours(tmp_path):
 
 def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
     robot = robot_of(bus_text(2, extra='sync_producer = "other"'))
-    fault = SimulatedFault(kind="missing", node=1, sync=300, count=4)
+    fault = Fault(kind="missing", node=1, sync=300, count=4)
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])
     assert session.outcome is not None
     assert "node 1 (motor_1): 3 SYNC not answered" in session.outcome.reason

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from dry_sessions import SyncOfAnother, Through, dry_session, swing
+from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, Master, open_bus
@@ -18,7 +19,6 @@ from acquisition.robot import approach, check_limits, table_reference
 from acquisition.session import Stop, Task
 from acquisition.session.session import _Session
 from acquisition.simulated import SimulatedDrives, dry_run
-from acquisition.simulated.faults import SimulatedFault
 from acquisition.simulated.node import SimulatedNode
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
@@ -66,15 +66,15 @@ def test_nothing_moves_without_a_reference(tmp_path):
 @pytest.mark.parametrize(
     ("fault", "reason"),
     [
-        (SimulatedFault(kind="emergency", node=2, sync=300), r"node 2 \(motor_2\): emergency 0x2310"),
-        (SimulatedFault(kind="silent", node=1, sync=300), r"node 1 \(motor_1\): 3 SYNC not answered"),
-        (SimulatedFault(kind="reset", node=2, sync=300), r"node 2 \(motor_2\): has restarted"),
-        (SimulatedFault(kind="missing", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
-        (SimulatedFault(kind="short", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
-        (SimulatedFault(kind="stuck", node=2, sync=300), "joint_2: following error .* rad: expected 0.08727 at most"),
-        (SimulatedFault(kind="emergency", node=1, sync=5), "emergency 0x2310"),  # while being enabled
-        (SimulatedFault(kind="silent", node=1, sync=20), "3 SYNC not answered"),  # in the approach
-        (SimulatedFault(kind="emergency", node=1, sync=640), "emergency 0x2310"),  # in the stop
+        (Fault(kind="emergency", node=2, sync=300), r"node 2 \(motor_2\): emergency 0x2310"),
+        (Fault(kind="silent", node=1, sync=300), r"node 1 \(motor_1\): 3 SYNC not answered"),
+        (Fault(kind="reset", node=2, sync=300), r"node 2 \(motor_2\): has restarted"),
+        (Fault(kind="missing", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (Fault(kind="short", node=1, sync=300, count=3), "node 1 .*: 3 SYNC not answered"),
+        (Fault(kind="stuck", node=2, sync=300), "joint_2: following error .* rad: expected 0.08727 at most"),
+        (Fault(kind="emergency", node=1, sync=5), "emergency 0x2310"),  # while being enabled
+        (Fault(kind="silent", node=1, sync=20), "3 SYNC not answered"),  # in the approach
+        (Fault(kind="emergency", node=1, sync=640), "emergency 0x2310"),  # in the stop
     ],
 )
 def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reason):
@@ -93,7 +93,7 @@ def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reas
 
 @pytest.mark.parametrize("kind", ["late", "missing", "duplicate", "short"])
 def test_a_single_bad_pdo_is_counted_and_the_session_goes_on(tmp_path, kind):
-    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[SimulatedFault(kind=kind, node=1, sync=200)])
+    session = dry_session(tmp_path / "a.mcap", TRACK, faults=[Fault(kind=kind, node=1, sync=200)])
     assert session.outcome is not None
     assert session.outcome.reason == "finished"
     assert session.drives.all_disabled

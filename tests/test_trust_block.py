@@ -131,7 +131,8 @@ def test_what_nobody_checked_is_named(method):
 
 def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     signals = recorded("scara")
-    motors = tuple(msgspec.structs.replace(m, drive_gain=None, effort_unit="A") for m in signals.robot.motors)
+    keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": "A"}
+    motors = tuple(msgspec.structs.replace(m, **keys) for m in signals.robot.motors)
     fit = identify(replace(signals, robot=replace(signals.robot, motors=motors)), Overrides())
     assert (fit.trust.verdict, fit.trust.finding) == ("do not use", "drive gains not known")
     assert fit.trust.line("units").text.startswith("ZZ2, MX2, MY2 act at several joints")
@@ -538,7 +539,8 @@ def test_what_needs_rows_looks_at_the_beginning_of_a_long_recording(method):
 def test_one_joint_and_unknown_gains_have_no_relative_gain():
     assert "one joint has no relative gain" in examined("iv", "emps", COARSE)[0].trust.line("added columns").text
     signals = recorded("scara")
-    motors = tuple(msgspec.structs.replace(m, drive_gain=None, effort_unit="A") for m in signals.robot.motors)
+    keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": "A"}
+    motors = tuple(msgspec.structs.replace(m, **keys) for m in signals.robot.motors)
     in_amperes = replace(signals, robot=replace(signals.robot, motors=motors))
     told = identify_ls(in_amperes, Overrides()).trust.line("added columns")
     assert "relative gains not tried: the drive gains are not known" in told.text

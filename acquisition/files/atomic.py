@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from ..errors import AcquisitionError
+from ..errors import Place
 
 MAGIC = b"\x89MCAP"  # first bytes of a recording
 
@@ -18,19 +18,20 @@ def atomic_write(path: Path) -> Iterator[Path]:
     Raises `AcquisitionError` when `path` is a folder or a device, its folder is missing or not writable, or the disk is
     full.
     """
+    place = Place(str(path))
     if not path.name:
-        raise AcquisitionError("cannot be written", place=str(path), expected="the name of a file")
+        place.refuse(text="cannot be written", expected="the name of a file")
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         if path.exists() and not path.is_file():
             # Renaming onto /dev/null would replace the device.
-            raise AcquisitionError("cannot be written", place=str(path), expected="a file, found a folder or a device")
+            place.refuse(text="cannot be written", expected="a file, found a folder or a device")
         yield partial
         with partial.open("rb+") as file:
             os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
-        raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
+        place.refuse(text=f"cannot be written: {error.strerror or error}")
     finally:
         with suppress(OSError):  # the folder may be missing or be a file: reported by the error above
             partial.unlink()
@@ -47,16 +48,16 @@ def refuse_clash(
     given = [path for path in inputs if path is not None]
     earlier: list[Path] = []
     for output in (path for path in outputs if path is not None):
+        place = Place(str(output))
         for path in given:
             if _same(output, path):
-                expected = "another name for the output"
-                raise AcquisitionError(f"is an input too ({path})", place=str(output), expected=expected)
+                place.refuse(text=f"is an input too ({path})", expected="another name for the output")
         if any(_same(output, path) for path in earlier):
-            raise AcquisitionError("named twice; expected a file of its own for each output", place=str(output))
+            place.refuse(text="named twice; expected a file of its own for each output")
         earlier.append(output)
         if not overwrite and _is_recording(output):
             expected = "another name" if overwrite is None else f"another {option}, or --overwrite"
-            raise AcquisitionError("exists already, and is a recording", place=str(output), expected=expected)
+            place.refuse(text="exists already, and is a recording", expected=expected)
 
 
 def _is_recording(path: Path) -> bool:

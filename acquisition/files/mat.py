@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError, listed
+from ..errors import Place, listed
 
 # `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
 _NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
@@ -29,34 +29,27 @@ class _Part:
         return f"{self.name} {_size(self.values)}"
 
 
-def read_variables(data: bytes, names: Sequence[str | int], count: int, place: str) -> tuple[Array, list[str]]:
-    """The named parts of a MAT file, side by side (N, count), and a label of each column.
-
-    A name is that of a variable, or a field of a struct by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind it
-    takes some of its columns or rows. Matrices may be samples by joints or joints by samples: the number of samples is the
-    one with which all parts have the same length and `count` columns in all.
-
-    Raises `AcquisitionError` if the file cannot be read, a name does not exist or is not of real numbers, or rows and columns
-    of a matrix cannot be told apart.
-    """
+def read_variables(data: bytes, names: Sequence[str | int], count: int, place: Place) -> tuple[Array, list[str]]:
+    """The named parts of a MAT file, side by side (N, count), and a label of each column."""
+    # Matrices may be samples by joints or joints by samples: the number of samples is the one with which all parts have the
+    # same length and `count` columns in all.
     asked = [_NAME.fullmatch(str(name)) for name in names]
     variables = _load(data, [match["path"].split(".")[0] for match in asked if match], place)
     parts = []
     for name, match in zip(names, asked, strict=True):
         found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
         if found is None or match is None:
-            raise AcquisitionError(f"variable {name!r} is not there", place=place, expected=f"one of {_present(data)}")
+            place.refuse(text=f"variable {name!r} is not there", expected=f"one of {_present(data)}")
         parts.append(_part(found, match, place))
     rows = sum(part.values.size for part in parts) // count
     fits = [rows in (part.values.shape[:1] if part.upright else part.values.shape) for part in parts]
     if rows < 2 or not all(fits) or sum(part.values.size for part in parts) != rows * count:
         label = ", ".join(part.label for part in parts)
-        raise AcquisitionError(label, place=place, expected=f"variables of one length, {count} columns in all")
+        place.refuse(text=label, expected=f"variables of one length, {count} columns in all")
     for part in parts:
         if part.values.shape == (rows, rows) and not part.upright:
-            problem = "rows and columns cannot be told apart"
             expected = f"'{part.name}(:,1:{rows})' where rows are samples, '{part.name}(1:{rows},:)' where columns are"
-            raise AcquisitionError(problem, place=f"{place}: {part.label}", expected=expected)
+            Place(f"{place}: {part.label}").refuse(text="rows and columns cannot be told apart", expected=expected)
     turned = [part.values if len(part.values) == rows else part.values.T for part in parts]
     labels = [
         part.name if columns.shape[1] == 1 else f"{part.name}(:,{k + 1})"
@@ -66,21 +59,19 @@ def read_variables(data: bytes, names: Sequence[str | int], count: int, place: s
     return np.hstack(turned), labels
 
 
-def _load(data: bytes, names: Sequence[str], place: str) -> dict[str, Any]:
+def _load(data: bytes, names: Sequence[str], place: Place) -> dict[str, Any]:
     """The variables with these names. No others are read: objects of MATLAB's classes cannot be."""
     import scipy.io
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about variables that are not read
-            found: dict[str, Any] = scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names)))
+            return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=list(dict.fromkeys(names))))
     except Exception as error:  # on a damaged file scipy's reader raises errors of any kind
-        problem = f"not a MAT file that can be read: {error or type(error).__name__}"
-        raise AcquisitionError(problem, place=place) from error
-    return found
+        place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
 
 
-def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
+def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
     """The value of a dotted name; None where it does not exist."""
     top, *fields = path.split(".")
     value, at = variables.get(top), top
@@ -88,33 +79,30 @@ def _walk(variables: dict[str, Any], path: str, place: str) -> Any:
         if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
             return None
         if value.size != 1:
-            problem = f"variable {at!r} is an array of {value.size} structs"
-            raise AcquisitionError(problem, place=place, expected="one struct")
+            place.refuse(text=f"variable {at!r} is an array of {value.size} structs", expected="one struct")
         value, at = value[field].flat[0], f"{at}.{field}"
     return value
 
 
-def _part(value: Any, match: re.Match[str], place: str) -> _Part:
+def _part(value: Any, match: re.Match[str], place: Place) -> _Part:
     """The matrix that a name means. Dimensions of one, as of a signal of 6 x 1 x N, are left out."""
     name = match.string
     if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or np.squeeze(value).ndim > 2:
         kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
         if isinstance(value, np.ndarray) and value.dtype.names:
             kind = f"a struct or object with the fields {listed(value.dtype.names)}"
-        expected = "a vector or matrix of real numbers"
-        raise AcquisitionError(f"variable {name!r} is {kind}", place=place, expected=expected)
+        place.refuse(text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers")
     matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
     matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
     if match["rows"] is None:
         return _Part(name=name, values=matrix, upright=False)
     by_column = match["rows"] == ":"
     if by_column == (match["columns"] == ":"):
-        raise AcquisitionError(f"variable {name!r}", place=place, expected="(:,k) for columns or (k,:) for rows")
+        place.refuse(text=f"variable {name!r}", expected="(:,k) for columns or (k,:) for rows")
     first, _, last = match["columns" if by_column else "rows"].partition(":")
     low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
     if not 1 <= low <= high <= most:
-        problem = f"variable {name!r}: the matrix is {_size(matrix)}"
-        raise AcquisitionError(problem, place=place, expected=f"1 to {most}")
+        place.refuse(text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {most}")
     part = matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T
     return _Part(name=name, values=part, upright=True)
 

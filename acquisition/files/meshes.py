@@ -4,7 +4,7 @@ import os
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
-from ..errors import AcquisitionError
+from ..errors import Place
 
 MESHES = (".stl", ".obj", ".dae", ".glb", ".gltf")  # that viewers read
 LARGEST_MESHES = 64 * 2**20  # bytes of all meshes of a robot
@@ -15,27 +15,26 @@ def read_meshes(urdf: bytes, folder: Path, place: str) -> dict[str, bytes]:
 
     Raises `AcquisitionError`, with the mesh's name as `value`: not XML, not found, not read, or too large.
     """
+    at = Place(place)
     try:
         visuals = ET.fromstring(urdf).iter("visual")
     except (ET.ParseError, ValueError, LookupError) as error:  # the last two of an encoding that is not known
-        raise AcquisitionError(f"not valid XML: {error}", place=place, key="urdf") from error
+        at.refuse("urdf", text=f"not valid XML: {error}")
     names = dict.fromkeys(mesh.get("filename", "") for visual in visuals for mesh in visual.iter("mesh"))
     meshes, size = dict[str, bytes](), 0
     for name in names:
         file = find_mesh(name, folder)
         if file is None:
             expected = f"a file beside the URDF or in a ROS package, {', '.join(MESHES)}"
-            raise AcquisitionError("is not found", place=place, key="urdf: mesh", value=name, expected=expected)
+            at.refuse("urdf: mesh", name, expected, text="is not found")
         try:
             size += file.stat().st_size
             if size > LARGEST_MESHES:
-                problem = f"{size} bytes with those before it"
                 expected = f"{LARGEST_MESHES} at most; leave out urdf_meshes"
-                raise AcquisitionError(problem, place=place, key="urdf: mesh", value=name, expected=expected)
+                at.refuse("urdf: mesh", name, expected, text=f"{size} bytes with those before it")
             meshes[name] = file.read_bytes()
         except OSError as error:
-            problem = f"cannot be read: {error.strerror}"
-            raise AcquisitionError(problem, place=place, key="urdf: mesh", value=name) from error
+            at.refuse("urdf: mesh", name, text=f"cannot be read: {error.strerror}")
     return meshes
 
 

@@ -32,13 +32,17 @@ from .objects import (
     EffortCodec,
     ObjectEntry,
     PositionCodec,
+    Rule,
     interpolation_period,
     quick_stop_ramp,
+    range_of,
     saturated,
 )
 from .pdo import (
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
+    MAX_PDO_BITS,
+    MAX_PDOS,
     NOT_VALID,
     PARAMETERS,
     Pdo,
@@ -50,14 +54,7 @@ from .pdo import (
 )
 from .sdo import (
     ANSWER,
-    NO_SUCH_OBJECT,
-    NO_SUCH_SUB,
-    NOT_MAPPABLE,
-    READ_ONLY,
     REQUEST,
-    TOO_LONG_PDO,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
     abort_answer,
     answer_of,
     check_answer,

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
-from ..errors import AcquisitionError
+from ..errors import Place
 from .objects import INTEGERS
 
 IDENTITY = 0x1018
@@ -26,7 +26,6 @@ _EMPTY = re.compile(
 class DictionaryEntry:
     """An entry: `type` is I8 to U32, or empty for what no PDO can carry; `value` is the DCF's value or the default."""
 
-    name: str
     type: str
     writable: bool
     value: int | None
@@ -62,10 +61,11 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
     import canopen
     from canopen import objectdictionary
 
+    file = Place(place)
     # Its warnings about files that it can read would be printed among our own output.
     logging.getLogger("canopen").addHandler(logging.NullHandler())
     if len(data) > LARGEST_DICTIONARY:
-        raise AcquisitionError(f"{len(data)} bytes", place=place, expected=f"{LARGEST_DICTIONARY} at most")
+        file.refuse(text=f"{len(data)} bytes", expected=f"{LARGEST_DICTIONARY} at most")
     text = data.decode("utf-8-sig", errors="replace")
     empty = [(text.count("\n", 0, found.start()) + 1, found[1]) for found in _EMPTY.finditer(text)]
     source = io.StringIO(_EMPTY.sub(r"\g<0>0x0 ", text))
@@ -74,28 +74,25 @@ def load_dictionary(data: bytes, place: str, node: int) -> ObjectDictionary:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             found = canopen.import_od(source, node)
-    except configparser.DuplicateOptionError as error:
-        problem = f"[{error.section}] holds {error.option!r} twice"
-        raise AcquisitionError(problem, place=f"{place}: line {error.lineno}", expected="once; remove one") from error
-    except configparser.DuplicateSectionError as error:
-        problem = f"[{error.section}] is there twice"
-        raise AcquisitionError(problem, place=f"{place}: line {error.lineno}", expected="once; remove one") from error
+    except (configparser.DuplicateOptionError, configparser.DuplicateSectionError) as error:
+        option = getattr(error, "option", None)
+        problem = f"[{error.section}] {'is there' if option is None else f'holds {option!r}'} twice"
+        Place(f"{place}: line {error.lineno}").refuse(text=problem, expected="once; remove one")
     except Exception as error:  # on a damaged file the importer raises errors of any kind
         problem = str(error) or type(error).__name__
-        raise AcquisitionError(f"not an EDS or DCF that can be read: {problem[:200]}", place=place) from error
+        file.refuse(text=f"not an EDS or DCF that can be read: {problem[:200]}")
     entries = {}
     for item in found.values():
         parts = [item] if isinstance(item, objectdictionary.ODVariable) else list(item.values())
         for part in parts:
             value = part.value if part.value is not None else part.default
             entries[part.index, part.subindex] = DictionaryEntry(
-                name=str(item.name if part is item else f"{item.name}: {part.name}"),
-                type=INTEGERS.get(part.data_type or 0, ("", ""))[0],
+                type=INTEGERS.get(part.data_type or 0, ""),
                 writable="w" in (part.access_type or ""),
                 value=value if isinstance(value, int) else None,
             )
     if not entries:
-        raise AcquisitionError("holds no objects", place=place, expected="an EDS or DCF")
+        file.refuse(text="holds no objects", expected="an EDS or DCF")
     about = found.device_information
     return ObjectDictionary(
         entries=entries,

@@ -8,17 +8,15 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError
 
-# Integer types of object dictionaries by their number in CiA 301: name, numpy dtype.
 INTEGERS = {
-    2: ("I8", "<i1"),
-    3: ("I16", "<i2"),
-    4: ("I32", "<i4"),
-    5: ("U8", "<u1"),
-    6: ("U16", "<u2"),
-    7: ("U32", "<u4"),
-}
-
-BITS = {name: 8 * int(dtype[-1]) for name, dtype in INTEGERS.values()}
+    2: "I8",
+    3: "I16",
+    4: "I32",
+    5: "U8",
+    6: "U16",
+    7: "U32",
+}  # types of dictionaries by their number in CiA 301
+BITS = {kind: int(kind[1:]) for kind in INTEGERS.values()}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +31,11 @@ class ObjectEntry:
     def bits(self) -> int:
         """Size in a PDO."""
         return BITS[self.type]
+
+    @property
+    def key(self) -> tuple[int, int]:
+        """Index and sub-index."""
+        return self.index, self.sub
 
     @property
     def mapping(self) -> int:
@@ -75,52 +78,33 @@ STANDARD = {
 
 @dataclass(frozen=True, kw_only=True)
 class Rule:
-    """How a raw integer becomes amperes, volts, newton metres or newtons: value = raw · factor · rated.
+    """How a raw integer becomes A, V, N m or N: raw · factor · what the key `rated` of the drive says, where there is one."""
 
-    `rated` is the key of the rated value it multiplies, empty where there is none.
-    """
-
-    name: str
     unit: str
     factor: float
     rated: str = ""
 
 
 RULES = {
-    rule.name: rule
-    for rule in (
-        Rule(name="per mille of rated torque", unit="N m", factor=1e-3, rated="rated_torque_nm"),
-        Rule(name="per mille of rated current", unit="A", factor=1e-3, rated="rated_current_a"),
-        Rule(name="per mille of rated force", unit="N", factor=1e-3, rated="rated_force_n"),
-        Rule(name="mA", unit="A", factor=1e-3),
-        Rule(name="0.01 A", unit="A", factor=1e-2),
-        Rule(name="mV", unit="V", factor=1e-3),
-        Rule(name="mN m", unit="N m", factor=1e-3),
-        Rule(name="uN m", unit="N m", factor=1e-6),
-        Rule(name="mN", unit="N", factor=1e-3),
-    )
+    "per mille of rated torque": Rule(unit="N m", factor=1e-3, rated="rated_torque_nm"),
+    "per mille of rated current": Rule(unit="A", factor=1e-3, rated="rated_current_a"),
+    "per mille of rated force": Rule(unit="N", factor=1e-3, rated="rated_force_n"),
+    "mA": Rule(unit="A", factor=1e-3),
+    "0.01 A": Rule(unit="A", factor=1e-2),
+    "mV": Rule(unit="V", factor=1e-3),
+    "mN m": Rule(unit="N m", factor=1e-3),
+    "uN m": Rule(unit="N m", factor=1e-6),
+    "mN": Rule(unit="N", factor=1e-3),
 }
 
-
-@dataclass(frozen=True, kw_only=True)
-class EffortObject:
-    """An object that holds a current or a torque, and the rule its vendor documents."""
-
-    entry: ObjectEntry
-    rule: str
-    meaning: str
-
-
+# Objects that hold a current or a torque: type, the rule that its vendor documents, meaning.
 EFFORT_OBJECTS = {
-    (index, 0): EffortObject(entry=ObjectEntry(index=index, sub=0, type=kind), rule=rule, meaning=meaning)
-    for index, kind, rule, meaning in (
-        (0x6074, "I16", "per mille of rated torque", "torque demand, the reference of the current loop (CiA 402)"),
-        (0x6077, "I16", "per mille of rated torque", "torque actual value (CiA 402)"),
-        (0x6078, "I16", "per mille of rated current", "current actual value (CiA 402)"),
-        (0x30D0, "I32", "mA", "current demand value (maxon EPOS4)"),
-        (0x2031, "I16", "mA", "current demand value (maxon EPOS2)"),
-        (0x221E, "I16", "0.01 A", "commanded current (Copley)"),
-    )
+    (0x6074, 0): ("I16", "per mille of rated torque", "torque demand, the reference of the current loop (CiA 402)"),
+    (0x6077, 0): ("I16", "per mille of rated torque", "torque actual value (CiA 402)"),
+    (0x6078, 0): ("I16", "per mille of rated current", "current actual value (CiA 402)"),
+    (0x30D0, 0): ("I32", "mA", "current demand value (maxon EPOS4)"),
+    (0x2031, 0): ("I16", "mA", "current demand value (maxon EPOS2)"),
+    (0x221E, 0): ("I16", "0.01 A", "commanded current (Copley)"),
 }
 
 # Units in which drives state their rated values; 6076h is mN m by CiA 402, and uN m in an EPOS4.
@@ -129,18 +113,11 @@ RATED_UNITS = {"mA": 1e-3, "mN m": 1e-3, "uN m": 1e-6, "mN": 1e-3}
 
 @dataclass(frozen=True, kw_only=True)
 class EffortCodec:
-    """Between the raw integers of `entry` and SI at the motor; `provenance` is a text about where the value comes from."""
+    """Between the raw integers of `entry` and SI at the motor, `scale` per unit; `provenance`: where the value comes from."""
 
     entry: ObjectEntry
-    rule: Rule
-    rated: float
-    sign: int
+    scale: float
     provenance: str
-
-    @property
-    def scale(self) -> float:
-        """SI per raw unit, sign included."""
-        return self.sign * self.rule.factor * self.rated
 
     def si(self, raw: Ints) -> Array:
         """A, V, N m or N, of any shape."""
@@ -187,10 +164,15 @@ def quick_stop_ramp(values: Mapping[int, int | None], codec: PositionCodec) -> f
     return raw * float(2 * np.pi / 60 * codec.counts_per_unit if unit else 1.0)
 
 
+def range_of(kind: str) -> tuple[int, int]:
+    """Lowest and highest integer of a type."""
+    low = 0 if kind[0] == "U" else -(2 ** (BITS[kind] - 1))
+    return low, low + 2 ** BITS[kind] - 1
+
+
 def saturated(value: Array, kind: str) -> Ints:
     """Nearest integers that the type `kind` can hold."""
-    low, high = (0, 2 ** BITS[kind] - 1) if kind[0] == "U" else (-(2 ** (BITS[kind] - 1)), 2 ** (BITS[kind] - 1) - 1)
-    return np.rint(np.clip(value, low, high)).astype(np.int64)
+    return np.rint(np.clip(value, *range_of(kind))).astype(np.int64)
 
 
 def interpolation_period(period_s: float) -> tuple[int, int]:

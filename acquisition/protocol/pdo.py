@@ -3,10 +3,11 @@
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from ..errors import AcquisitionError
-from .objects import ObjectEntry
+from ..errors import Place
+from .objects import BITS, ObjectEntry
 
 NOT_VALID = 1 << 31
+MAX_PDO_BITS, MAX_PDOS = 64, 0x200
 ON_SYNC = 1  # transmission type: at every SYNC
 # Communication and mapping parameters by direction: from the drive, to the drive.
 PARAMETERS = {"tpdo": (0x1800, 0x1A00), "rpdo": (0x1400, 0x1600)}
@@ -50,7 +51,7 @@ class Pdo:
     def unpack(self, data: bytes) -> dict[tuple[int, int], int]:
         """Values by (index, sub-index). Raises `AcquisitionError` when the frame is too short."""
         if len(data) < self.length:
-            raise AcquisitionError(f"{len(data)} bytes", place=f"PDO 0x{self.can_id:03X}", expected=str(self.length))
+            Place(f"PDO 0x{self.can_id:03X}").refuse(text=f"{len(data)} bytes", expected=str(self.length))
         found, at = {}, 0
         for e in self.entries:
             size = e.bits // 8
@@ -86,7 +87,7 @@ def pdos_of(
     """
     communication, mapping = PARAMETERS[direction]
     found = []
-    for index in sorted({i for i, _ in values if communication <= i < communication + 0x200}):
+    for index in sorted({i for i, _ in values if communication <= i < communication + MAX_PDOS}):
         can_id, number = values.get((index, 1)), index - communication + 1
         count = values.get((mapping + number - 1, 0), 0)
         if can_id is None or can_id & NOT_VALID or not can_id & _IDENTIFIER or not count:
@@ -98,10 +99,9 @@ def pdos_of(
                 continue
             key = (word >> 16, word >> 8 & 0xFF)
             kind = types.get(key, f"U{word & 0xFF}")
-            if kind not in ("I8", "I16", "I32", "U8", "U16", "U32") or int(kind[1:]) != word & 0xFF:
-                problem = f"{key[0]:04X}:{key[1]} of {word & 0xFF} bits"
-                expected = "whole bytes of its own type"
-                raise AcquisitionError(f"{direction} {number}: {problem}", place=place, expected=expected)
+            if BITS.get(kind) != word & 0xFF:
+                problem = f"{direction} {number}: {key[0]:04X}:{key[1]} of {word & 0xFF} bits"
+                Place(place).refuse(text=problem, expected="whole bytes of its own type")
             entries.append(ObjectEntry(index=key[0], sub=key[1], type=kind))
         found.append(Pdo(number=number, can_id=can_id & _IDENTIFIER, entries=tuple(entries)))
     return tuple(found)

@@ -10,24 +10,22 @@ from ..errors import AcquisitionError
 
 REQUEST, ANSWER = 0x600, 0x580  # identifiers, plus the node id
 
-ABORTS = {
-    0x05030000: "toggle bit not alternated",
-    0x05040000: "timed out",
-    0x05040001: "command specifier not known",
-    0x06010000: "access not supported",
-    0x06010001: "read of a write-only object",
-    0x06010002: "write to a read-only object",
-    0x06020000: "object does not exist",
-    0x06040041: "object cannot be mapped to a PDO",
-    0x06040042: "PDO would be too long",
-    0x06070010: "length does not match",
-    0x06090011: "sub-index does not exist",
-    0x06090030: "value out of range",
-    0x08000000: "general error",
-    0x08000022: "not possible in this state",
+ABORTS = {  # codes by meaning
+    "toggle bit not alternated": 0x05030000,
+    "timed out": 0x05040000,
+    "command specifier not known": 0x05040001,
+    "access not supported": 0x06010000,
+    "read of a write-only object": 0x06010001,
+    "write to a read-only object": 0x06010002,
+    "object does not exist": 0x06020000,
+    "object cannot be mapped to a PDO": 0x06040041,
+    "PDO would be too long": 0x06040042,
+    "length does not match": 0x06070010,
+    "sub-index does not exist": 0x06090011,
+    "value out of range": 0x06090030,
+    "general error": 0x08000000,
+    "not possible in this state": 0x08000022,
 }
-NO_SUCH_OBJECT, NO_SUCH_SUB, READ_ONLY = 0x06020000, 0x06090011, 0x06010002
-NOT_MAPPABLE, TOO_LONG_PDO, WRONG_STATE, UNKNOWN_COMMAND = 0x06040041, 0x06040042, 0x08000022, 0x05040001
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,9 +63,9 @@ def written_answer(index: int, sub: int) -> bytes:
     return _frame(0x60, index, sub, b"")
 
 
-def abort_answer(index: int, sub: int, code: int) -> bytes:
-    """The transfer cannot be done."""
-    return _frame(0x80, index, sub, code.to_bytes(4, "little"))
+def abort_answer(index: int, sub: int, meaning: str) -> bytes:
+    """The transfer cannot be done: one of `ABORTS`."""
+    return _frame(0x80, index, sub, ABORTS[meaning].to_bytes(4, "little"))
 
 
 def request_of(data: bytes) -> Transfer:
@@ -83,7 +81,7 @@ def answer_of(data: bytes) -> Transfer:
 def check_answer(answer: Transfer, wanted: str, place: str) -> int:
     """The number in an answer of the kind `wanted`. Raises `AcquisitionError` for an abort, naming `place`."""
     if answer.kind == "abort":
-        meaning = ABORTS.get(answer.number, "abort")
+        meaning = next((words for words, code in ABORTS.items() if code == answer.number), "abort")
         raise AcquisitionError(f"refused by the drive: {meaning} (0x{answer.number:08X})", place=place)
     if answer.kind != wanted:
         raise AcquisitionError(f"the drive answered {answer.kind}", place=place, expected=wanted)

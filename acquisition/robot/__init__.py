@@ -4,7 +4,6 @@ from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse
 from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
 from .drives import LARGEST_LOAD, Bus, Drive, axis_index, axis_of, check_carriers, refuse_load, refuse_out_of_range
 from .extra_objects import ExtraColumn, extra_columns
-from .following import follow
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
 from .reference import (
     HARMONICS,
@@ -12,6 +11,7 @@ from .reference import (
     FourierReference,
     approach,
     check_limits,
+    follow,
     fourier_reference,
     table_reference,
 )

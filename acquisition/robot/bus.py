@@ -5,11 +5,11 @@
 
 import math
 import re
+from collections.abc import Iterable
 from typing import Annotated, Literal
 
 import msgspec
 
-from ..errors import AcquisitionError
 from ..protocol import BITS, RATED_UNITS, RULES
 from .toml import Positive, TomlTable
 
@@ -25,7 +25,10 @@ EffortTiming = Literal["command", "mean", "measured", "unknown"]  # what instant
 
 MAX_DEMAND_RIPPLE = 0.002  # of the inertia
 TORQUE_DEMAND = 0x6074
+USUAL_SYNC = 0x80
 AXIS = 0x800  # between the objects of two axes of a drive (CiA 402-2)
+_WORDS: dict[str, Iterable[str]] = dict.fromkeys(("reference_rule", "actual_rule"), RULES)
+_WORDS |= dict.fromkeys(("rated_current_unit", "rated_torque_unit"), RATED_UNITS)
 BITRATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
 
 
@@ -44,6 +47,12 @@ class ExtraFile(TomlTable, frozen=True):
     name: Word | None = None
     scale: float | None = None
     unit: Annotated[str, msgspec.Meta(max_length=16)] | None = None
+
+    def __post_init__(self) -> None:
+        if self.scale == 0:
+            self.refuse("scale", self.scale, "a number other than 0")
+        if self.unit is not None and self.scale is None:
+            self.refuse("unit", self.unit, "a scale beside it")
 
 
 class DriveFile(TomlTable, frozen=True):
@@ -92,6 +101,33 @@ class DriveFile(TomlTable, frozen=True):
     rpdo: tuple[PdoFile, ...] = ()
     extra: tuple[ObjectName | ExtraFile, ...] = ()
 
+    def __post_init__(self) -> None:
+        for name, kind in self.objects.items():
+            if kind not in BITS:
+                self.refuse(f"objects[{name}]", kind, f"one of {', '.join(BITS)}")
+        if self.reference is None and self.actual is None:
+            self.refuse("reference", None, "the object of the current or torque reference, or actual for its value")
+        for key, known in _WORDS.items():
+            word = getattr(self, key)
+            if word is not None and word not in known:
+                self.refuse(key, word, f"one of {', '.join(known)}")
+        for key in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
+            unit = self.rated_current_unit if key == "rated_current_a" else self.rated_torque_unit
+            value, most = getattr(self, key), (2**32 - 1) * RATED_UNITS[unit]
+            if value is not None and not RATED_UNITS[unit] <= value <= most:
+                self.refuse(key, value, f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}")
+        if (self.counts_per_turn is None) == (self.counts_per_m is None):
+            self.refuse("counts_per_turn", self.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
+        if self.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", self.dictionary):
+            self.refuse("dictionary", self.dictionary, "the name of a file beside robot.toml")
+        if self.mapping == "dictionary" and self.dictionary is None:
+            self.refuse("mapping", self.mapping, "a dictionary (EDS or DCF) that holds the mapping")
+
+    @property
+    def counts_per_unit(self) -> float:
+        """Counts per rad or m of the motor."""
+        return self.counts_per_m or (self.counts_per_turn or 0.0) / (2 * math.pi)
+
     @property
     def reports_demand(self) -> bool:
         """Whether its effort is a torque demand, 6074h of any axis: the value of one control step."""
@@ -121,7 +157,7 @@ class BusFile(TomlTable, frozen=True):
     sync_period_s: Positive
     bitrate: int = 1_000_000
     sync_producer: Literal["recorder", "other"] = "recorder"
-    sync_can_id: CanId = 0x80
+    sync_can_id: CanId = USUAL_SYNC
     loopback: bool = True
     heartbeat_s: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.1
     master_node: Node = 127
@@ -132,13 +168,26 @@ class BusFile(TomlTable, frozen=True):
     enable_watch_s: Annotated[float, msgspec.Meta(ge=0.05, le=10.0)] = 0.2
     effort_timing: EffortTiming = "unknown"
 
+    def __post_init__(self) -> None:
+        if self.bitrate not in BITRATES:
+            self.refuse("bitrate", self.bitrate, f"one of {', '.join(map(str, BITRATES))}")
+        if not 1e-4 <= self.sync_period_s <= 1.0:
+            self.refuse("sync_period_s", self.sync_period_s, "0.0001 to 1")
+        nodes = [drive.node for drive in self.drive]
+        if self.master_node in nodes:
+            self.refuse("master_node", self.master_node, "a node id that no drive has")
+        for node in self.other_nodes:
+            if node in (*nodes, self.master_node):
+                self.refuse("other_nodes", node, "node ids that neither a drive nor master_node has")
+        for i, node in enumerate(nodes):
+            if node in nodes[:i]:
+                self.refuse(f"drive[{i}].node", node, "a node id not used before")
+
 
 def demand_ripple(bandwidth_hz: float, sync_period_s: float) -> float:
-    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w the position loop's bandwidth.
-
-    A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration, and
-    its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
-    """
+    """(w T)²/3: how far a torque demand at SYNC is from its mean, as a share of the inertia; w: the position loop."""
+    # A drive that interpolates its targets by lines deviates from them between two SYNCs, in proportion to the acceleration,
+    # and its loops (the velocity loop four times as fast) demand a torque for it. At SYNC the deviation is always the same.
     return (2 * math.pi * bandwidth_hz * sync_period_s) ** 2 / 3
 
 
@@ -164,61 +213,6 @@ def parse_homed(name: str) -> tuple[int, int, int | None]:
     """Index, sub-index and bit of `6041.8`; no bit where the whole object counts."""
     entry, _, bit = name.partition(".")
     return *parse_object(entry), int(bit) if bit else None
-
-
-def check_bus(bus: BusFile, motor_units: tuple[str, ...], place: str) -> None:
-    """What the types cannot say; `motor_units` are the units of the motors' recorded efforts.
-
-    Raises `AcquisitionError` naming the key, the value and what was expected.
-    """
-
-    def refuse(key: str, value: object, expected: str) -> None:
-        raise AcquisitionError(place=place, key=f"bus.{key}", value=value, expected=expected)
-
-    if len(bus.drive) != len(motor_units):
-        refuse("drive", f"{len(bus.drive)} tables", f"one per motor: {len(motor_units)}")
-    if bus.bitrate not in BITRATES:
-        refuse("bitrate", bus.bitrate, f"one of {', '.join(map(str, BITRATES))}")
-    if not 1e-4 <= bus.sync_period_s <= 1.0:
-        refuse("sync_period_s", bus.sync_period_s, "0.0001 to 1")
-    nodes = [d.node for d in bus.drive]
-    if bus.master_node in nodes:
-        refuse("master_node", bus.master_node, "a node id that no drive has")
-    for node in bus.other_nodes:
-        if node in (*nodes, bus.master_node):
-            refuse("other_nodes", node, "node ids that neither a drive nor master_node has")
-    for i, drive in enumerate(bus.drive):
-        key = f"drive[{i}]"
-        if drive.node in nodes[:i]:
-            refuse(f"{key}.node", drive.node, "a node id not used before")
-        for name, kind in drive.objects.items():
-            if kind not in BITS:
-                refuse(f"{key}.objects[{name}]", kind, f"one of {', '.join(BITS)}")
-        if drive.reference is None and drive.actual is None:
-            refuse(f"{key}.reference", None, "the object of the current or torque reference, or actual for its value")
-        for word in ("reference", "actual"):
-            rule = getattr(drive, f"{word}_rule")
-            if rule is not None and rule not in RULES:
-                refuse(f"{key}.{word}_rule", rule, f"one of {', '.join(RULES)}")
-        for word in ("rated_current_unit", "rated_torque_unit"):
-            if getattr(drive, word) not in RATED_UNITS:
-                refuse(f"{key}.{word}", getattr(drive, word), f"one of {', '.join(RATED_UNITS)}")
-        for word in ("rated_current_a", "rated_torque_nm", "rated_force_n"):
-            unit = drive.rated_current_unit if word == "rated_current_a" else drive.rated_torque_unit
-            value, most = getattr(drive, word), (2**32 - 1) * RATED_UNITS[unit]
-            if value is not None and not RATED_UNITS[unit] <= value <= most:
-                refuse(f"{key}.{word}", value, f"{RATED_UNITS[unit]:g} to {most:.4g}: an U32 in {unit}")
-        for k, extra in enumerate(drive.extra):
-            if isinstance(extra, ExtraFile) and extra.scale is not None and not 0 < abs(extra.scale) < math.inf:
-                refuse(f"{key}.extra[{k}].scale", extra.scale, "a number other than 0")
-            if isinstance(extra, ExtraFile) and extra.unit is not None and extra.scale is None:
-                refuse(f"{key}.extra[{k}].unit", extra.unit, "a scale beside it")
-        if (drive.counts_per_turn is None) == (drive.counts_per_m is None):
-            refuse(f"{key}.counts_per_turn", drive.counts_per_turn, "counts_per_turn or counts_per_m, one of the two")
-        if drive.dictionary is not None and not re.fullmatch(r"[^/\\\x00-\x1f]+", drive.dictionary):
-            refuse(f"{key}.dictionary", drive.dictionary, "the name of a file beside robot.toml")
-        if drive.mapping == "dictionary" and drive.dictionary is None:
-            refuse(f"{key}.mapping", drive.mapping, "a dictionary (EDS or DCF) that holds the mapping")
 
 
 def dictionary_label(name: str) -> str:

@@ -5,14 +5,12 @@ Angles are degrees here.
 """
 
 import math
-from collections.abc import Callable
 from typing import Annotated, Any, Literal
 
 import msgspec
 import numpy as np
 
-from ..errors import AcquisitionError
-from .bus import BusFile, check_bus
+from .bus import BusFile
 from .toml import Name, Positive, TomlTable
 
 Rows = Annotated[int, msgspec.Meta(ge=0)]
@@ -22,6 +20,7 @@ Edges = Literal["smooth", "matlab"]
 EffortUnit = Literal["A", "V", "N m", "N"]
 GainUnit = Literal["N m/A", "N m/V", "N/A", "N/V"]
 FrictionTerm = Literal["viscous", "coulomb", "offset", "asymmetric", "root", "load", "stribeck"]
+GAINS = ("position_gain", "velocity_gain", "integral_gain")
 Structure = Literal["pd", "pd_velocity_feedforward", "cascade_p_p", "cascade_p_pi", "pid", "computed_torque"]
 
 
@@ -40,6 +39,16 @@ class Capsule(TomlTable, frozen=True):
     radius_m: Positive
     from_m: tuple[float, float, float]
     to_m: tuple[float, float, float]
+
+
+QUANTITIES = ("zero", "position", "speed", "acceleration", "following_error", "stribeck_speed", "effort")  # of a joint
+
+
+def _key(quantity: str, kind: str) -> str:
+    if quantity == "effort":
+        return "effort_nm" if kind == "revolute" else "effort_n"
+    per = {"speed": "_s", "stribeck_speed": "_s", "acceleration": "_s2"}.get(quantity, "")
+    return f"{quantity}_{'deg' if kind == 'revolute' else 'm'}{per}"
 
 
 class Joint(TomlTable, frozen=True):
@@ -69,6 +78,24 @@ class Joint(TomlTable, frozen=True):
     effort_n: Positive | None = None
     capsule: Capsule | None = None
 
+    def __post_init__(self) -> None:
+        other, unit = ("prismatic", "deg") if self.type == "revolute" else ("revolute", "m")
+        for quantity in QUANTITIES:
+            key, own = _key(quantity, other), self.key(quantity)
+            if getattr(self, key) is not None:
+                what = own if quantity == "effort" else f"a key in {unit}"
+                self.refuse(key, getattr(self, key), f"{what} for a {self.type} joint")
+        limits = self.si("position")
+        if limits is not None and not limits[0] < limits[1]:
+            self.refuse(self.key("position"), getattr(self, self.key("position")), "[lowest, highest]")
+        if isinstance(self.friction, tuple):
+            for term in self.friction:
+                if self.friction.count(term) > 1:
+                    self.refuse("friction", term, "each term once")
+            for name in ("viscous", "coulomb", "offset"):
+                if getattr(self, name) is not None:
+                    self.refuse(name, getattr(self, name), "no such key beside a list of terms in friction")
+
     @property
     def position_unit(self) -> str:
         """`rad` or `m`."""
@@ -88,17 +115,18 @@ class Joint(TomlTable, frozen=True):
         stated = (("viscous", self.viscous), ("coulomb", self.coulomb), ("offset", self.offset or False))
         return tuple(term for term, has in stated if has is not False)
 
+    def key(self, quantity: str) -> str:
+        """The key of a quantity (of those of `si`) in the file: `speed_deg_s`, `effort_n`."""
+        return _key(quantity, self.type)
+
     def si(self, quantity: str) -> Any:
         """`zero`, `position`, `speed`, `acceleration`, `following_error`, `stribeck_speed` in rad or m (per s, s²).
 
         `effort` in N m or N. `None` where it is not stated.
         """
-        if quantity == "effort":
-            return self.effort_nm if self.type == "revolute" else self.effort_n
-        tail = {"speed": "_s", "stribeck_speed": "_s", "acceleration": "_s2"}.get(quantity, "")
-        if self.type == "prismatic":
-            return getattr(self, f"{quantity}_m{tail}")
-        value = getattr(self, f"{quantity}_deg{tail}")
+        value = getattr(self, self.key(quantity))
+        if self.type == "prismatic" or quantity == "effort":
+            return value
         if isinstance(value, tuple):
             return tuple(math.radians(v) for v in value)
         return None if value is None else math.radians(value)
@@ -113,6 +141,16 @@ class Motor(TomlTable, frozen=True):
     drive_gain: float | None = None
     drive_gain_unit: GainUnit | None = None
     saturation: Positive | None = None
+
+    def __post_init__(self) -> None:
+        if (self.drive_gain is None) != (self.drive_gain_unit is None):
+            self.refuse("drive_gain", self.drive_gain, "drive_gain and drive_gain_unit together, or neither")
+        if self.drive_gain is not None and self.drive_gain <= 0:
+            self.refuse("drive_gain", self.drive_gain, "a positive number (signs belong to ratio or motor_matrix)")
+        if self.drive_gain_unit is None and self.effort_unit is None:
+            self.refuse("effort_unit", None, "effort_unit (A, V, N m or N) where no drive gain is given")
+        if self.drive_gain_unit is not None and self.effort_unit not in (None, self.recorded_unit):
+            self.refuse("effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says")
 
     @property
     def recorded_unit(self) -> str:
@@ -138,6 +176,12 @@ class Controller(TomlTable, frozen=True):
     velocity_gain: tuple[float, ...] | None = None
     integral_gain: tuple[float, ...] | None = None
     velocity_estimate: Literal["exact", "backward_difference", "two_sample_mean"] | None = None
+
+    def __post_init__(self) -> None:
+        for name in GAINS:
+            gains = getattr(self, name)
+            if gains is not None and any(g <= 0 for g in gains):
+                self.refuse(name, list(gains), "positive numbers")
 
 
 class LowSpeed(TomlTable, frozen=True):
@@ -188,87 +232,51 @@ class RobotFile(TomlTable, frozen=True):
     base_capsule: Capsule | None = None
     ground_m: float | None = None
 
+    def __post_init__(self) -> None:
+        n = len(self.joint)
+        if len(self.motor) != n:
+            self.refuse("motor", f"{len(self.motor)} tables", f"one per joint: {n}")
+        if self.bus is not None and len(self.bus.drive) != n:
+            self.refuse("bus.drive", f"{len(self.bus.drive)} tables", f"one per motor: {n}")
+        if self.urdf_meshes and self.urdf is None:
+            self.refuse("urdf_meshes", True, "a urdf that names them")
+        for kind, names in (("joint", [j.name for j in self.joint]), ("motor", [m.name for m in self.motor])):
+            for i, name in enumerate(names):
+                if name in names[:i]:
+                    self.refuse(f"{kind}[{i}].name", name, "a name not used before")
+        for i, joint in enumerate(self.joint):
+            if (joint.dh is None) == (self.urdf is None):
+                expected = "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
+                self.refuse(f"joint[{i}].dh", joint.dh, expected)
+            # Not in the joint: one whose terms are chosen for a fit keeps the speed.
+            key, speed = f"joint[{i}].{joint.key('stribeck_speed')}", joint.si("stribeck_speed")
+            if "stribeck" in joint.terms and speed is None:
+                self.refuse(key, None, "the speed at which Stribeck friction has fallen to 37 %")
+            if "stribeck" not in joint.terms and speed is not None:
+                self.refuse(key, speed, 'the term "stribeck" in friction with it')
+        for i, motor in enumerate(self.motor):
+            if motor.ratio is not None and (motor.ratio == 0 or self.motor_matrix is not None):
+                expected = "a non-zero ratio, or motor_matrix for the whole robot, not both"
+                self.refuse(f"motor[{i}].ratio", motor.ratio, expected)
+        unknown = [m.name for m in self.motor if m.gain is None]
+        if 0 < len(unknown) < n:
+            expected = f"a drive gain for all motors or for none; missing for {', '.join(unknown)}"
+            self.refuse("motor.drive_gain", None, expected)
+        if self.motor_matrix is not None:
+            self._check_matrix(self.motor_matrix)
+        for name in GAINS:
+            gains = getattr(self.controller, name)
+            if gains is not None and len(gains) != n:
+                self.refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
 
-def check_description(f: RobotFile, place: str) -> None:
-    """What the types cannot say: counts, units that go together, an invertible motor matrix."""
-    n = len(f.joint)
-
-    def refuse(key: str, value: object, expected: str) -> None:
-        raise AcquisitionError(place=place, key=key, value=value, expected=expected)
-
-    if len(f.motor) != n:
-        refuse("motor", f"{len(f.motor)} tables", f"one per joint: {n}")
-    if f.urdf_meshes and f.urdf is None:
-        refuse("urdf_meshes", True, "a urdf that names them")
-    for kind, names in (("joint", [j.name for j in f.joint]), ("motor", [m.name for m in f.motor])):
-        for i, name in enumerate(names):
-            if name in names[:i]:
-                refuse(f"{kind}[{i}].name", name, "a name not used before")
-    for i, joint in enumerate(f.joint):
-        key = f"joint[{i}]"
-        if (joint.dh is None) == (f.urdf is None):
-            refuse(
-                f"{key}.dh", joint.dh, "a dh row for every joint, or else a urdf for the whole robot (one of the two)"
-            )
-        other = "m" if joint.type == "revolute" else "deg"
-        for field in msgspec.structs.fields(joint):
-            if f"_{other}" in field.name and getattr(joint, field.name) is not None:
-                unit = "deg" if other == "m" else "m"
-                refuse(f"{key}.{field.name}", getattr(joint, field.name), f"a key in {unit} for a {joint.type} joint")
-        other_effort = "effort_n" if joint.type == "revolute" else "effort_nm"
-        if (effort := getattr(joint, other_effort)) is not None:
-            expected = f"{'effort_nm' if other_effort == 'effort_n' else 'effort_n'} for a {joint.type} joint"
-            refuse(f"{key}.{other_effort}", effort, expected)
-        limits = joint.si("position")
-        if limits is not None and not limits[0] < limits[1]:
-            unit = "deg" if other == "m" else "m"
-            refuse(f"{key}.position_{unit}", getattr(joint, f"position_{unit}"), "[lowest, highest]")
-        _check_friction(joint, key, refuse)
-    for i, motor in enumerate(f.motor):
-        key = f"motor[{i}]"
-        if (motor.drive_gain is None) != (motor.drive_gain_unit is None):
-            refuse(f"{key}.drive_gain", motor.drive_gain, "drive_gain and drive_gain_unit together, or neither")
-        if motor.drive_gain is not None and motor.drive_gain <= 0:
-            refuse(f"{key}.drive_gain", motor.drive_gain, "a positive number (signs belong to ratio or motor_matrix)")
-        if motor.drive_gain_unit is None and motor.effort_unit is None:
-            refuse(f"{key}.effort_unit", None, "effort_unit (A, V, N m or N) where no drive gain is given")
-        if motor.drive_gain_unit is not None and motor.effort_unit not in (None, motor.recorded_unit):
-            refuse(f"{key}.effort_unit", motor.effort_unit, f"{motor.recorded_unit!r}, as drive_gain_unit says")
-        if motor.ratio is not None and (motor.ratio == 0 or f.motor_matrix is not None):
-            refuse(f"{key}.ratio", motor.ratio, "a non-zero ratio, or motor_matrix for the whole robot, not both")
-    unknown = [m.name for m in f.motor if m.gain is None]
-    if unknown and len(unknown) < n:
-        refuse("motor.drive_gain", None, f"a drive gain for all motors or for none; missing for {', '.join(unknown)}")
-    if f.motor_matrix is not None:
-        if [len(row) for row in f.motor_matrix] != [n] * n:
-            refuse("motor_matrix", [len(row) for row in f.motor_matrix], f"{n} rows of {n} numbers")
-        if np.linalg.matrix_rank(np.array(f.motor_matrix)) < n:
-            refuse("motor_matrix", f.motor_matrix, "an invertible matrix")
-        for i, row in enumerate(f.motor_matrix):
+    def _check_matrix(self, matrix: tuple[tuple[float, ...], ...]) -> None:
+        n = len(self.joint)
+        if [len(row) for row in matrix] != [n] * n:
+            self.refuse("motor_matrix", [len(row) for row in matrix], f"{n} rows of {n} numbers")
+        if np.linalg.matrix_rank(np.array(matrix)) < n:
+            self.refuse("motor_matrix", matrix, "an invertible matrix")
+        for i, row in enumerate(matrix):
             if row[i] == 0:  # names such as Ia2 and gains go by joint: each motor has one of its own
-                refuse(f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so")
-    for name in ("position_gain", "velocity_gain", "integral_gain"):
-        gains = getattr(f.controller, name)
-        if gains is not None and len(gains) != n:
-            refuse(f"controller.{name}", list(gains), f"{n} numbers, one per motor")
-        if gains is not None and any(g <= 0 for g in gains):
-            refuse(f"controller.{name}", list(gains), "positive numbers")
-    if f.bus is not None:
-        check_bus(f.bus, tuple(m.recorded_unit for m in f.motor), place)
-
-
-def _check_friction(joint: Joint, key: str, refuse: Callable[[str, object, str], None]) -> None:
-    """A list of friction terms has each once, and takes the place of the keys; Stribeck friction has its speed."""
-    if isinstance(joint.friction, tuple):
-        for term in joint.friction:
-            if joint.friction.count(term) > 1:
-                refuse(f"{key}.friction", term, "each term once")
-        for name in ("viscous", "coulomb", "offset"):
-            if getattr(joint, name) is not None:
-                refuse(f"{key}.{name}", getattr(joint, name), "no such key beside a list of terms in friction")
-    speed_key = f"{key}.stribeck_speed_{'deg' if joint.type == 'revolute' else 'm'}_s"
-    speed = joint.si("stribeck_speed")
-    if "stribeck" in joint.terms and speed is None:
-        refuse(speed_key, None, "the speed at which Stribeck friction has fallen to 37 %")
-    if "stribeck" not in joint.terms and speed is not None:
-        refuse(speed_key, speed, 'the term "stribeck" in friction with it')
+                self.refuse(
+                    f"motor_matrix[{i}]", list(row), f"motor {i + 1} to turn joint {i + 1}: order the motors so"
+                )

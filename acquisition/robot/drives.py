@@ -6,12 +6,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..protocol import (
-    BITS,
     CONTROLWORD,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
+    MAX_PDO_BITS,
     MODE_OF_OPERATION,
     STATUSWORD,
     EffortCodec,
@@ -20,13 +20,13 @@ from ..protocol import (
     Pdo,
     PositionCodec,
     bus_load,
+    range_of,
 )
-from .bus import AXIS, BusFile, DriveFile
+from .bus import AXIS, USUAL_SYNC, BusFile, DriveFile
 from .extra_objects import ExtraObject
 from .robot import Robot
 
 LARGEST_LOAD = 0.95  # of the bus, with the worst case of bit stuffing
-USUAL_SYNC = 0x80
 FREE_CAN_IDS = range(0x680, 0x6E0)  # that CiA 301 gives to no service; PDOs have others
 POSITION_TYPE = "I32"  # of the position and of its target: codecs, and what is unwound of counters, go by it
 
@@ -107,15 +107,10 @@ class Bus:
 def refuse_load(bus: Bus, place: str) -> None:
     """Refuse PDOs in both directions that do not fit between two SYNCs; for sessions that send, not for listeners."""
     if bus.load > LARGEST_LOAD:
-        fastest_s = bus.load * bus.file.sync_period_s / LARGEST_LOAD
-        raise AcquisitionError(
-            f"{bus.load:.0%} of {bus.file.bitrate} bit/s",
-            place=place,
-            key="bus.sync_period_s",
-            value=bus.file.sync_period_s,
-            shown=f"{bus.file.sync_period_s:g}",
-            expected=f"{LARGEST_LOAD:.0%} at most: {fastest_s:.2g} s or longer, or fewer PDOs",
-        )
+        period_s = bus.file.sync_period_s
+        expected = f"{LARGEST_LOAD:.0%} at most: {bus.load * period_s / LARGEST_LOAD:.2g} s or longer, or fewer PDOs"
+        problem = f"{bus.load:.0%} of {bus.file.bitrate} bit/s"
+        Place(place, "bus").refuse("sync_period_s", period_s, expected, text=problem, shown=f"{period_s:g}")
 
 
 def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None:
@@ -124,7 +119,7 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
     A drive held at the end of its counts would stand still while the others go on. Raises `AcquisitionError` naming
     `place`, the time, the motor, its counts and the range; also where a position is not finite.
     """
-    low, high = -(2 ** (BITS[POSITION_TYPE] - 1)), 2 ** (BITS[POSITION_TYPE] - 1) - 1
+    low, high = range_of(POSITION_TYPE)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
         motors = robot.motor_position(path)
         for i, drive in enumerate(bus.drives):
@@ -132,70 +127,52 @@ def refuse_out_of_range(path: Array, robot: Robot, bus: Bus, place: str) -> None
             inside = (np.rint(counts) >= low) & (np.rint(counts) <= high)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                raise AcquisitionError(
-                    place=f"{place}: at {k * bus.file.sync_period_s:.4g} s",
-                    key=f"target of node {drive.node} ({drive.name})",
-                    value=float(counts[k]),
-                    shown=f"{counts[k]:.10g} counts",
-                    expected=f"{low} to {high}",
+                at, key = (
+                    Place(f"{place}: at {k * bus.file.sync_period_s:.4g} s"),
+                    f"target of node {drive.node} ({drive.name})",
                 )
+                at.refuse(key, float(counts[k]), f"{low} to {high}", shown=f"{counts[k]:.10g} counts")
 
 
 def refuse_pdos(bus: Bus, place: str) -> None:
-    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have.
-
-    A controlword on the identifier of another service would be a command of that service, to every node.
-    """
+    """Refuse what a drive or another node would misunderstand, whichever source the PDOs have."""
+    # A controlword on the identifier of another service would be a command of that service, to every node.
     sync = bus.file.sync_can_id
     free = f"0x{FREE_CAN_IDS[0]:X} to 0x{FREE_CAN_IDS[-1]:X}"
     if sync != USUAL_SYNC and sync not in FREE_CAN_IDS:
-        expected = f"0x{USUAL_SYNC:X}, or {free}"
-        raise AcquisitionError(place=place, key="bus.sync_can_id", value=sync, shown=f"0x{sync:X}", expected=expected)
+        Place(place, "bus").refuse("sync_can_id", sync, f"0x{USUAL_SYNC:X}, or {free}", shown=f"0x{sync:X}")
     used = {sync: "SYNC"}
     for i, (file, drive) in enumerate(zip(bus.file.drive, bus.drives, strict=True)):
         for way, pdos in (("tpdo", drive.tpdos), ("rpdo", drive.rpdos)):
             numbers: set[int] = set()
             for pdo in pdos:
-                where = f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})"
+                at = Place(f"{place}: bus.drive[{i}]: {way} {pdo.number} (mapping = {file.mapping!r})")
                 if pdo.number in numbers:
-                    problem = f"number = {pdo.number} is there twice"
-                    raise AcquisitionError(problem, place=where, expected="one of its own")
+                    at.refuse(text=f"number = {pdo.number} is there twice", expected="one of its own")
                 numbers.add(pdo.number)
-                if pdo.bits > 64:
-                    raise AcquisitionError(f"{pdo.length} bytes", place=where, expected="8 at most")
+                if pdo.bits > MAX_PDO_BITS:
+                    at.refuse(text=f"{pdo.length} bytes", expected="8 at most")
+                name = f"identifier 0x{pdo.can_id:03X}"
                 if not LOWEST_CAN_ID <= pdo.can_id <= HIGHEST_CAN_ID and pdo.can_id not in FREE_CAN_IDS:
-                    expected = f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}"
-                    raise AcquisitionError(f"identifier 0x{pdo.can_id:03X}", place=where, expected=expected)
+                    at.refuse(text=name, expected=f"0x{LOWEST_CAN_ID:X} to 0x{HIGHEST_CAN_ID:X}, or {free}")
                 if pdo.can_id in used:
-                    problem = f"identifier 0x{pdo.can_id:03X} is that of {used[pdo.can_id]}"
-                    raise AcquisitionError(problem, place=where, expected="one of its own")
+                    at.refuse(text=f"{name} is that of {used[pdo.can_id]}", expected="one of its own")
                 used[pdo.can_id] = f"a PDO of {drive.name}"
 
 
-def refuse_counts(robot: Robot, i: int, file: DriveFile, place: str) -> None:
-    """Refuse counts per metre of a motor that turns, and per turn of one that slides.
-
-    A torque or a force tells which; where efforts are amperes or volts alone, the joints that the motor moves do.
-    """
+def refuse_counts(robot: Robot, i: int, file: DriveFile, at: Place) -> None:
+    """Refuse counts per metre of a motor that turns, and per turn of one that slides."""
+    # A torque or a force shows which; where efforts are amperes or volts alone, the joints that the motor moves do.
     motor = robot.motors[i]
     unit = (motor.drive_gain_unit or motor.recorded_unit).partition("/")[0]
     slides = any(r and joint.type == "prismatic" for r, joint in zip(robot.R[i], robot.joints, strict=True))
-    key, counts = "counts_per_m", file.counts_per_m
-    why, expected = "gives a torque" if unit == "N m" else "moves no prismatic joint", "counts_per_turn"
-    refused = counts is not None and (unit == "N m" or (unit != "N" and not slides))
-    if not refused:
-        key, counts = "counts_per_turn", file.counts_per_turn
-        why, expected = "gives a force", "counts_per_m"
-        refused = counts is not None and unit == "N"
-    if refused:
-        raise AcquisitionError(
-            f"motor {motor.name!r} {why}",
-            place=place,
-            key=f"bus.drive[{i}].{key}",
-            value=counts,
-            shown=f"{counts:g}",
-            expected=expected,
-        )
+    metre, turn = file.counts_per_m, file.counts_per_turn
+    if metre is not None and (unit == "N m" or (unit != "N" and not slides)):
+        why = f"motor {motor.name!r} {'gives a torque' if unit == 'N m' else 'moves no prismatic joint'}"
+        at.refuse("counts_per_m", metre, "counts_per_turn", text=why, shown=f"{metre:g}")
+    if turn is not None and unit == "N":
+        why = f"motor {motor.name!r} gives a force"
+        at.refuse("counts_per_turn", turn, "counts_per_m", text=why, shown=f"{turn:g}")
 
 
 def axis_of(drive: Drive) -> int:
@@ -205,8 +182,8 @@ def axis_of(drive: Drive) -> int:
     """
     axis = drive.control.index - CONTROLWORD
     if axis % AXIS or drive.status.index - STATUSWORD != axis or drive.control.sub or drive.status.sub:
-        where, expected = f"node {drive.node}", "those of one axis, such as 6040:0 and 6041:0"
-        raise AcquisitionError(f"control {drive.control} and status {drive.status}", place=where, expected=expected)
+        problem = f"control {drive.control} and status {drive.status}"
+        Place(f"node {drive.node}").refuse(text=problem, expected="those of one axis, such as 6040:0 and 6041:0")
     return axis
 
 
@@ -221,14 +198,14 @@ def check_carriers(bus: Bus) -> None:
     Raises `AcquisitionError` naming the node and the object.
     """
     for drive in bus.drives:
-        place = f"node {drive.node}"
+        at = Place(f"node {drive.node}")
         mode = f"{MODE_OF_OPERATION + axis_of(drive):04X}:0"
         known = {str(entry) for entry in (drive.control, drive.target)} | {mode}
         for entry in (drive.control, drive.target):
             if drive.carrier(entry, "rpdo") is None:
-                raise AcquisitionError(f"no PDO to the drive carries {entry}", place=place, expected="one to track")
+                at.refuse(text=f"no PDO to the drive carries {entry}", expected="one to track")
         if drive.carrier(drive.status, "tpdo") is None:
-            raise AcquisitionError(f"no PDO from it carries {drive.status}", place=place, expected="one to track")
+            at.refuse(text=f"no PDO from it carries {drive.status}", expected="one to track")
         for other in (str(e) for pdo in drive.rpdos for e in pdo.entries if str(e) not in known):
             expected = f"only {', '.join(sorted(known))} to track"
-            raise AcquisitionError(f"a PDO to the drive carries {other}", place=place, expected=expected)
+            at.refuse(text=f"a PDO to the drive carries {other}", expected=expected)

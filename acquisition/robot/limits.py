@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
-from ..protocol import BITS
+from ..errors import Place
+from ..protocol import range_of
 from .description import Joint
 from .resolving import resolve
 from .robot import Robot
@@ -55,8 +55,7 @@ def effort_limits(robot: Robot, place: str) -> EffortLimits:
     ranges = np.array([math.inf if m.saturation is None else m.saturation for m in robot.motors])
     if robot.bus is not None:
         for i, drive in enumerate(resolve(robot, place).drives):
-            kind = drive.effort.entry.type
-            most = 2 ** (BITS[kind] - (kind[0] == "I")) - 1
+            _, most = range_of(drive.effort.entry.type)
             ranges[i] = min(ranges[i], most * abs(drive.effort.scale))
     rows: list[tuple[str, Array, float, str]] = []
     # Recorded efforts of the motors = to_motor · joint efforts.
@@ -89,13 +88,13 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     Raises `AcquisitionError`, one line with `place`, joint, time, value, limit and the way out, where a position is beyond its
     limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.
     """
-    overshoots = []
+    overshoots, at = [], Place(place)
     steps = np.diff(stamp_s)
     step_s = np.maximum(steps, np.median(steps)) if len(steps) else steps
     for j, joint in enumerate(robot.joints):
         x = q[:, j]
-        overshoots += _position(joint, stamp_s, x, place)
-        overshoots += _speed(joint, stamp_s, step_s, x, place)
+        overshoots += _position(joint, stamp_s, x, at)
+        overshoots += _speed(joint, stamp_s, step_s, x, at)
     return tuple(overshoots)
 
 
@@ -117,8 +116,7 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
         off = float(np.linalg.norm(by_speed[:, j] - by_position[:, j])) / np.sqrt(moved)
         text = f"velocity of joint {joint.name} = {gain:.3g} x the derivative of its position, {100 * off:.2g} % off it"
         if off > SPEED_OFF and not 1 / WRONG_SPEED < gain < WRONG_SPEED:
-            expected = "the joint's own speed: check its unit, side, sign and column"
-            raise AcquisitionError(text, place=place, expected=expected)
+            Place(place).refuse(text=text, expected="the joint's own speed: check its unit, side, sign and column")
         if off > SPEED_OFF:
             doubts.append(text)
     return tuple(doubts)
@@ -126,10 +124,8 @@ def check_recorded_velocities(robot: Robot, q: Array, v: Array, rate_hz: float, 
 
 def _travels(q: Array, moved: float) -> bool:
     """Whether positions q (N,) move, and are not only rounded or noisy; `moved`: squared changes over the window, summed up."""
-    steps, noise = (
-        np.abs(np.diff(q)),
-        float(np.sum(np.diff(q, n=3) ** 2)) / 20,
-    )  # noise of 1 gives third differences of sqrt(20)
+    steps = np.abs(np.diff(q))
+    noise = float(np.sum(np.diff(q, n=3) ** 2)) / 20  # noise of 1 gives third differences of sqrt(20)
     if moved == 0.0 or moved > MIN_TRAVEL_RATIO * noise:
         return moved > 0.0
     return bool(np.ptp(q) > MIN_TRAVEL_STEPS * np.median(steps[steps > 0]))
@@ -140,7 +136,7 @@ def _shown(joint: Joint, value: float) -> str:
     return f"{math.degrees(value):.4g} deg" if joint.type == "revolute" else f"{value:.4g} m"
 
 
-def _position(joint: Joint, stamp_s: Array, x: Array, place: str) -> list[str]:
+def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     limits = joint.si("position")
     if limits is None or not len(x):
         return []
@@ -155,16 +151,11 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: str) -> list[str]:
     )
     if beyond[k] <= FAR_OUT * (high - low):
         return [text]
-    key = "position_deg" if joint.type == "revolute" else "position_m"
-    raise AcquisitionError(
-        text,
-        place=place,
-        expected="a position within them: a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped, "
-        f"or {key} of robot.toml",
-    )
+    causes = "a wrong unit (degrees read as radians), ratio, zero or sign, a counter that wrapped"
+    place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
 
 
-def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) -> list[str]:
+def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) -> list[str]:
     stated = joint.si("speed")
     most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
@@ -186,7 +177,7 @@ def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: str) ->
     if step[k] > _JUMP * neighbour:
         problem = f"joint {joint.name} jumps by {_shown(joint, step[k])} in one sample, {when} ({speed}; {limit})"
         expected = "motion: a counter that wrapped, lost or foreign samples, or two recordings glued together"
-        raise AcquisitionError(problem, place=place, expected=expected)
-    key = "speed_deg_s" if joint.type == "revolute" else "speed_m_s"
-    expected = f"a speed below it: a wrong unit (degrees read as radians), ratio or sample rate, or {key} of robot.toml"
-    raise AcquisitionError(f"joint {joint.name} at {speed}, {when}: {limit}", place=place, expected=expected)
+        place.refuse(text=problem, expected=expected)
+    causes = "a wrong unit (degrees read as radians), ratio or sample rate"
+    expected = f"a speed below it: {causes}, or {joint.key('speed')} of robot.toml"
+    place.refuse(text=f"joint {joint.name} at {speed}, {when}: {limit}", expected=expected)

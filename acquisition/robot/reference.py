@@ -3,17 +3,19 @@
 All begin and end at rest.
 """
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import read_columns
 from .robot import Robot
 
 HARMONICS = 5
+SLOW_STOP_S = 0.5  # from a stop request to rest; longer where acceleration limits need it
 LIMIT_SHARE = 0.8  # of a joint's stated range and speed
 
 
@@ -49,15 +51,11 @@ def fourier_reference(
     where the period is not positive, or a joint states no range.
     """
     if not period_s > 0:
-        raise AcquisitionError(f"period {period_s:g} s", expected="more than 0")
+        Place("").refuse(text=f"period {period_s:g} s", expected="more than 0")
     for i, joint in enumerate(robot.joints):
         if joint.si("position") is None:
-            raise AcquisitionError(
-                place=f"robot {robot.name}: joint {joint.name}",
-                key=f"joint[{i}].position_{'deg' if joint.type == 'revolute' else 'm'}",
-                value=None,
-                expected="[lowest, highest]: the reference moves within it",
-            )
+            at = Place(f"robot {robot.name}: joint {joint.name}", f"joint[{i}]")
+            at.refuse(joint.key("position"), None, "[lowest, highest]: the reference moves within it")
     rng = np.random.default_rng(seed)
     k = np.arange(1, harmonics + 1)
     sine, cosine = rng.standard_normal((2, robot.n, harmonics)) / k
@@ -97,31 +95,25 @@ def table_reference(path: Path, robot: Robot, period_s: float, speed: float = 1.
     from scipy.interpolate import CubicSpline
 
     table = read_columns(path, ["time_s", *(joint.name for joint in robot.joints)], 1 + robot.n)
-    time_s = table[:, 0]
+    time_s, at = table[:, 0], Place(f"{path}: time_s")
     with np.errstate(all="ignore"):  # what overflows is refused below
         if len(table) < 2 or not (np.diff(time_s) > 0).all():
-            raise AcquisitionError(place=f"{path}: time_s", expected="two rows or more, with growing times")
+            at.refuse(expected="two rows or more, with growing times")
         length_s = float(time_s[-1] - time_s[0]) / speed
         longest_s = min(LONGEST_S, LARGEST_PATH / robot.n * period_s)
         if length_s > longest_s:
             slower = f" at {speed:g} of its speed" if speed != 1 else ""
-            problem = f"{length_s:.6g} s from first to last{slower}"
             expected = f"{longest_s:.6g} s at most, with SYNC every {period_s:g} s"
-            raise AcquisitionError(problem, place=f"{path}: time_s", expected=expected)
+            at.refuse(text=f"{length_s:.6g} s from first to last{slower}", expected=expected)
         times = time_s[0] + np.arange(int(length_s / period_s + 1e-6) + 1) * (period_s * speed)
         try:
             q: Array = CubicSpline(time_s, table[:, 1:], bc_type="clamped")(times)
-        except ValueError as error:  # rows so close, or numbers so large, that its equations overflow
-            raise _no_spline(path, time_s, table) from error
+        except ValueError:  # rows so close, or numbers so large, that its equations overflow
+            q = np.array([np.nan])
     if not np.isfinite(q).all():
-        raise _no_spline(path, time_s, table)
+        found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
+        Place(str(path)).refuse(text=found, expected="positions in rad or m at times that a smooth path leads through")
     return q
-
-
-def _no_spline(path: Path, time_s: Array, table: Array) -> AcquisitionError:
-    found = f"rows {np.diff(time_s).min():.3g} s apart or more, positions up to {np.abs(table[:, 1:]).max():.3g}"
-    expected = "positions in rad or m at times that a smooth path leads through"
-    return AcquisitionError(found, place=str(path), expected=expected)
 
 
 def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
@@ -133,7 +125,7 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
         for quantity in ("position", "speed", "acceleration", "following_error"):
             if joint.si(quantity) is None:
                 problem = f"joint[{i}] ({joint.name}): no limit of {quantity.replace('_', ' ')}"
-                raise AcquisitionError(problem, place=place, expected="one in robot.toml before anything moves")
+                Place(place).refuse(text=problem, expected="one in robot.toml before anything moves")
     at_rest = np.concatenate([q[:1], q, q[-1:]])
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused below
         dq = np.diff(at_rest, axis=0) / period_s
@@ -141,22 +133,18 @@ def check_limits(q: Array, robot: Robot, period_s: float, place: str) -> None:
     for i, joint in enumerate(robot.joints):
         low, high = joint.si("position")
         unit = joint.position_unit
+        speed, acceleration = joint.si("speed"), joint.si("acceleration")
         for name, values, bottom, top, per in (
             ("position", q[:, i], low, high, ""),
-            ("speed", dq[:, i], -joint.si("speed"), joint.si("speed"), "/s"),
-            ("acceleration", ddq[:, i], -joint.si("acceleration"), joint.si("acceleration"), "/s²"),
+            ("speed", dq[:, i], -speed, speed, "/s"),
+            ("acceleration", ddq[:, i], -acceleration, acceleration, "/s²"),
         ):
             slack = LARGEST_ROUNDING * max(abs(bottom), abs(top))
             inside = (values >= bottom - slack) & (values <= top + slack)  # NaN is neither
             if not inside.all():
                 k = int(np.argmin(inside))
-                raise AcquisitionError(
-                    place=f"{place}: at {k * period_s:.4g} s",
-                    key=f"{name} of {joint.name}",
-                    value=float(values[k]),
-                    shown=f"{values[k]:.4g} {unit}{per}",
-                    expected=f"{bottom:.4g} to {top:.4g}",
-                )
+                at, shown = Place(f"{place}: at {k * period_s:.4g} s"), f"{values[k]:.4g} {unit}{per}"
+                at.refuse(f"{name} of {joint.name}", float(values[k]), f"{bottom:.4g} to {top:.4g}", shown=shown)
 
 
 def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
@@ -173,4 +161,28 @@ def approach(start: Array, end: Array, robot: Robot, period_s: float) -> Array:
     )
     x = np.linspace(0.0, 1.0, int(np.ceil(duration_s / period_s)) + 1)[:, None]
     q: Array = start + (end - start) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    return q
+
+
+def follow(path: Array, robot: Robot, period_s: float, stopping: Callable[[], bool]) -> Iterator[Array]:
+    """Joint positions (n,) along a path (N, n), one for each SYNC; once `stopping()` is true, the motion slows down to rest.
+
+    It slows down along the path, by at most half of the joints' acceleration limits in addition to the path's own acceleration.
+    """
+    at, rate = 0.0, 1.0
+    speed = np.abs(np.diff(path, axis=0)).max(axis=0, initial=0.0) / period_s
+    stop_s = max(SLOW_STOP_S, *(2 * v / j.si("acceleration") for v, j in zip(speed, robot.joints, strict=True)))
+    while at < len(path) - 1 and rate > 0.0:
+        yield _between(path, at)
+        if stopping():
+            rate = max(0.0, rate - period_s / stop_s)
+        at = min(at + rate, len(path) - 1.0)
+    yield _between(path, at)
+
+
+def _between(path: Array, at: float) -> Array:
+    """Row of a path at a fractional index, by linear interpolation."""
+    k = min(int(at), len(path) - 2) if len(path) > 1 else 0
+    then = path[min(k + 1, len(path) - 1)]
+    q: Array = path[k] + (at - k) * (then - path[k])
     return q

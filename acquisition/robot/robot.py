@@ -11,11 +11,11 @@ import msgspec
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..files import read_meshes
 from .bus import BusFile, dictionary_label
-from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile, check_description
-from .toml import parse_toml
+from .description import Capsule, Controller, Identification, Joint, Motor, RobotFile
+from .toml import RefusedError, parse_toml
 
 SIMULATED_CONTROLLER = "simulated_controller.toml"  # of the drives of a dry run, in place of [controller]
 # Guards of [bus] and [[joint]] that are wider would stop nothing.
@@ -70,8 +70,8 @@ class Robot:
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
         if self.controller.bandwidth_hz is None:
-            where, expected = f"robot {self.name}", "the bandwidth of the position loop, Hz"
-            raise AcquisitionError(place=where, key="controller.bandwidth_hz", value=None, expected=expected)
+            expected = "the bandwidth of the position loop, Hz"
+            Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
         return self.controller.bandwidth_hz
 
     @property
@@ -133,56 +133,54 @@ def load_robot(path: str | PathLike[str]) -> Robot:
         With `place` (the file), `key`, `value` and `expected`.
     """
     path = Path(path)
+    place = Place(str(path))
     try:
         files = {"robot.toml": path.read_bytes()}
     except OSError as error:
-        raise AcquisitionError(f"cannot be read: {error.strerror}", place=str(path)) from error
-    document = _parse(files["robot.toml"], str(path))
-    _refuse_idle_keys(document.controller, str(path))
-    _refuse_wide_guards(document, str(path))
+        place.refuse(text=f"cannot be read: {error.strerror}")
+    document = parse_toml(files["robot.toml"], RobotFile, str(path))
+    _refuse_idle_keys(document.controller, place.at("controller"))
+    if document.bus is not None:
+        _refuse_wide_guards(document.bus, MAX_BUS_GUARDS, place.at("bus"))
+    for i, joint in enumerate(document.joint):
+        _refuse_wide_guards(joint, MAX_JOINT_GUARDS, place.at(f"joint[{i}]"))
     if document.urdf is not None:
-        files["robot.urdf"] = _companion(path, "urdf", document.urdf)
+        files["robot.urdf"] = _companion(path, document.urdf, "urdf")
         if document.urdf_meshes:
             meshes = read_meshes(files["robot.urdf"], (path.parent / document.urdf).parent, str(path))
             files |= {f"{_MESH}{name}": content for name, content in meshes.items()}
     for i, drive in enumerate(document.bus.drive if document.bus else ()):
         if drive.dictionary is not None:
-            key = f"bus.drive[{i}].dictionary"
-            files[dictionary_label(drive.dictionary)] = _companion(path, key, drive.dictionary)
+            label = dictionary_label(drive.dictionary)
+            files[label] = _companion(path, drive.dictionary, f"bus.drive[{i}].dictionary")
     return robot_from_files(files, str(path))
 
 
-def _refuse_idle_keys(c: Controller, place: str) -> None:
-    """No key of a new description may do nothing; recordings made with one still open."""
+# No key of a new description may do nothing, nor any guard be too wide to stop anything; recordings made with one still open.
+def _refuse_idle_keys(c: Controller, place: Place) -> None:
     law = ("sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
     idle = law if c.structure is None else () if c.structure in ("cascade_p_pi", "pid") else ("integral_gain",)
     for name in idle:
-        if getattr(c, name) is not None:
-            value, expected = getattr(c, name), "controller.structure with it"
-            if c.structure is not None:
-                expected = f"none, structure = {c.structure!r} has no integral"
-            value = list(value) if isinstance(value, tuple) else value
-            key = f"controller.{name}"
-            raise AcquisitionError("does nothing", place=place, key=key, value=value, expected=expected)
+        value = getattr(c, name)
+        if value is not None:
+            none = f"none, structure = {c.structure!r} has no integral"
+            expected = "controller.structure with it" if c.structure is None else none
+            place.refuse(name, list(value) if isinstance(value, tuple) else value, expected, text="does nothing")
 
 
-def _refuse_wide_guards(f: RobotFile, place: str) -> None:
-    """No guard of a new description may be too wide to stop anything; recordings made with one still open."""
-    tables: list[tuple[str, object, dict[str, float]]] = [("bus", f.bus, MAX_BUS_GUARDS)]
-    tables += [(f"joint[{i}]", joint, MAX_JOINT_GUARDS) for i, joint in enumerate(f.joint)]
-    for at, table, guards in tables:
-        for name, most in guards.items():
-            value = getattr(table, name, None)  # a robot may have no bus
-            if value is not None and value > most:
-                raise AcquisitionError(place=place, key=f"{at}.{name}", value=value, expected=f"{most:g} at most")
+def _refuse_wide_guards(table: BusFile | Joint, guards: Mapping[str, float], place: Place) -> None:
+    for name, most in guards.items():
+        value = getattr(table, name)
+        if value is not None and value > most:
+            place.refuse(name, value, f"{most:g} at most")
 
 
-def _companion(path: Path, key: str, name: str) -> bytes:
+def _companion(path: Path, name: str, key: str) -> bytes:
     try:
         return (path.parent / name).read_bytes()
     except (OSError, ValueError) as error:  # the latter for a zero character in the name
         reason = error.strerror if isinstance(error, OSError) else error
-        raise AcquisitionError(f"cannot be read: {reason}", place=str(path), key=key, value=name) from error
+        Place(str(path)).refuse(key, name, text=f"cannot be read: {reason}")
 
 
 def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
@@ -191,40 +189,39 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     They are `robot.toml`, and where it names them `robot.urdf`, `mesh:<name>` and `dictionary:<name>`; of a dry run
     `simulated_controller.toml`.
     """
+    at = Place(place)
     if "robot.toml" not in files:
-        raise AcquisitionError("holds no robot.toml", place=place, expected="the robot's description as an attachment")
-    f = _parse(files["robot.toml"], place)
+        at.refuse(text="holds no robot.toml", expected="the robot's description as an attachment")
+    f = parse_toml(files["robot.toml"], RobotFile, place)
     if (law := files.get(SIMULATED_CONTROLLER)) is not None:
-        f = msgspec.structs.replace(f, controller=parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}"))
-    check_description(f, place)
-    n = len(f.joint)
+        controller = parse_toml(law, Controller, f"{place}: {SIMULATED_CONTROLLER}")
+        try:
+            f = msgspec.structs.replace(f, controller=controller)
+        except RefusedError as refusal:
+            at.refuse(*refusal.args)
     urdf = None
     if f.urdf is not None:
         if "robot.urdf" not in files:
-            raise AcquisitionError("the URDF is missing next to the description", place=place, key="urdf", value=f.urdf)
+            at.refuse("urdf", f.urdf, text="the URDF is missing next to the description")
         urdf = files["robot.urdf"].decode("utf-8", errors="replace")
-        f = msgspec.structs.replace(f, joint=_with_urdf_efforts(f.joint, urdf, place))
+    R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
     if f.motor_matrix is not None:
         R = np.array(f.motor_matrix, dtype=float)
-    else:
-        R = np.diag([1.0 if m.ratio is None else m.ratio for m in f.motor])
-    arrays = (R, np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float))
-    names = ["robot.toml", "robot.urdf", SIMULATED_CONTROLLER]
-    names += [name for name in files if name.startswith(_MESH)]
+    zero, gravity = np.array([j.si("zero") or 0.0 for j in f.joint]), np.array(f.gravity_m_s2, dtype=float)
+    for array in (R, zero, gravity):
+        array.flags.writeable = False
+    names = ["robot.toml", "robot.urdf", SIMULATED_CONTROLLER, *(name for name in files if name.startswith(_MESH))]
     if f.bus is not None:
         names += [dictionary_label(d.dictionary) for d in f.bus.drive if d.dictionary is not None]
-    for array in arrays:
-        array.flags.writeable = False
-    assert arrays[0].shape == (n, n)
     return Robot(
         name=f.name,
-        joints=f.joint,
+        joints=f.joint if urdf is None else _with_urdf_efforts(f.joint, urdf, at),
         motors=f.motor,
         controller=f.controller,
         identification=f.identification,
-        R=arrays[0],
-        zero=arrays[1],
-        gravity=arrays[2],
+        R=R,
+        zero=zero,
+        gravity=gravity,
         parameters=f.parameters,
         bus=f.bus,
         files={name: files[name] for name in names if name in files},
@@ -234,7 +231,7 @@ def robot_from_files(files: Mapping[str, bytes], place: str) -> Robot:
     )
 
 
-def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: str) -> tuple[Joint, ...]:
+def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: Place) -> tuple[Joint, ...]:
     """Joints that state no effort have that of the URDF; 0 there, or none, states none."""
     try:
         limits = {j.get("name"): j.find("limit") for j in ET.fromstring(urdf).findall("joint")}  # not of transmissions
@@ -249,14 +246,8 @@ def _with_urdf_efforts(joints: tuple[Joint, ...], urdf: str, place: str) -> tupl
         except ValueError:
             effort = math.nan
         if not 0 <= effort < math.inf:
-            expected = "a number from 0; 0 states none"
-            raise AcquisitionError(place=place, key=f"urdf: joint {joint.name}: effort", value=text, expected=expected)
+            place.refuse(f"urdf: joint {joint.name}: effort", text, "a number from 0; 0 states none")
         if effort and joint.si("effort") is None:
-            key = "effort_nm" if joint.type == "revolute" else "effort_n"
-            joint = msgspec.structs.replace(joint, **{key: effort})
+            joint = msgspec.structs.replace(joint, **{joint.key("effort"): effort})
         out.append(joint)
     return tuple(out)
-
-
-def _parse(text: bytes, place: str) -> RobotFile:
-    return parse_toml(text, RobotFile, place)

@@ -3,12 +3,12 @@
 import math
 import re
 import tomllib
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, NoReturn, TypeVar
 
 import msgspec
 import msgspec.inspect
 
-from ..errors import AcquisitionError
+from ..errors import Place
 
 T = TypeVar("T")
 
@@ -21,25 +21,37 @@ Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64, pattern=r"\A[A-Z
 
 
 class TomlTable(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A table of a description: unknown keys are refused."""
+    """A table of a description: unknown keys are refused; `__post_init__` refuses what the types cannot express."""
+
+    def refuse(self, key: str, value: object, expected: str) -> NoReturn:
+        """Refuse the value of a key of this table; `parse_toml` says where the table stands."""
+        raise RefusedError(key, value, expected)
+
+
+class RefusedError(ValueError):
+    """A key of a table, its value and what was expected: a `ValueError`, to which msgspec adds where the table is."""
 
 
 def parse_toml(text: bytes, kind: type[T], place: str) -> T:
     """Decode TOML `text` into `kind`; every error carries `place`, key, value and what was expected."""
+    file = Place(place)
     longest = max(map(len, text.splitlines()), default=0)
     if len(text) > LARGEST_TOML or longest > LONGEST_LINE:
-        expected = f"{LARGEST_TOML} and {LONGEST_LINE} at most"
-        raise AcquisitionError(f"{len(text)} bytes, a line of {longest}", place=place, expected=expected)
+        file.refuse(
+            text=f"{len(text)} bytes, a line of {longest}", expected=f"{LARGEST_TOML} and {LONGEST_LINE} at most"
+        )
     try:
         data = tomllib.loads(text.decode("utf-8"))
-        _refuse_nonfinite(data, "", place)
+        _refuse_nonfinite(data, "", file)
     except (ValueError, RecursionError) as error:  # the first is also what bad UTF-8 and endless digits raise
-        raise AcquisitionError(f"not valid TOML: {error}", place=place) from error
+        file.refuse(text=f"not valid TOML: {error}")
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
         message, _, where = str(error).rpartition(" - at `$")
-        message, path = (message, where[:-1]) if message else (str(error), "")
+        message, path = (message, where[:-1].lstrip(".")) if message else (str(error), "")
+        if isinstance(error.__cause__, RefusedError):
+            file.at(path).refuse(*error.__cause__.args)
         problem, expected = message, ""
         if message.startswith("Invalid enum value"):
             problem, expected = "", f"one of {', '.join(map(repr, _choices(kind, path)))}"
@@ -47,8 +59,7 @@ def parse_toml(text: bytes, kind: type[T], place: str) -> T:
             problem, expected = "", message.removeprefix("Expected ")
         value = _value_at(data, path)
         found = {} if value is None or isinstance(value, dict | list) else {"value": value}
-        key = path.lstrip(".") or "top level"
-        raise AcquisitionError(problem, place=place, key=key, expected=expected, **found) from error
+        file.refuse(path or "top level", text=problem, expected=expected, **found)
 
 
 def _choices(kind: Any, path: str) -> tuple[Any, ...]:
@@ -68,20 +79,17 @@ def _choices(kind: Any, path: str) -> tuple[Any, ...]:
 
 
 def _value_at(data: Any, path: str) -> Any:
-    for step in path.replace("[", ".[").split("."):
+    for step in re.findall(r"[^][.]+", path):
         try:
-            if step.startswith("["):
-                data = data[int(step.strip("[]"))]
-            elif step:
-                data = data[step]
+            data = data[int(step) if isinstance(data, list) else step]
         except (KeyError, IndexError, TypeError, ValueError):
             return None
     return data
 
 
-def _refuse_nonfinite(data: Any, key: str, place: str) -> None:
+def _refuse_nonfinite(data: Any, key: str, file: Place) -> None:
     if isinstance(data, float) and not math.isfinite(data):
-        raise AcquisitionError(place=place, key=key, value=data, expected="a finite number")
+        file.refuse(key, data, "a finite number")
     items = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
     for name, value in items:
-        _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), place)
+        _refuse_nonfinite(value, f"{key}[{name}]" if isinstance(data, list) else f"{key}.{name}".lstrip("."), file)

@@ -1,10 +1,10 @@
-"""CiA 402 drives that move a plant: control loops, quantisation, faults on demand.
+"""CiA 402 drives that move a plant: control loops, quantisation.
 
 At SYNC a drive samples, answers, and applies the targets received since the last SYNC; then the plant is stepped by one
 period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +26,13 @@ from ..protocol import (
     saturated,
 )
 from ..robot import Bus, Robot, axis_index
-from .faults import FaultKind, SimulatedFault
-from .loops import SUBSTEPS, LoopMemory, cubic
+from .loops import SUBSTEPS, cubic
 from .mechanism import Mechanism, mechanism_of
 from .node import Sent, SimulatedNode, simulated_node
-from .supervision import Supervision, leave_unsupervised
+from .supervision import Supervision
 
-WINDOW = (
-    2  # times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's
-)
+# Times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's.
+WINDOW = 2
 # 605Ah: these values keep a drive in quick stop active at standstill; smaller ones lead on to switch on disabled.
 QUICK_STOP_STAYS = range(5, 9)
 
@@ -42,36 +40,23 @@ QUICK_STOP_STAYS = range(5, 9)
 class SimulatedDrives:
     """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
-    They move `mechanism` (default: `mechanism_of` the description). `faults` says what goes wrong, with which node, at which
-    SYNC. Drives that are not `supervised` notice no lost SYNC, no lost master (no 1016h, 6007h is 0), and no following
-    error (6065h is off).
+    They move `mechanism` (default: `mechanism_of` the description). Drives that are not `supervised` notice no lost SYNC, no
+    lost master (no 1016h, 6007h is 0), and no following error (6065h is off).
     """
 
-    def __init__(
-        self,
-        robot: Robot,
-        bus: Bus,
-        mechanism: Mechanism | None = None,
-        faults: Sequence[SimulatedFault] = (),
-        *,
-        supervised: bool = True,
-    ) -> None:
+    def __init__(self, robot: Robot, bus: Bus, mechanism: Mechanism | None = None, *, supervised: bool = True) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
                 node.home(file.homed)
         following = np.abs(robot.R) @ [joint.si("following_error") or np.inf for joint in robot.joints]
-        for node in self.nodes if not supervised else ():
-            leave_unsupervised(node)
         self._supervisions = [
-            Supervision(
-                node, watches_sync=supervised, window=WINDOW * limit * node.drive.position_codec.counts_per_unit
-            )
-            for node, limit in zip(self.nodes, following if supervised else np.full(robot.n, np.inf), strict=True)
+            Supervision(node, WINDOW * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
+            for node, limit in zip(self.nodes, following, strict=True)
         ]
         mechanism = mechanism or mechanism_of(robot, bus)
         self.bus, self.plant = bus, mechanism.plant
-        self._robot, self._loops, self._faults = robot, mechanism.loops, tuple(faults)
+        self._robot, self._loops = robot, mechanism.loops
         self._period_s = bus.file.sync_period_s
         codecs = [drive.position_codec for drive in bus.drives]
         self._positions = PositionCodec(
@@ -83,13 +68,11 @@ class SimulatedDrives:
         for node, limit in zip(self.nodes, self._quick_stop, strict=True):
             self._set_ramps(node, limit)
         self._reports_demand = np.array([drive.reports_demand for drive in bus.file.drive])
-        self._answered = [0] * robot.n
-        self._silent: set[int] = set()
-        self._late: list[tuple[int, int, bytes]] = []  # frames sent later: time, identifier, data
         self._next_heartbeat = [0] * robot.n
-        x = np.zeros(robot.n)
-        held = np.ones(robot.n, np.bool_)
-        self._memory = LoopMemory(target=x, travel=x, speed=x, integral=x, actual=x, reported=x, held=held)
+        # State of the loops: target, the way to it, speed at it (times the period), integral of the error, efforts, brakes.
+        self._target, self._travel, self._speed, self._integral = np.zeros((4, robot.n))
+        self._actual, self._reported = np.zeros((2, robot.n))
+        self._held = np.ones(robot.n, np.bool_)
 
     @property
     def states(self) -> list[State]:
@@ -121,34 +104,28 @@ class SimulatedDrives:
         if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
             for supervision in self._supervisions:
                 supervision.heartbeat(now_ns, can_id - HEARTBEAT)
-        for i, node in enumerate(self.nodes):
-            answers = node.receive(can_id, data)
-            if i not in self._silent:
-                sent += answers
+        for node in self.nodes:
+            sent += node.receive(can_id, data)
         return sent
 
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
-        times = [due_ns for due_ns, _, _ in self._late]
-        times += [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
+        times = [t for i, t in enumerate(self._next_heartbeat) if self._heartbeat_ns(i)]
         times += [due for supervision in self._supervisions if (due := supervision.due_ns()) is not None]
         return min(times, default=None)
 
     def advance(self, now_ns: int) -> Sent:
-        """Heartbeats and delayed frames that are due; drives that supervise SYNC or a master react where it is lost."""
-        late = sorted((frame for frame in self._late if frame[0] <= now_ns), key=lambda frame: frame[0])
-        self._late = [frame for frame in self._late if frame[0] > now_ns]
-        sent = [(can_id, data) for _, can_id, data in late]
+        """Heartbeats that are due; drives that supervise SYNC or a master react where it is lost."""
+        sent: Sent = []
         for i, node in enumerate(self.nodes):
             every_ns = self._heartbeat_ns(i)
             if node.boot_up_counts:
                 node.boot_up_counts, self._next_heartbeat[i] = False, now_ns + every_ns
             elif every_ns and now_ns >= self._next_heartbeat[i]:
                 self._next_heartbeat[i] = now_ns + every_ns
-                sent += [] if i in self._silent else node.heartbeat()
-        for i, supervision in enumerate(self._supervisions):
-            frames = supervision.advance(now_ns)
-            sent += [] if i in self._silent else frames
+                sent += node.heartbeat()
+        for supervision in self._supervisions:
+            sent += supervision.advance(now_ns)
         return sent
 
     def _heartbeat_ns(self, i: int) -> int:
@@ -160,69 +137,35 @@ class SimulatedDrives:
         self._sample()
         sent: Sent = []
         moving = any(node.operational for node in self.nodes)
-        behind = np.where(self._memory.held, 0.0, self._memory.target - self._measured()[0])
+        behind = np.where(self._held, 0.0, self._target - self._measured()[0])
         for i, node in enumerate(self.nodes):
             node.tick()
             if node.operational:
-                self._answered[i] += 1
-                node.cleared = sum(fault.bits for fault in self._acting(i, "clear"))
-                node.tick()
                 sent += self._supervisions[i].follow(behind[i] * node.drive.position_codec.counts_per_unit)
-                if self._acting(i, "deaf"):
-                    continue
                 sent += self._answer(i, now_ns)
-                was = node.state
-                node.apply()
-                if was is State.SWITCHED_ON and node.state is State.OPERATION_ENABLED and self._acting(i, "slow"):
-                    node.state = was
         if moving:
             self._move()
         return sent
 
-    def _acting(self, i: int, kind: FaultKind | None = None) -> list[SimulatedFault]:
-        """Faults of drive `i` that act at this SYNC, of one kind or of all."""
-        node, k = self.nodes[i].drive.node, self._answered[i]
-        return [f for f in self._faults if f.node == node and f.sync <= k < f.sync + f.count and kind in (None, f.kind)]
-
     def _answer(self, i: int, now_ns: int) -> Sent:
-        """TPDOs of drive `i`, changed by the faults that act."""
-        node, frames = self.nodes[i], self.nodes[i].answers()
-        before: Sent = []
-        for fault in self._acting(i):
-            if fault.kind == "emergency":
-                before += node.emergency(0x2310)  # continuous over current
-            elif fault.kind == "silent":
-                self._silent.add(i)
-            elif fault.kind == "reset":
-                return node.boot()
-            elif fault.kind == "late":
-                late_ns = now_ns + round(1.1 * self.bus.period_ns)
-                self._late += [(late_ns, can_id, data) for can_id, data in frames]
-                frames = []
-            elif fault.kind == "missing":
-                frames = []
-            elif fault.kind == "duplicate":
-                frames = frames * 2
-            elif fault.kind == "short":
-                frames = [(can_id, data[:-1]) for can_id, data in frames]
-        return [] if i in self._silent else before + frames
+        """TPDOs of drive `i`, which then applies the RPDOs received since the last SYNC."""
+        sent = self.nodes[i].answers()
+        self.nodes[i].apply()
+        return sent
 
     def _move(self) -> None:
-        """Step control loops and plant by one period.
-
-        A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other effort
-        is the mean of the torque since the SYNC before: it is half a period late.
-        """
-        memory, loops, T = self._memory, self._loops, self._period_s
+        """Step control loops and plant by one period."""
+        # A torque demand (6074h) is that of the last step: it leads the torque by the lag of the current loop. Every other
+        # effort is the mean of the torque since the SYNC before: it is half a period late.
+        loops, T = self._loops, self._period_s
         stopping = np.array([node.state is State.QUICK_STOP_ACTIVE for node in self.nodes])
         enabled = np.array([node.state is State.OPERATION_ENABLED for node in self.nodes]) | stopping
-        stuck = np.array([self._is_stuck(i) for i in range(len(self.nodes))])
         if self.plant.prescribed_effort() is not None:  # the control loops have no effect
-            self.plant.step(memory.actual, ~enabled | stopping, T)
+            self.plant.step(self._actual, ~enabled | stopping, T)
             return
         position, _ = self._measured()
         # A drive that was enabled at this SYNC starts from its measured position.
-        start, before = np.where(memory.held, position, memory.target), np.where(memory.held, 0.0, memory.travel)
+        start, before = np.where(self._held, position, self._target), np.where(self._held, 0.0, self._travel)
         # Quick stop: the speed of the target falls by the ramp that 605Ah names, else at the acceleration limit.
         stated = np.array([_ramp(node, node.values) for node in self.nodes])
         ramps = np.where(stated, stated, self._quick_stop)
@@ -231,21 +174,21 @@ class SimulatedDrives:
         travel = np.where(enabled, target - start, 0.0)
         first, last = travel, travel
         if loops.smooth:  # the speed at a target, of the parabola through it and the two before it
-            first, last = memory.speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
+            first, last = self._speed, np.where(enabled, 1.5 * travel - 0.5 * before, 0.0)
         decay, total = np.exp(-T / SUBSTEPS / loops.current_s), np.zeros(len(start))
         for k in range(SUBSTEPS):
             position, dq = self._measured()
             way, speed = cubic((k + 1) / SUBSTEPS, travel, first, last)
             error, ahead = start + way - position, loops.feedforward * speed / T
             x = loops.position_share * error - (1 - loops.feedforward) * dq
-            memory.integral = np.where(enabled, memory.integral + x * T / SUBSTEPS, 0.0)
-            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * memory.integral
+            self._integral = np.where(enabled, self._integral + x * T / SUBSTEPS, 0.0)
+            demand = loops.position * error + loops.velocity * (ahead - dq) + loops.integral * self._integral
             demand = np.where(enabled, demand, 0.0)
-            memory.actual = demand + (memory.actual - demand) * decay
-            self.plant.step(self._robot.joint_effort(memory.actual[None])[0], ~enabled | stuck, T / SUBSTEPS)
-            total = total + memory.actual
-        memory.reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
-        memory.target, memory.travel, memory.speed, memory.held = target, travel, last, ~enabled
+            self._actual = demand + (self._actual - demand) * decay
+            self.plant.step(self._robot.joint_effort(self._actual[None])[0], ~enabled, T / SUBSTEPS)
+            total = total + self._actual
+        self._reported = np.where(self._reports_demand, demand, total / SUBSTEPS)
+        self._target, self._travel, self._speed, self._held = target, travel, last, ~enabled
         for i, node in enumerate(self.nodes):
             stays = node.values.get((QUICK_STOP_OPTION, 0), 2) in QUICK_STOP_STAYS
             if stopping[i] and travel[i] == 0.0 and not stays:
@@ -258,18 +201,13 @@ class SimulatedDrives:
         for key in [key for key in keys if key in node.values and unit]:
             node.values[key] = node.initial[key] = int(saturated(np.array(limit / unit), "U32"))
 
-    def _is_stuck(self, i: int) -> bool:
-        node = self.nodes[i].drive.node
-        return any(f.kind == "stuck" and f.node == node and self._answered[i] >= f.sync for f in self._faults)
-
     def _targets(self, position: Array, enabled: NDArray[np.bool_]) -> Array:
         """Targets (n,) of the motors from 607Ah; the present position where a drive is not enabled or not in that mode."""
         target = position.copy()
         for i, node in enumerate(self.nodes):
             in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
             if enabled[i] and in_csp:
-                raw = node.values[node.drive.target.index, node.drive.target.sub]
-                target[i] = node.drive.position_codec.si(np.array(raw))
+                target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
         return target
 
     def _measured(self) -> tuple[Array, Array]:
@@ -283,17 +221,17 @@ class SimulatedDrives:
     def _sample(self) -> None:
         """Write position, effort and speed into the object dictionaries."""
         q, dq = self.plant.state()
-        counts, speed, motor = self._counts(q), self._robot.motor_velocity(dq), self._memory.reported
+        counts, speed, motor = self._counts(q), self._robot.motor_velocity(dq), self._reported
         if (prescribed := self.plant.prescribed_effort()) is not None:
             motor = self._robot.motor_effort(prescribed[None])[0]
         for i, node in enumerate(self.nodes):
             drive = node.drive
-            node.values[drive.position.index, drive.position.sub] = int(counts[i])
-            node.values[drive.effort.entry.index, drive.effort.entry.sub] = int(drive.effort.raw(motor[i]))
+            node.values[drive.position.key] = int(counts[i])
+            node.values[drive.effort.entry.key] = int(drive.effort.raw(motor[i]))
             for extra in drive.extras:
                 if extra.column.unit in ("rad/s", "m/s"):
                     raw = saturated(np.array(speed[i] / extra.scale), extra.entry.type)
-                    node.values[extra.entry.index, extra.entry.sub] = int(raw)
+                    node.values[extra.entry.key] = int(raw)
 
 
 def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:

@@ -1,9 +1,8 @@
-"""Control loops of simulated drives: their law, the reference between two targets, their state."""
+"""Control loops of simulated drives: their law, and the reference between two targets."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..robot import SIMULATED_CONTROLLER, Controller, Robot, robot_from_files
@@ -65,23 +64,8 @@ def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
 
 
 def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
-    """Way and speed at a share of the period, by a cubic with the way `travel` and the speeds `first` and `last` at its ends.
-
-    Speeds are times the period, so that all are in rad or m, (n,).
-    """
+    """Way and speed at a share of the period, by a cubic over `travel` with the speeds `first` and `last` at its ends."""
+    # Speeds are times the period, so that all are in rad or m, (n,).
     rest, a, b = 1 - share, first - travel, last - travel
     speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
     return share * (travel + rest * (rest * a - share * b)), speed
-
-
-@dataclass(kw_only=True)
-class LoopMemory:
-    """State of the drives, each (n,): target, the way to it, speed at it (times the SYNC period), integral, efforts, brakes."""
-
-    target: Array
-    travel: Array
-    speed: Array
-    integral: Array
-    actual: Array
-    reported: Array
-    held: NDArray[np.bool_]

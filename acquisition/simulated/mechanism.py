@@ -12,7 +12,7 @@ from importlib.metadata import entry_points
 import numpy as np
 
 from ..arrays import Array
-from ..errors import AcquisitionError
+from ..errors import Place
 from ..robot import Bus, Robot
 from .loops import LoopGains, cascaded_loops
 from .plants import Plant, typical_inertia, typical_plant
@@ -43,8 +43,7 @@ def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
     try:
         plant_of: PlantOf = offered[0].load()
     except (ImportError, AttributeError) as error:
-        place = f"entry point {GROUP} {offered[0].value}"
-        raise AcquisitionError(f"cannot be loaded: {error}", place=place) from error
+        Place(f"entry point {GROUP} {offered[0].value}").refuse(text=f"cannot be loaded: {error}")
     plant, loops = plant_of(robot)
     return Mechanism(plant=plant, loops=loops)
 

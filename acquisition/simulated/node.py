@@ -14,21 +14,16 @@ from ..protocol import (
     HEARTBEAT,
     HEARTBEAT_TIME,
     IDENTITY,
+    MAX_PDO_BITS,
+    MAX_PDOS,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
-    NO_SUCH_OBJECT,
-    NO_SUCH_SUB,
-    NOT_MAPPABLE,
     NOT_VALID,
     PARAMETERS,
-    READ_ONLY,
     REQUEST,
     STANDARD,
     STOP_OPTIONS,
-    TOO_LONG_PDO,
     TRANSITIONS,
-    UNKNOWN_COMMAND,
-    WRONG_STATE,
     Command,
     Pdo,
     State,
@@ -63,7 +58,6 @@ class SimulatedNode:
     waiting: dict[int, bytes] = field(default_factory=dict)
     tpdos: tuple[Pdo, ...] = ()
     rpdos: tuple[Pdo, ...] = ()
-    cleared: int = 0
     more_status: int = 0  # bits of the statusword other than those of the state
     boot_up_counts: bool = False  # as the first heartbeat (CiA 301): the next is sent a heartbeat time later
 
@@ -138,15 +132,15 @@ class SimulatedNode:
 
     @property
     def statusword(self) -> int:
-        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed; without those in `cleared`."""
+        """Bits of state, voltage enabled, remote, follows its target (when enabled), homed."""
         follows = 0x1000 if self.state is State.OPERATION_ENABLED else 0
-        return (self.state.value[1] | 0x0210 | follows | self.more_status) & ~self.cleared
+        return self.state.value[1] | 0x0210 | follows | self.more_status
 
     def home(self, name: str) -> None:
         """Set the object or bit that reports the drive as homed."""
         index, sub, bit = parse_homed(name)
         mask = 1 if bit is None else 1 << bit
-        if (index, sub) == (self.drive.status.index, self.drive.status.sub):
+        if (index, sub) == self.drive.status.key:
             self.more_status |= mask
             self.initial[index, sub] = self.statusword
         else:
@@ -169,46 +163,46 @@ class SimulatedNode:
     def _serve(self, data: bytes) -> bytes:
         request = request_of(data)
         key = (request.index, request.sub)
-        if request.kind == "other" or request.kind == "abort":
-            return abort_answer(0, 0, UNKNOWN_COMMAND)
+        if request.kind in ("other", "abort"):
+            return abort_answer(0, 0, "command specifier not known")
         if key not in self.values or key not in self.types:
             known = any(index == request.index for index, _ in self.values)
-            return abort_answer(*key, NO_SUCH_SUB if known else NO_SUCH_OBJECT)
+            return abort_answer(*key, f"{'sub-index' if known else 'object'} does not exist")
         size = BITS[self.types[key]] // 8
         if request.kind == "read":
             return value_answer(*key, self.values[key], size)
         if key in self.read_only:
-            return abort_answer(*key, READ_ONLY)
+            return abort_answer(*key, "write to a read-only object")
         value = int.from_bytes(request.data[:size], "little", signed=self.types[key][0] == "I")
-        refusal = self._refuse_mapping(key, value)
-        if refusal:
+        if refusal := self._refuse_mapping(key, value):
             return abort_answer(*key, refusal)
         self._set(key, value)
         if 0x1400 <= request.index <= 0x1BFF:
             self._map()
         return written_answer(*key)
 
-    def _refuse_mapping(self, key: Key, value: int) -> int:
-        """Abort code where a write to a mapping parameter is not allowed, 0 where it is."""
+    def _refuse_mapping(self, key: Key, value: int) -> str:
+        """Why a write to a mapping parameter is not allowed; empty where it is."""
         index, sub = key
         for communication, mapping in PARAMETERS.values():
-            if mapping <= index < mapping + 0x200:
+            if mapping <= index < mapping + MAX_PDOS:
                 if not self.values.get((index - mapping + communication, 1), NOT_VALID) & NOT_VALID:
-                    return WRONG_STATE
+                    return "not possible in this state"
                 if sub and self.values.get((index, 0)):
-                    return WRONG_STATE
+                    return "not possible in this state"
                 if sub and self.types.get((value >> 16, value >> 8 & 0xFF), "U0")[1:] != str(value & 0xFF):
-                    return NOT_MAPPABLE
-                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > 64:
-                    return TOO_LONG_PDO
-        return 0
+                    return "object cannot be mapped to a PDO"
+                if not sub and sum(self.values.get((index, k), 0) & 0xFF for k in range(1, value + 1)) > MAX_PDO_BITS:
+                    return "PDO would be too long"
+        return ""
 
     def _map(self) -> None:
         place = f"node {self.drive.node}"
-        values = {key: value for key, value in self.values.items() if 0x1400 <= key[0] <= 0x1BFF}
         known = {key: kind for key, kind in self.types.items() if key in self.values}
-        self.tpdos = tuple(p for p in pdos_of("tpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
-        self.rpdos = tuple(p for p in pdos_of("rpdo", values, known, place) if p.bits <= 64 and p.can_id < 0x800)
+        self.tpdos, self.rpdos = (
+            tuple(p for p in pdos_of(way, self.values, known, place) if p.bits <= MAX_PDO_BITS and p.can_id < 0x800)
+            for way in PARAMETERS
+        )
 
 
 def simulated_node(drive: Drive) -> SimulatedNode:
@@ -225,12 +219,12 @@ def simulated_node(drive: Drive) -> SimulatedNode:
         values |= {(IDENTITY, sub): number for sub, _, number in drive.dictionary.identity}
         # PDOs are disabled at the start: a master enables those that it uses.
         for (index, sub), value in list(values.items()):
-            if sub == 1 and any(first <= index < first + 0x200 for first, _ in PARAMETERS.values()):
+            if sub == 1 and any(first <= index < first + MAX_PDOS for first, _ in PARAMETERS.values()):
                 values[index, sub] = value | NOT_VALID
     else:
         used = [drive.status, drive.control, drive.position, drive.target, drive.effort.entry]
         used += [extra.entry for extra in drive.extras]
-        types = dict(STANDARD) | {(e.index, e.sub): e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
+        types = dict(STANDARD) | {e.key: e.type for e in used} | {(0x1000, 0): "U32", (0x1001, 0): "U8"}
         types |= {(0x1003, 0): "U8", (0x1003, 1): "U32", (0x603F, 0): "U16"}
         types |= {(0x1018, sub): "U8" if sub == 0 else "U32" for sub in range(5)}
         types |= {(CONSUMER_HEARTBEAT, sub): "U32" if sub else "U8" for sub in range(CONSUMERS + 1)}

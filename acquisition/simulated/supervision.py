@@ -1,7 +1,5 @@
 """Reactions of a simulated drive (6007h) to a lost master: lost heartbeats (1016h) and lost SYNC."""
 
-import numpy as np
-
 from ..protocol import ABORT_CONNECTION, CONSUMER_HEARTBEAT, DISABLED, FOLLOWING_ERROR_WINDOW, State
 from ..robot import axis_of
 from .node import Sent, SimulatedNode
@@ -14,25 +12,22 @@ HEARTBEAT_LOST_CODE = 0x8130  # CiA 301: life guard or heartbeat error
 _REACTIONS = {2: State.SWITCH_ON_DISABLED, 3: State.QUICK_STOP_ACTIVE}
 
 
-def leave_unsupervised(node: SimulatedNode) -> None:
-    """Remove the drive's own supervision of its master: no 1016h, and no reaction to a lost connection (6007h is 0)."""
-    for key in [key for key in node.values if key[0] == CONSUMER_HEARTBEAT]:
-        del node.values[key]
-    node.values[ABORT_CONNECTION, 0] = 0
-    node.initial = dict(node.values)
-
-
 class Supervision:
-    """Supervision by one drive: heartbeat consumers, SYNC where it `watches_sync`, following error over `window` counts."""
+    """By one drive, if `supervised`: heartbeat consumers, SYNC, following error over `window` counts."""
 
-    def __init__(self, node: SimulatedNode, *, watches_sync: bool = True, window: float = np.inf) -> None:
-        self._node, self._watches_sync = node, watches_sync
+    def __init__(self, node: SimulatedNode, window: float, *, supervised: bool) -> None:
+        self._node, self._watches_sync = node, supervised
+        if not supervised:
+            for key in [key for key in node.values if key[0] == CONSUMER_HEARTBEAT]:
+                del node.values[key]
+            node.values[ABORT_CONNECTION, 0] = 0
+            node.initial = dict(node.values)
+            window = NO_WINDOW
         self._window = (FOLLOWING_ERROR_WINDOW + axis_of(node.drive), 0)
         if self._window in node.values:
             node.values[self._window] = node.initial[self._window] = round(min(window, NO_WINDOW))
-        self._heard: dict[
-            int, tuple[int, int]
-        ] = {}  # by sub-index of 1016h: its entry at the last heartbeat, and the time of that
+        # By sub-index of 1016h: its entry at the last heartbeat, and the time of that.
+        self._heard: dict[int, tuple[int, int]] = {}
         self._sync_ns: int | None = None
 
     def sync(self, now_ns: int) -> None:
