@@ -112,21 +112,19 @@ def rows_per_s(robot: Robot) -> float:
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
-def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals], beta: Array | None) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count, load friction about the parameters beta (b,).
-
-    Without parameters `base` lacks load friction.
+def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count; `base` has no load friction.
 
     Raises `IdentificationError` where a recording is of a robot with other base parameters, or cannot be fitted.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
-        own = problem.base if beta is not None else problem.base.without(load_parameters(problem.base))
+        own = problem.base.without(load_parameters(problem.base))
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot: its base parameters are others"
             raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
-        W, _ = regression_of_recording(replace(problem, base=own), beta=beta).system.weighted(1 / noise)
+        W, _ = regression_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
     return M
