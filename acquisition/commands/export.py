@@ -15,7 +15,7 @@ def add(commands: Commands) -> None:
     outputs = parser.add_argument_group("outputs, one at least")
     outputs.add_argument("-o", "--output", type=Path, metavar="OUT.csv", help="the table to write")
     outputs.add_argument(
-        "--bag", type=Path, metavar="FOLDER", help="the ROS 2 bag to write: joint states, robot description, transforms"
+        "--bag", type=Path, metavar="FOLDER", help="the ROS 2 bag to write: joint states, and the URDF if there is one"
     )
     parser.set_defaults(run=run)
 

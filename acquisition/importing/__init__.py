@@ -11,6 +11,5 @@ from .conversions import (
     recover_recording,
     row_doubts,
 )
-from .placements import UNLIMITED, quaternions, roll_pitch_yaw, rotation, urdf_of
 from .samples import Imported
 from .tables import import_tables

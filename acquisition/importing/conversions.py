@@ -1,6 +1,5 @@
 """Conversions of recordings and logs: decode again, export to CSV and ROS 2 bags, import CAN logs."""
 
-import math
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -28,11 +27,9 @@ from ..recording import (
 )
 from ..robot import Bus, Robot, check_recorded_positions, extra_columns, resolve
 from ..session import Recorded, write_decoded
-from .bag_writer import BagWriter
-from .placements import link_frames, quaternions, urdf_of
+from .bag_writer import new_bag
 
-VIEWED_HZ = 100.0  # transforms are for viewers: at most so many
-STATES, REFERENCE, DESCRIPTION, TRANSFORMS = "/joint_states", "/joint_states/reference", "/robot_description", "/tf"
+STATES, REFERENCE, DESCRIPTION = "/joint_states", "/joint_states/reference", "/robot_description"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -225,17 +222,16 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
 
     All samples are in /joint_states: position, velocity as it was recorded or the derivative of the position by central
     differences, effort where it is in N m or N. The reference is in /joint_states/reference. /robot_description is the URDF,
-    or one made of the DH rows; /tf has the transform of each link from the one before, at most 100 a second.
+    if the robot has one.
     """
     samples, robot = _samples(path, warn)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
-    frames = link_frames(robot, str(path))
     t_s = (samples["stamp_ns"] - samples["stamp_ns"][0]) * np.float64(1e-9)
-    rate_hz = 0.0 if len(t_s) < 2 else 1 / float(np.median(np.diff(t_s)))
-    step, counts, first = max(1, math.ceil(rate_hz / VIEWED_HZ - 1e-9)), Counter[str](), 0
-    with BagWriter(out) as bag:
-        bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), urdf_of(robot))
-        counts[DESCRIPTION] += 1
+    counts, first = Counter[str](), 0
+    with new_bag(out) as bag:
+        if robot.urdf is not None:
+            bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), robot.urdf)
+            counts[DESCRIPTION] += 1
         for part in in_parts(samples):
             around = slice(max(0, first - 1), first + len(part) + 1)
             speeds = {
@@ -245,21 +241,15 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
             }
             if "velocity" in fields:
                 speeds["position"] = part["velocity"]
-            viewed = slice(-first % step, None, step)
-            shift, turn = frames.transforms(part["position"][viewed])
-            turn = quaternions(turn)
             for k, row in enumerate(part):
                 stamp = int(row["stamp_ns"])
                 effort = row["effort"] if robot.gain_known else nothing  # N m or N by definition of the message
                 bag.joint_state(STATES, stamp, names, (row["position"], speeds["position"][k], effort))
-                counts[STATES] += 1
                 if "reference" in fields:
                     bag.joint_state(REFERENCE, stamp, names, (row["reference"], speeds["reference"][k], nothing))
-                    counts[REFERENCE] += 1
-                if (first + k) % step == 0:
-                    at = (first + k) // step - -(-first // step)
-                    bag.transforms(TRANSFORMS, stamp, frames.names, shift[at], turn[at])
-                    counts[TRANSFORMS] += 1
+            counts[STATES] += len(part)
+            if "reference" in fields:
+                counts[REFERENCE] += len(part)
             first += len(part)
     return counts
 

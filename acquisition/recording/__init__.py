@@ -3,7 +3,7 @@
 from .decoding import UNCERTAIN, Decoded, decode
 from .reader import NO_SAMPLES, Recording, has_reference, read_recording
 from .recovery import recover
-from .ros_messages import JOINT_STATE, TEXT, TRANSFORMS, RosMessages
+from .ros_messages import JOINT_STATE, TEXT, RosMessages
 from .rows import (
     ERROR,
     EXTENDED,

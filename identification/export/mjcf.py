@@ -6,11 +6,12 @@ tendon's (armature of tendons: MuJoCo 3.3 and later). Shapes and meshes are not 
 
 import xml.etree.ElementTree as ET
 
-from acquisition.files import text_of
-from acquisition.importing import quaternions
+import numpy as np
 
-from .mechanism import Mechanism
-from .numbers import about_com
+from acquisition.files import text_of
+
+from ..arrays import Array
+from .mechanism import Mechanism, about_com
 from .urdf import link_names
 
 INERTIA = (0, 3, 5, 1, 2, 4)  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
@@ -60,3 +61,10 @@ def mjcf_text(m: Mechanism) -> str:
         ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
     ET.indent(root)
     return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def quaternions(rotations: Array) -> Array:
+    """Unit quaternions (n, 4), x y z w, of rotation matrices (n, 3, 3); w is not negative."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(rotations).as_quat(canonical=True))
