@@ -19,9 +19,9 @@ from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit
-from identification.export.dh_urdf import UNLIMITED, dh_urdf, roll_pitch_yaw
 from identification.export.mjcf import quaternions
 from identification.export.robot_toml import with_parameters
+from identification.export.urdf_of_model import UNLIMITED, made_urdf, roll_pitch_yaw
 from identification.methods import Prior, fit_document, fit_file, read_fit, with_consistent
 from identification.methods.stored_fit import Covariance, LeftOut
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
@@ -136,7 +136,7 @@ def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_i
     )
     joints = tuple(msgspec.structs.replace(joint, effort_nm=30.0) for joint in robot.joints)
     model = InverseModel(dataclasses.replace(robot, motors=motors, joints=joints))
-    assert dh_urdf(model).count('effort="30.0"') == robot.n
+    assert made_urdf(model).count('effort="30.0"') == robot.n
 
 
 def inverse_in_mujoco(text, q, dq, ddq, *, friction):

@@ -6,3 +6,4 @@ from .exporting import Outputs, export_model
 from .mechanism import mechanism_of
 from .stated import Stated
 from .stored_model import StoredModel, distrust, model_of_fit
+from .urdf_of_model import made_urdf

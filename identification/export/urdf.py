@@ -19,8 +19,8 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..estimation import link_parameters, pseudo_inertia
 from ..model import is_a_body
-from .dh_urdf import UNLIMITED, dh_link_names, dh_urdf
 from .mechanism import LEAST, Mechanism, about_com
+from .urdf_of_model import UNLIMITED, made_link_names, made_urdf
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 
@@ -28,7 +28,7 @@ INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 def link_names(robot: Robot) -> tuple[str, ...]:
     """Names of the links that the joints move: those of the URDF, or `link_1` and so on of a robot of DH rows."""
     if robot.urdf is None:
-        return dh_link_names(robot)
+        return made_link_names(robot)
     child = {}
     for joint in ET.fromstring(robot.urdf).findall("joint"):
         moved = joint.find("child")
@@ -43,7 +43,7 @@ def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
     Armatures and couplings have no place in it.
     """
     robot = m.model.robot
-    document = minidom.parseString((dh_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
+    document = minidom.parseString((made_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
     root = document.documentElement
     assert root is not None
     notes = _unlimited(root) if robot.urdf is None else []

@@ -3,14 +3,13 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from ..arrays import Array
 from ..report import Document, to_markdown
 
 Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
-Part = Literal["base", "link", "joint", "tool"]
 Steps = tuple[Array, float, Array]  # left edges (k,), width, heights (k,)
 
 # Okabe and Ito's colors, told apart by the color-blind too (Color Universal Design, 2008), on a dark ground and a light one.
@@ -139,45 +138,27 @@ class Note:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solid:
-    """A solid fixed to a link, 0 the base: a cylinder or capsule about its own z (length, radius), or a box (x, y, z).
-
-    `center` (3,) and `turn` (4,), a quaternion x y z w, place it in the frame of its link.
-    """
-
-    link: int
-    kind: Literal["cylinder", "capsule", "box"]
-    size: tuple[float, ...]
-    center: Array
-    turn: Array
-    part: Part
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Moving:
-    """A robot in motion: at t_s (K,) its joints' positions q (K, n), its links' places (K, n, 3) and turns (K, n, 4)."""
+    """A robot in motion: at t_s (K,) its joints' positions q (K, n)."""
 
     key: str
     t_s: Array
     q: Array
-    places: Array
-    turns: Array
     ghost: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Robots in one picture.
+    """Robots in one picture, made of the shapes of a `urdf`, whose joints are `joints`.
 
-    They are made of `solids`, or of the shapes of a `urdf` that has some, whose joints are `joints`. `up` (3,) is the
-    direction against gravity, `floor` the height along it of the ground; the eye stands at `eye` (3,) and looks at `target`.
+    `up` (3,) is the direction against gravity, `floor` the height along it of the ground; the eye stands at `eye` (3,) and
+    looks at `target`.
     """
 
     path: tuple[str, ...]
     title: str
     robots: tuple[Moving, ...]
-    solids: tuple[Solid, ...]
-    urdf: str | None
+    urdf: str
     joints: tuple[str, ...]
     up: Array
     floor: float
