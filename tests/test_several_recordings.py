@@ -220,18 +220,6 @@ def test_dask_is_imported_when_asked_for_alone(files):
     assert done.returncode == 0, done.stderr
 
 
-def test_a_worker_that_does_not_find_a_file_is_sent_it(files, monkeypatch):
-    """As on a cluster whose machines do not share a disk."""
-    from identification.data import RecordingFile
-
-    wanted = identify_ls(several(*(RecordingFile.at(path) for path in files)), Overrides())
-    monkeypatch.setattr(RecordingFile, "found", property(lambda self: self.content is not None))
-    found = identify_ls(Recordings(sources=tuple(map(RecordingFile.at, files)), work=Pool(LastFirst)), Overrides())
-    assert bits(found) == bits(wanted)
-    (source, *_) = found.recordings
-    assert source.problem.signals.recording == "r1.mcap"
-
-
 def test_reduced_rows_give_the_same(monkeypatch):
     """Recordings too long for their rows to be held: least squares, intervals and held-out errors from QR factors."""
     wanted = fitted()

@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
         "--controllers",
         type=controllers,
         metavar="A,B",
-        help="described, designed (a PD for the bandwidth) or none (the fit is told of none) (default described)",
+        help="described, or none: the fit is not given the control law (default described)",
     )
     varied.add_argument(
         "--vary",

@@ -91,14 +91,9 @@ class Observation:
 
 
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation | None:
-    """W and Y of a recording and what else is known without an estimate; None where the file is not found here.
-
-    `share` is the number of recordings of the fit.
-    """
+def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation:
+    """W and Y of a recording and what else is known without an estimate; `share` is the number of recordings of the fit."""
     if isinstance(source, RecordingFile):
-        if not source.found:
-            return None
         source = source.load()
     return observation_of(make_problem(source, overrides), share)
 

@@ -186,7 +186,7 @@ def study_notes(study: Study) -> tuple[str, str]:
         if study.vary == "everything"
         else given
     )
-    told = "described, designed, none" if study.vary == "everything" else ", ".join(study.controllers)
+    told = "described, none" if study.vary == "everything" else ", ".join(study.controllers)
     return (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: {cell}; torque "
         f"recorded as {'either' if study.vary == 'everything' else noise.recorded}; drawn by "
