@@ -19,10 +19,11 @@ from identification.commands import main
 from identification.data import load_signals
 from identification.data.signals import SignalEvent
 from identification.errors import IdentificationError
-from identification.methods.comparison import difference_lines
+from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, differences, fitted_parameters
+from identification.report import Parameter, ParameterSet, differences
+from identification.report.comparison import difference_lines
 from identification.study import Run
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd

@@ -30,9 +30,10 @@ from ..regression import (
     row_states,
     torque_of_recording,
 )
+from ..report import Method
 from ..simulation import Place
 from ..trust import Part, TrustLine, replay_line
-from .fit import LeastSquares, Method
+from .fit import LeastSquares
 
 Say = Callable[[str], None]
 

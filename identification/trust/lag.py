@@ -18,8 +18,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
+from ..report import Level
 from .evidence import Evidence, Lag, Part
-from .lines import Figure, Level, TrustLine
+from .lines import Figure, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states

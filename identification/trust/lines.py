@@ -1,14 +1,13 @@
 """The lines of the trust block and the verdict that they add up to."""
 
 from dataclasses import dataclass
-from typing import Literal
 
-Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
+from ..report import Assumed, Level, Verdict
+
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
 ILL_CONDITIONED = (
     "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
 )
-Verdict = Literal["trust", "caution", "do not use"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,15 +47,6 @@ class TrustLine:
 def not_made(test: str, text: str) -> TrustLine:
     """The line of a test that could not be made, `text` saying why."""
     return TrustLine(test=test, level="not made", value=None, text=text)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assumed:
-    """What was given and not tested: its value, and why no test sees it."""
-
-    what: str
-    value: str
-    why: str
 
 
 @dataclass(frozen=True, kw_only=True)
