@@ -166,4 +166,4 @@ def _line(evidence: Evidence, lag: Lag) -> TrustLine:
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
             if delay < -NEGATIVE - off:
                 level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
-    return TrustLine(test="lag", level=level, value=late, text=text, figures=figures, unit="samples")
+    return TrustLine("lag", level, text, late, figures=figures, unit="samples")
