@@ -149,7 +149,7 @@ def _fits(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, boo
 def _lasting(result: Row | None, task: Task) -> tuple[Row, bool]:
     """The row of a task, and whether it is kept: not that of a recording which the worker does not find."""
     if result is None:
-        reason = "a worker does not find it: expected a folder that all workers read at the same path"
+        reason = f"{task[2].file}: a worker does not find it: expected a folder that all workers read at the same path"
         return msgspec.structs.replace(task[2], status="failed", reason=reason), False
     return result, True
 

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..methods import Fit, ParameterSet, Pass, differences
+from ..methods import Fit, Pass
+from ..report import Level, ParameterSet, differences
 from ..study import Run, summaries
-from ..trust import Level, Trust
+from ..trust import Trust
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing, Scale, Sheet, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
