@@ -18,7 +18,7 @@ from acquisition.robot import load_robot, robot_from_files
 from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
-from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit
+from identification.export import export_model, mechanism_of, model_of_fit, write_models
 from identification.export.mjcf import quaternions
 from identification.export.robot_toml import with_parameters
 from identification.export.urdf_of_model import UNLIMITED, made_urdf, roll_pitch_yaw
@@ -52,10 +52,9 @@ def values_of(model, seed=1):
 def exported(model, chi, folder, **outputs):
     """Texts written by format, and the report."""
     paths = {name: folder / f"out.{name}" for name in ("urdf", "mjcf", "toml") if outputs.get(name, True)}
-    stored = StoredModel(mechanism=mechanism_of(model, chi, "fit.json"), lines=())
-    done = export_model(stored, Outputs(**paths), "fit.json")
-    done.write()
-    return {name: path.read_text() for name, path in paths.items()}, done.document
+    made, document = export_model(mechanism_of(model, chi, "fit.json"), "fit.json", **paths)
+    write_models(made)
+    return {name: path.read_text() for name, path in paths.items()}, document
 
 
 def torque(model, chi, q, dq, ddq, *, without=()):
@@ -478,7 +477,7 @@ def test_parameters_left_out_are_zero_with_their_own_deviation(fits, tmp_path):
     C[out], C[:, out], C[out, out] = 0.0, 0.0, sigma**2
     model = InverseModel(stored_robot(stored, "fit.json"))
     expected = consistent_parameters(beta, C, base_parameters(model).K, physical_parameters(model)).chi
-    np.testing.assert_allclose(model_of_fit(few, "fit.json").mechanism.chi, expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(model_of_fit(few, "fit.json")[0].chi, expected, rtol=1e-6, atol=1e-9)
 
 
 def test_the_exported_description_simulates(fits, tmp_path):

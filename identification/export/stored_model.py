@@ -1,11 +1,7 @@
 """A fit's JSON file as a robot with values for all standard parameters; one that is not consistent is made so."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from msgspec import UNSET
-
-from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -15,19 +11,6 @@ from ..report import FitFile
 from .mechanism import Mechanism, mechanism_of
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class StoredModel:
-    """The mechanism of a fit, and lines that say where its values are from."""
-
-    mechanism: Mechanism
-    lines: tuple[str, ...]
-
-    @property
-    def robot(self) -> Robot:
-        """As the fit's own description has it."""
-        return self.mechanism.model.robot
-
-
 def distrust(stored: FitFile, place: str) -> list[str]:
     """Why a fit is not to be trusted; a file without a verdict, of an earlier version, by its status and doubts."""
     if stored.verdict is UNSET:
@@ -35,11 +18,11 @@ def distrust(stored: FitFile, place: str) -> list[str]:
     return [f"{place}: verdict {stored.verdict}"] if stored.verdict == "do not use" else []
 
 
-def model_of_fit(stored: FitFile, place: str) -> StoredModel:
+def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...]]:
     """The robot of a fit, which its own description describes, with values for all standard parameters.
 
-    An `IdentificationError`, with the file's `place`, for a fit in A or V, without a description or a covariance, or whose
-    parameters no robot can have.
+    Returns it, and lines that say where the values are from. An `IdentificationError`, with the file's `place`, for a fit in
+    A or V, without a description or a covariance, or whose parameters no robot can have.
     """
     robot = stored_robot(stored, place)
     if robot is None:
@@ -51,7 +34,7 @@ def model_of_fit(stored: FitFile, place: str) -> StoredModel:
         chi, lines = _made_consistent(stored, model, place)
     else:
         chi, lines = _standard(stored, model, place), _of_consistent(stored, place)
-    return StoredModel(mechanism=mechanism_of(model, chi, place), lines=lines)
+    return mechanism_of(model, chi, place), lines
 
 
 def _standard(stored: FitFile, model: InverseModel, place: str) -> Array:

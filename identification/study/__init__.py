@@ -1,6 +1,6 @@
 """Robots whose parameters are known, Monte-Carlo studies, the demo; many recordings, fitted one by one."""
 
-from .demo import Rehearsal, description, rehearse
+from .demo import description, rehearse
 from .draws import Study
 from .noise import Noise
 from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
