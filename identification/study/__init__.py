@@ -3,7 +3,7 @@
 from .demo import description, rehearse
 from .draws import Study
 from .noise import Noise
-from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
+from .results import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
 from .rows import FleetSettings, Row, Value
 from .run import found_recordings, method_of, run_fleet
 from .study import Judged, Run, run_study, study_truth

@@ -17,7 +17,7 @@ from rerun.urdf import UrdfTree
 from acquisition.files import atomic_write
 
 from ..arrays import Array
-from .panels import GREY, RESIDUAL, SKY, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene
+from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Curve, Lanes, Log, Note, Panel, Plot, Scene
 
 _GHOST = (*SKY, 70)
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
@@ -103,7 +103,7 @@ def show(recording: Any, panel: Panel) -> Any:
             return rrb.BarChartView(
                 origin=origin, name=shown_text(panel.title), plot_legend=rrb.PlotLegend(visible=False)
             )
-        case Drawing():
+        case Chart():
             xy, texts, colors = zip(*(((x, y), text, color) for x, y, text, color in panel.labels), strict=True)
             none = rr.Radius.ui_points(0.1)
             log(
