@@ -18,7 +18,7 @@ from .options import (
     work_of,
 )
 from .results import print_results
-from .robots import MOTION, add_robot, robot_of
+from .robots import add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     from ..study import Noise, Study, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd)
-    robot = robot_of(options, MOTION)
+    robot = robot_of(options, moves=True)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err = Console(stderr=True)
