@@ -21,9 +21,9 @@ from identification.methods import identify_ls
 from identification.methods.assess import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
-from identification.simulation import Reference, recorded_loop, simulate
+from identification.simulation import Reference, described_robot, recorded_loop, simulate
 from identification.simulation.plant import drive_loops
-from identification.study import Rehearsal, described_robot, rehearse, study_truth
+from identification.study import rehearse, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ
@@ -180,7 +180,7 @@ def dry_tx40(tmp_path_factory):
     """Twelve seconds of the simulated TX40 without noise, its drives reporting actual values."""
     text = (REPLAY / "tx40" / "robot.toml").read_text().replace('reference = "6074"', 'actual = "6077"')
     robot, out = robot_of(text), tmp_path_factory.mktemp("dry") / "a.mcap"
-    rehearse(robot, "robot.toml", out, Rehearsal(noise_percent=0.0), lambda text: None)
+    rehearse(robot, "robot.toml", out, lambda text: None, noise_percent=0.0)
     return robot, out
 
 

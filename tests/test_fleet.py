@@ -276,7 +276,7 @@ def test_a_recording_that_vanishes_while_the_fleet_is_fitted_is_a_row(fleet, tmp
 
     rows = {Path(row.file).name: row for row in run(folder, tmp_path / "kept", open_work=late)}
     assert rows["1.mcap"].status == "failed"
-    assert rows["1.mcap"].reason == f"{folder / '1.mcap'}: cannot be read: No such file or directory"
+    assert rows["1.mcap"].reason.startswith(f"{folder / '1.mcap'}: a worker does not find it")
     assert rows["2.mcap"].is_fitted
 
 
@@ -326,7 +326,7 @@ def test_workers_that_cannot_start_end_the_run(fleet, tmp_path, alone):
     assert len(opened) == 1 + alone
 
 
-def test_a_worker_that_does_not_find_the_file_gets_its_content(fleet, tmp_path):
+def test_a_recording_that_a_worker_does_not_find_is_tried_again_the_next_time(fleet, tmp_path):
     class Far(Serial):
         remote = True
 
@@ -338,7 +338,8 @@ def test_a_worker_that_does_not_find_the_file_gets_its_content(fleet, tmp_path):
     def far(tasks):
         yield Far()
 
-    assert run(fleet, tmp_path / "kept", open_work=far) == run(fleet, tmp_path / "other")
+    assert all("does not find it" in row.reason for row in run(fleet, tmp_path / "kept", open_work=far))
+    assert any(row.is_fitted for row in run(fleet, tmp_path / "kept"))
 
 
 def test_a_mistake_of_the_program_is_a_row_too(fleet, tmp_path, monkeypatch):

@@ -18,10 +18,18 @@ from identification.commands import main
 from identification.data import Pool, Recordings, Signals, check_one_robot, signals_from_arrays
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
-from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
+from identification.methods import (
+    Iteration,
+    Prior,
+    fit_file,
+    fitted_parameters,
+    identify_iv,
+    identify_ls,
+    with_consistent,
+)
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
-from identification.report import differences, fit_document, fit_file, fitted_parameters, read_fit, write_json
+from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 CELL = Noise(encoder_step=1e-5, effort_percent=2.0)
@@ -218,18 +226,6 @@ def test_dask_is_imported_when_asked_for_alone(files):
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-
-
-def test_a_worker_that_does_not_find_a_file_is_sent_it(files, monkeypatch):
-    """As on a cluster whose machines do not share a disk."""
-    from identification.data import RecordingFile
-
-    wanted = identify_ls(several(*(RecordingFile.at(path) for path in files)), Overrides())
-    monkeypatch.setattr(RecordingFile, "found", property(lambda self: self.content is not None))
-    found = identify_ls(Recordings(sources=tuple(map(RecordingFile.at, files)), work=Pool(LastFirst)), Overrides())
-    assert bits(found) == bits(wanted)
-    (source, *_) = found.recordings
-    assert source.problem.signals.recording == "r1.mcap"
 
 
 def test_reduced_rows_give_the_same(monkeypatch):
@@ -474,7 +470,7 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
     file = tmp_path / "fit.json"
 
     def stored(fit):
-        write_json(file, fit_file(fit.problem.signals, fit, fit_document(fit.problem.signals, fit)))
+        write_json(file, fit_file(fit))
         return read_fit(file)
 
     free = stored(fit)
@@ -484,14 +480,15 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
         model_of_fit(free, "fit.json")
     assert (told.value.key, told.value.expected) == ("covariance", "the fit again with --consistent")
     assert told.value.value.startswith("Off1@r")
-    rows = differences(free.parameter_set("a"), free.parameter_set("b"))
+    a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
+    rows = differences(a, b)
     assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
     plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
     shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
-    beside = {row.name: row.b.name for row in differences(free.parameter_set("a"), fitted_parameters(shared))}
+    beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
     assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
     made = with_consistent(fit, Prior())
-    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json").mechanism.chi, made.consistent.chi)
+    np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json")[0].chi, made.consistent.chi)
 
 
 def test_own_parameters_by_hand():

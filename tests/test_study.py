@@ -8,7 +8,7 @@ from conftest import robot_named
 
 from identification.study import FALSE_TRUST, INSIDE, Judged, Noise, Run, Study, false_trust, summaries
 from identification.study import study as study_module
-from identification.study.draws import Draw, draw, simulated_robot, told_robot
+from identification.study.draws import Draw, draw, told_robot
 from identification.study.study import one_run
 
 TRUE = np.array([1.0, 2.0])
@@ -80,7 +80,7 @@ def test_a_run_draws_the_same_each_time_and_everything_where_it_is_asked_to():
     study = Study(noise=Noise(encoder_step=1e-5), vary="everything")
     drawn = [draw(study, k, 5.0) for k in range(200)]
     assert drawn == [draw(study, k, 5.0) for k in range(200)]
-    assert {one.controller for one in drawn} == {"described", "designed", "none"}
+    assert {one.controller for one in drawn} == {"described", "none"}
     assert {one.noise.recorded for one in drawn} == {"mean", "tick"}
     told = [one.noise.modelled for one in drawn]
     assert 0.4 < np.mean(told) < 0.7
@@ -100,11 +100,6 @@ def test_what_the_fit_is_told_of_the_controller():
     assert told_robot(robot, drawn).controller.position_gain == (160.18,)  # a rate, of a cascade
     nothing = told_robot(robot, replace(drawn, controller="none")).controller
     assert (nothing.structure, nothing.bandwidth_hz) == (None, 10.0)
-    designed = simulated_robot(robot, "designed", np.array([95.0]), 1000.0).controller
-    w = 2 * np.pi * 20.0
-    assert designed.position_gain == pytest.approx([95.0 * w**2 / 35.15065188])
-    assert designed.velocity_gain == pytest.approx([1.6 * 95.0 * w / 35.15065188])
-    assert simulated_robot(robot, "described", np.array([95.0]), 1000.0) is robot
 
 
 def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
@@ -118,13 +113,6 @@ def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
         assert one.essential.any()
         assert one.verdict in ("trust", "caution", "do not use")
         assert (one.verdict == "trust") <= (one.doubts == ())
-
-
-def test_a_designed_law_is_simulated_and_told():
-    study = Study(cutoffs=(5.0,), gain_errors=(1.0,), controllers=("designed",), duration_s=4.0)
-    found = one_run(robot_named("tx40"), study, 0)
-    assert found.drawn.controller == "designed"
-    assert found.error_ls < 0.05
 
 
 def test_the_fits_are_told_the_wrong_gains(monkeypatch):

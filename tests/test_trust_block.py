@@ -90,7 +90,7 @@ def examined_as_long(method: str) -> tuple[Fit, Evidence]:
 
 
 def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
-    return TrustLine(test=test, level=level, value=None, text="", finding=finding)
+    return TrustLine(test, level, "", finding=finding)
 
 
 def test_the_worst_line_is_the_verdict():
@@ -149,7 +149,7 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
     held = held_out_test(evidence)
     far = replace(held, level="caution", far_off=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
-        physical = TrustLine(test="physical", level="caution", value=value, text="")
+        physical = TrustLine("physical", "caution", "", value)
         (judged,) = (x for x in _judged_together([physical, line_]) if x.test == "held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")

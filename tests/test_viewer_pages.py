@@ -2,15 +2,18 @@
 
 import json
 import time
+import xml.etree.ElementTree as ET
 from dataclasses import replace
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 import pytest
 from conftest import REPLAY, robot_named
 from dry_sessions import dry_session, swing
 from fits_of_records import iv_of, signals_of
 from made_up_buses import bus_text, robot_of
+from scipy.spatial.transform import Rotation
 from test_viewer import Written, fitted, fitted_iv, made_up, scara
 
 from acquisition.robot import robot_from_files
@@ -19,10 +22,11 @@ from identification.commands import main
 from identification.data import load_signals
 from identification.data.signals import SignalEvent
 from identification.errors import IdentificationError
-from identification.methods.comparison import difference_lines
+from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, differences, fitted_parameters
+from identification.report import Parameter, ParameterSet, differences
+from identification.report.comparison import difference_lines
 from identification.study import Run
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
@@ -82,18 +86,20 @@ def test_a_robot_is_drawn_from_its_table(name):
         made_up(), t_s=np.arange(400) / 1000.0, q=q, effort=np.zeros_like(q), robot=robot, events=(), health={}
     )
     scene = robot_scene(signals, None)
-    assert {s.link for s in scene.solids} == set(range(robot.n + 1)), "base and every link have something to show"
-    assert all(min(s.size) > 0 and np.isfinite(s.center).all() for s in scene.solids)
+    links = ET.fromstring(scene.urdf).findall("link")
+    assert len(links) == robot.n + 1
+    assert all(link.find("visual/geometry") is not None for link in links), "base and every link have something to show"
     (robot_shown,) = scene.robots
     assert np.diff(robot_shown.t_s).min() > 0.99 / 50
-    places, _ = InverseModel(robot).placements(robot_shown.q)
-    np.testing.assert_allclose(robot_shown.places, places)
-    # Each link's rod ends where the next joint is.
-    for j, parent in enumerate(InverseModel(robot).parents):
-        rods = [s for s in scene.solids if s.link == parent and s.kind == "capsule"]
-        if parent and rods and np.linalg.norm(places[0, j] - places[0, parent - 1]) > 1e-9:
-            reach = max(np.linalg.norm(s.center) + s.size[0] for s in rods)
-            assert reach >= np.linalg.norm(places[0, j] - places[0, parent - 1]) - 1e-9
+    model = pin.buildModelFromXML(scene.urdf)
+    order = [model.joints[model.getJointId(joint)].idx_v for joint in scene.joints]
+    data, places = model.createData(), InverseModel(robot).placements(robot_shown.q)[0]
+    for qk, expected in zip(robot_shown.q, places, strict=True):
+        moved = np.zeros(model.nv)
+        moved[order] = qk
+        pin.forwardKinematics(model, data, pin.integrate(model, pin.neutral(model), moved))
+        at = [data.oMi[model.getJointId(joint)].translation for joint in scene.joints]
+        np.testing.assert_allclose(at, expected, atol=1e-9)
 
 
 def test_poses_are_as_many_as_a_screen_shows():
@@ -160,7 +166,8 @@ def test_a_mesh_is_drawn_where_its_file_is_found(place, mesh, tmp_path, monkeypa
     found = place in list(PLACES)[:5]
     assert (len(own) > 0) == found
     assert any(any(name.startswith("Asset3D:blob") for name in columns) for columns in own) == found
-    assert any("/robot/measured/2" in path for path in file.static) != found, "solids where the mesh is not found"
+    made = any("/robot/measured/visual_geometries/link_2" in path for path in file.static)
+    assert made != found, "lines where the mesh is not found"
     assert capfd.readouterr() == ("", "")
 
 
@@ -170,12 +177,17 @@ def test_both_robots_stand_where_their_data_says(tmp_path):
     write_fit_rrd(tmp_path / "fit.rrd", signals, fit)
     file = Written(tmp_path / "fit.rrd")
     for key, t_s, q in (("measured", signals.t_s, signals.q), ("simulated", fit.iv.simulated.t_s, fit.iv.simulated.q)):
-        found = file.moving[f"/robot/{key}/2"]
-        at = np.array([t.total_seconds() for t in found["time"]])
+        first, second = (file.moving[f"/robot/{key}/joints/{j}"] for j in (1, 2))
+        at = np.array([t.total_seconds() for t in first["time"]])
         k = np.array([np.abs(t_s - t).argmin() for t in at])
         places, _ = InverseModel(signals.robot).placements(q[k])
-        np.testing.assert_allclose(np.array(found["Transform3D:translation"])[:, 0], places[:, 1], atol=1e-6)
-    assert file.moving["/robot/simulated/2"]["time"][0].total_seconds() == 0.0, "never at the origin for want of a pose"
+        turns = Rotation.from_quat(np.array(first["Transform3D:quaternion"])[:, 0])
+        elbow = np.array(first["Transform3D:translation"])[:, 0]
+        elbow = elbow + turns.apply(np.array(second["Transform3D:translation"])[:, 0])
+        np.testing.assert_allclose(elbow, places[:, 1], atol=1e-6)
+    assert file.moving["/robot/simulated/joints/2"]["time"][0].total_seconds() == 0.0, (
+        "never at the origin for want of a pose"
+    )
 
 
 def eventful(signals):
@@ -545,14 +557,14 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
 
 def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_expected():
     lag = TrustLine(
-        test="lag",
-        level="caution",
-        value=1.2,
-        text="torque late",
+        "lag",
+        "caution",
+        "torque late",
+        1.2,
         unit="samples",
         figures=(Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5)),
     )
-    made = TrustLine(test="ends", level="ok", value=0.0, text="no outlier")
+    made = TrustLine("ends", "ok", "no outlier", 0.0)
     assert trust_drawing(Trust(lines=(made,))) is None
     drawing = trust_drawing(Trust(lines=(lag, made)))
     labels = [text for _, _, text, _ in drawing.labels]

@@ -33,7 +33,7 @@ def run(options: argparse.Namespace) -> None:
         from ..methods import Iteration, fit_document, fit_file, identify_iv, identify_ls
         from ..regression import Overrides
         from ..report import write_json
-        from ..study import Rehearsal, base_file, description, rehearse, study_truth, truth_document
+        from ..study import base_file, description, rehearse, study_truth, truth_document
         from ..view import write_fit_rrd
 
         place, out = description(options.robot), options.out
@@ -41,7 +41,7 @@ def run(options: argparse.Namespace) -> None:
         robot = load_robot(place)
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
-            rehearse(robot, str(place), recording, Rehearsal(noise_percent=options.noise), progress.say)
+            rehearse(robot, str(place), recording, progress.say, noise_percent=options.noise)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))
@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> None:
         fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
         reports = {name: fit_document(signals, fit) for name, fit in fits.items()}
         for name, fit in fits.items():
-            write_json(out / f"{name}.json", fit_file(signals, fit, reports[name]))
+            write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
     print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))

@@ -7,7 +7,7 @@ from acquisition.commands import Commands, Progress, from_options
 
 from .options import above_zero, at_least_two, factors, percent, positive, refuse_outputs, whole
 from .results import print_results
-from .robots import MOTION, add_robot, robot_of
+from .robots import add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -68,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
 
         from ..design import Settings, excitation_document, excite, knowledge_of
 
-        robot = robot_of(options, MOTION)
+        robot = robot_of(options, moves=True)
         settings = from_options(Settings, options)
         knowledge, warnings = knowledge_of(
             robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after

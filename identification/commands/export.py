@@ -35,17 +35,16 @@ def run(options: argparse.Namespace) -> None:
         raise IdentificationError("nothing to write", place="export", expected="--urdf, --mjcf or --toml with a file")
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
-        from ..export import Outputs, distrust, export_model, model_of_fit
-        from ..methods import read_fit
-        from ..report import Section
+        from ..export import distrust, export_model, model_of_fit, write_models
+        from ..report import Section, read_fit
 
         stored, place = read_fit(options.fit), str(options.fit)
         reasons = distrust(stored, place)
         if reasons and not options.allow_untrusted:
             expected = "a fit to be trusted, or --allow-untrusted"
             raise IdentificationError(f"not exported: {'; '.join(reasons)}", expected=expected)
-        outputs = Outputs(urdf=options.urdf, mjcf=options.mjcf, toml=options.toml)
-        exported = export_model(model_of_fit(stored, place), outputs, options.fit.name)
-        exported.write()
-    warnings = Section(warnings=tuple(reasons)) if reasons else None
-    print_results(exported.document.followed_by(warnings) if warnings else exported.document)
+        mechanism, lines = model_of_fit(stored, place)
+        outputs = {"urdf": options.urdf, "mjcf": options.mjcf, "toml": options.toml}
+        texts, document = export_model(mechanism, options.fit.name, lines=lines, **outputs)
+        write_models(texts)
+    print_results(document.followed_by(Section(warnings=tuple(reasons))) if reasons else document)

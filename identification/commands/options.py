@@ -222,7 +222,7 @@ def factors(text: str) -> tuple[float, ...]:
 def controllers(text: str) -> tuple[str, ...]:
     """What a fit is told of the controller, separated by commas."""
     names = tuple(text.split(","))
-    if not set(names) <= {"described", "designed", "none"}:
+    if not set(names) <= {"described", "none"}:
         raise ValueError(text)
     return names
 

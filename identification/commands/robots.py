@@ -1,10 +1,9 @@
 """The robot of a command: a robot.toml, or a URDF with options for what it does not say.
 
-A command calls `add_robot` and `robot_of(options, needs)`, which see to both.
+A command calls `add_robot` and `robot_of`, which see to both.
 """
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 
     from ..export import Chain
 
-MOTION = ("position", "speed", "acceleration", "bandwidth_hz")  # what a reference for a simulated robot needs
 _STATED = (
     ("--range", "Q", "positions, rad or m to each side of zero; where the URDF has limits too, the narrower hold"),
     ("--speed", "V", "largest speed, rad/s or m/s; where the URDF has one too, the smaller holds"),
@@ -49,18 +47,14 @@ def add_urdf_options(parser: argparse.ArgumentParser) -> None:
         group.add_argument(option, type=values, metavar=metavar, help=what)
 
 
-def robot_of(options: argparse.Namespace, needs: Sequence[str] = ()) -> "Robot":
-    """The robot that the options of `add_robot` describe.
-
-    `needs`: what a URDF or its options must state: `MOTION`, or other names of `identification.urdf.OPTIONS`. The error for
-    what a URDF does not say names joint and option.
-    """
+def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
+    """The robot that the options of `add_robot` describe; where it `moves`, a URDF or its options must state the limits."""
     from acquisition.robot import load_robot
 
     from ..export import described_robot, is_urdf
 
     if is_urdf(options.robot):
-        return described_robot(chain_of(options), needs)
+        return described_robot(chain_of(options), moves=moves)
     for option in ("--joints", *(option for option, _, _ in _STATED)):
         if getattr(options, option.removeprefix("--").replace("-", "_")) is not None:
             expected = "a URDF with it: robot.toml has a key of its own for it"

@@ -7,7 +7,7 @@ from acquisition.commands import Commands, Progress, add_overwrite, from_options
 
 from .options import add_simulation_options, refuse_outputs
 from .results import print_results
-from .robots import MOTION, add_robot, robot_of
+from .robots import add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -27,7 +27,7 @@ def run(options: argparse.Namespace) -> None:
     with Progress("simulating"):
         from ..study import Noise, closed_loop, random_reference, write_signals
 
-        robot, rate_hz, seed = robot_of(options, MOTION), options.sample_rate_hz, options.seed
+        robot, rate_hz, seed = robot_of(options, moves=True), options.sample_rate_hz, options.seed
         q_ref = random_reference(
             robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=options.period_s
         )

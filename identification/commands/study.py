@@ -18,7 +18,7 @@ from .options import (
     work_of,
 )
 from .results import print_results
-from .robots import MOTION, add_robot, robot_of
+from .robots import add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
@@ -42,7 +42,7 @@ def add(commands: Commands) -> None:
         "--controllers",
         type=controllers,
         metavar="A,B",
-        help="described, designed (a PD for the bandwidth) or none (the fit is told of none) (default described)",
+        help="described, or none: the fit is not given the control law (default described)",
     )
     varied.add_argument(
         "--vary",
@@ -67,7 +67,7 @@ def run(options: argparse.Namespace) -> None:
     from ..study import Noise, Study, run_study, study_document, study_file, study_truth
 
     refuse_outputs([options.robot], options.json, options.rrd)
-    robot = robot_of(options, MOTION)
+    robot = robot_of(options, moves=True)
     study = from_options(Study, options, noise=from_options(Noise, options))
     base, true = study_truth(robot)
     err = Console(stderr=True)
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
     document = study_document(robot.name, study, runs, true)
     try:
         if options.json:
-            write_json(options.json, study_file(study, runs, base, true, document))
+            write_json(options.json, study_file(study, runs, base, true))
         if options.rrd:
             from ..view import write_study_rrd
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,11 +14,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
-from ..regression import load_friction
 from .information import Information
 from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, MARGIN_M, Limits, limits_of
-from .load import given_load
 from .search import FINER, SAMPLES_PER_PERIOD, Problem, best_of_searches, random_within
 from .series import Motion, Series, motion_of
 
@@ -121,8 +119,10 @@ def excite(
     model = InverseModel(robot)
     every = base_parameters(model)
     direct = None if knowledge.beta is None else direct_model(model, every.standard_parameters(knowledge.beta))
+    # The columns of load friction depend on the parameters: limits count its torque, the criterion leaves it out.
     mus = load_parameters(every)
-    base = every if direct is not None else every.without(mus)
+    base = every.without(mus)
+    known = [every.names.index(name) for name in base.names]
     ranges = np.array([joint.si("position") or (0.0, 0.0) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
     obstacles = obstacles_of(model, partial(find_mesh, folder=knowledge.folder), poses, MARGIN_M)
@@ -134,15 +134,13 @@ def excite(
     plain_series = Series(period_s=settings.period_s, harmonics=settings.plain_harmonics)
     plain = [random_within(limits, plain_series, seed).at(t_s) for seed in range(PLAIN)]
     noise, noise_from = torque_noise(robot, direct, knowledge, plain)
-    creep = CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints])
     information = Information(
         model=model,
         base=base,
         noise=noise,
         rows=rows_per_s(robot) * settings.period_s * settings.periods,
-        earlier=earlier_information(base, noise, knowledge.recordings, knowledge.beta),
-        creep=creep,
-        load=given_load(load_friction(model, base), direct, knowledge.beta, plain, creep),
+        earlier=earlier_information(base, noise, knowledge.recordings),
+        creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
     problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
@@ -161,7 +159,7 @@ def excite(
         limits=limits,
         used=limits.share_of_whole(fine),
         nearest=_nearest(limits, fine),
-        beta=knowledge.beta,
+        beta=None if knowledge.beta is None else knowledge.beta[known],
         beta_from=knowledge.beta_from,
         warnings=_warnings(limits, mus),
     )
@@ -192,8 +190,7 @@ def _refuse_rest(limits: Limits, place: str) -> None:
     """Standing in the middle of the ranges must be possible: references start from there."""
     n = limits.robot.n
     middle = limits.middle[None]
-    efforts = replace(limits, obstacles=None)
-    used = np.abs(efforts.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
+    used = np.abs(limits.used((middle, np.zeros((1, n)), np.zeros((1, n)))))[0]
     if used.max() > 1:
         worst = int(used.argmax()) - 3 * n
         effort = limits.effort
@@ -206,14 +203,14 @@ def _refuse_rest(limits: Limits, place: str) -> None:
 
 
 def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
-    if limits.obstacles is None or not limits.checks_distance:
+    if limits.obstacles is None or not limits.obstacles.pairs:
         return None
-    apart, _, names = limits.obstacles.nearest(motion[0], FAR_M)
+    apart, names = limits.obstacles.nearest(motion[0], FAR_M)
     return names[int(apart.argmin())], float(apart.min())
 
 
 def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
-    """What of torque and distances was not checked; without parameters the criterion lacks load friction `mus`."""
+    """What of torque and distances was not checked, and the load friction `mus` that the criterion lacks."""
     found = []
     if limits.obstacles is not None and limits.obstacles.missing:
         missing = (
@@ -225,14 +222,10 @@ def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
         found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
         found.append("torque was not checked: neither a fit nor [parameters] give it")
-        if mus:
-            found.append(
-                f"load friction ({', '.join(mus)}) is not in the criterion: its columns depend on the parameters of the links, "
-                "which neither a fit nor [parameters] give"
-            )
-        return tuple(found)
-    if not limits.robot.gain_known:
+    elif not limits.robot.gain_known:
         found.append("limits in N m or N were not checked: efforts are in A or V, the drive gains are not known")
-    if not len(limits.effort.limits):
+    if limits.model is not None and not len(limits.effort.limits):
         found.append("torque was not checked: no joint states effort_nm or effort_n, no motor a saturation")
+    if mus:
+        found.append(f"load friction ({', '.join(mus)}) is not in the criterion; limits of efforts count it")
     return tuple(found)

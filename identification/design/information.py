@@ -13,7 +13,6 @@ from scipy.linalg import cho_factor, cho_solve
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import SLIDING, BaseParameters, InverseModel, JointTerm, regressor_gradient
-from .load import GivenLoad
 from .series import Motion
 
 
@@ -26,7 +25,6 @@ class Information:
         noise: (n,) deviation of each joint's torque in a row of the fit, in the unit of its effort.
         rows: of the fit in the whole recording, however many samples a motion is given by.
         earlier: (b, b) information of earlier recordings, which adds to that of the motion.
-        load: load friction; None where there is none, or no parameters that its columns depend on.
         creep: (n,) speeds at which friction changes its sign in the criterion, as u / sqrt(u² + creep²): a jump has no
             gradient, and a fit leaves out rows of low speed.
     """
@@ -37,19 +35,14 @@ class Information:
     rows: float
     earlier: Array
     creep: Array
-    load: GivenLoad | None = None
 
     def sigma(self, motion: Motion) -> Array:
         """(b,) deviations of the parameters after a motion q, dq, ddq (N, n)."""
-        W = self._linear(motion)
-        if self.load is not None:
-            self.load.exact(W, motion)
-        return np.asarray(np.sqrt(np.diag(_inverse(self._of(W)))))
+        return np.asarray(np.sqrt(np.diag(_inverse(self._of(self._linear(motion))))))
 
     def criterion(self, motion: Motion, plain: Array) -> tuple[float, Motion]:
         """The criterion relative to the deviations `plain` (b,), and its gradients (N, n) by q, dq and ddq."""
         W = self._linear(motion)
-        load = None if self.load is None else self.load.smooth(W, motion)
         slopes = []
         for c, term in self._sliding:
             friction, slope = term.rounded(motion[1], self.creep)
@@ -59,14 +52,13 @@ class Information:
         total = float(D @ np.diag(C))
         # total = tr(D C), so d total = -tr(P dM) with P = C D C, and dM = 2 W'dW / s².
         G = -2 / total * self.rows / len(W) * (W / self.noise[:, None] ** 2) @ ((C * D) @ C)
-        G_linear, rest = (G, 0.0) if load is None else load.gradient(G)
-        by_q, by_dq, by_ddq = rest + np.array(regressor_gradient(self.model, self.base, motion, G_linear))
+        by_q, by_dq, by_ddq = regressor_gradient(self.model, self.base, motion, G)
         for (c, term), slope in zip(self._sliding, slopes, strict=True):
             by_dq += (slope * (G[:, :, c] @ term.direction))[:, None] * term.direction
         return float(np.log(total / len(D))), (by_q, by_dq, by_ddq)
 
     def _linear(self, motion: Motion) -> Array:
-        """W (N, n, b), columns of load friction zero."""
+        """W (N, n, b)."""
         entries = self.model.entries(self.base.columns)
         W = np.zeros((*motion[0].shape, self.base.b))
         W[:, entries[:, 0], entries[:, 1]] = self.model.series(*motion, self.base.columns).T
@@ -78,9 +70,9 @@ class Information:
 
     @cached_property
     def _sliding(self) -> list[tuple[int, JointTerm]]:
-        """Columns, and terms, of friction with the sign of a speed; that by load, in `load`, is not among them."""
+        """Columns, and terms, of friction with the sign of a speed."""
         terms = [(c, self.model.sources[column]) for c, column in enumerate(self.base.columns)]
-        return [(c, t) for c, t in terms if isinstance(t, JointTerm) and t.kind in SLIDING and t.kind != "load"]
+        return [(c, t) for c, t in terms if isinstance(t, JointTerm) and t.kind in SLIDING]
 
 
 def _inverse(M: Array) -> Array:

@@ -11,9 +11,10 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import IdentificationError
-from ..methods import doubts, read_fit
+from ..methods import stored_beta
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, load_parameters, truth
 from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
+from ..report import read_fit
 from .series import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, where no noise is known
@@ -70,7 +71,7 @@ def knowledge_of(
     errors = stored.joints
     known = len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors)
     found = Knowledge(
-        beta=stored.beta(base, str(fit)),
+        beta=stored_beta(stored, base, str(fit)),
         beta_from=fit.name,
         error_percent=np.array([e.percent for e in errors]) if known else None,
         correlation=np.array([e.autocorrelation for e in errors]) if known else None,
@@ -78,7 +79,7 @@ def knowledge_of(
         recordings=recordings,
         folder=folder,
     )
-    return found, doubts(stored, str(fit))
+    return found, stored.warnings_of(str(fit))
 
 
 def torque_noise(
@@ -112,21 +113,19 @@ def rows_per_s(robot: Robot) -> float:
     return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
 
 
-def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals], beta: Array | None) -> Array:
-    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count, load friction about the parameters beta (b,).
-
-    Without parameters `base` lacks load friction.
+def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count; `base` has no load friction.
 
     Raises `IdentificationError` where a recording is of a robot with other base parameters, or cannot be fitted.
     """
     M = np.zeros((base.b, base.b))
     for signals in recordings:
         problem = make_problem(signals, Overrides())
-        own = problem.base if beta is not None else problem.base.without(load_parameters(problem.base))
+        own = problem.base.without(load_parameters(problem.base))
         known = (own.names, own.units, own.expressions)
         if known != (base.names, base.units, base.expressions):
             expected = "a recording of the described robot: its base parameters are others"
             raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
-        W, _ = regression_of_recording(replace(problem, base=own), beta=beta).system.weighted(1 / noise)
+        W, _ = regression_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
         M += W.T @ W
     return M

@@ -33,7 +33,7 @@ class Limits:
         effort: the limits of the efforts.
         coulomb: (m,) what friction with a sign takes of each at most: of Coulomb, of Stribeck, by the root of speed.
         share: of all limits that may be used.
-        obstacles: pairs of shapes that keep a margin; their share is 1 at the margin, and less with more distance.
+        obstacles: pairs of shapes that keep a margin; None where there are none.
     """
 
     robot: Robot
@@ -58,59 +58,46 @@ class Limits:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """(L,) what is limited: position, speed and acceleration of each joint, the efforts, the distance of links."""
+        """(L,) what is limited: position, speed and acceleration of each joint, the efforts."""
         efforts = self.effort.names if self.model is not None else ()
         names = [f"{kind} of joint {joint.name}" for kind in KINDS for joint in self.robot.joints]
-        apart = ("distance of links",) if self.checks_distance else ()
-        return (*names, *(f"effort of {name}" for name in efforts), *apart)
+        return (*names, *(f"effort of {name}" for name in efforts))
 
-    @property
-    def checks_distance(self) -> bool:
-        """Whether there are shapes whose distance is looked at."""
-        return self.obstacles is not None and len(self.obstacles.pairs) > 0
+    def largest(self, motion: Motion) -> tuple[float, str]:
+        """The largest share of a limit in use, and which; of distances 1 is the margin, and less is farther."""
+        used = np.abs(self.used(motion)).max(axis=0)
+        worst, name = float(used.max()), self.names[int(used.argmax())]
+        # Distances take long: they are of interest where all else is kept, and near the margin.
+        if worst <= 1 and (near := float(self.nearness(motion[0], 1.1 * MARGIN_M).max())) > worst:
+            return near, "distance of links"
+        return worst, name
 
-    def used(self, motion: Motion) -> Array:
-        """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
-        return self._shares(motion, self._apart(motion, FAR_M + MARGIN_M))
-
-    def most_used(self, motion: Motion) -> float:
-        """The largest share of a limit in use; that of distances is exact where shapes are little farther than their margin."""
-        most = float(np.abs(self._shares(motion, None)).max())
-        if most > 1 or not self.checks_distance:
-            return most
-        return max(most, float(self._shares(motion, self._apart(motion, 1.1 * MARGIN_M))[:, -1].max()))
+    def nearness(self, q: Array, far_m: float) -> Array:
+        """(N,) shares of the distances at the positions q (N, n), 1 at the margin; distances beyond `far_m` count as it."""
+        if self.obstacles is None or not self.obstacles.pairs:
+            return np.zeros(len(q))
+        return 1 - (self.obstacles.nearest(q, far_m)[0] - MARGIN_M) / FAR_M
 
     def share_of_whole(self, motion: Motion) -> Array:
-        """The largest share of each whole limit that a motion uses, Coulomb friction included; distances left out."""
+        """The largest share of each whole limit that a motion uses, Coulomb friction included."""
         n, used = self.robot.n, np.abs(self.used(motion)).max(axis=0)
         m = len(self.effort.limits) if self.model is not None else 0
         efforts = (used[3 * n : 3 * n + m] * self.allowed[:m] + self.coulomb[:m]) / self.effort.limits[:m]
         return np.concatenate([self.share * used[: 3 * n], efforts])
 
     def used_and_slopes(self, motion: Motion) -> tuple[Array, Array]:
-        """The shares (N, L), and derivatives (3, N, m, n) by q, dq and ddq of the m that are of efforts and the distance."""
-        q, slopes = motion[0], []
-        if self.model is not None:
-            links = torque_of_links(self.model, motion)
-            tau, by_joint = sliding_apart(self.model, motion, links)
-            scaled = self.effort.directions / self.allowed[:, None]
-            sides = _sides(tau @ scaled.T)
-            by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
-            slopes.append(scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load))
-        apart = None
-        if self.obstacles is not None and self.checks_distance:
-            apart, by_q, _ = self.obstacles.nearest(q, FAR_M + MARGIN_M)
-            slopes.append(np.array([-by_q / FAR_M, np.zeros(by_q.shape), np.zeros(by_q.shape)])[:, :, None])
-        whole = np.concatenate(slopes, axis=2) if slopes else np.zeros((3, len(q), 0, self.robot.n))
-        return self._shares(motion, apart), whole
+        """The shares (N, L), and derivatives (3, N, m, n) by q, dq and ddq of the m that are of efforts."""
+        if self.model is None:
+            return self.used(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
+        links = torque_of_links(self.model, motion)
+        tau, by_joint = sliding_apart(self.model, motion, links)
+        scaled = self.effort.directions / self.allowed[:, None]
+        sides = _sides(tau @ scaled.T)
+        by_load = (self.load * np.sign(links[0]))[..., None] * links[1]
+        return self.used(motion), scaled @ by_joint + sides[..., None] * (np.abs(scaled) @ by_load)
 
-    def _apart(self, motion: Motion, far_m: float) -> Array | None:
-        return (
-            self.obstacles.nearest(motion[0], far_m)[0] if self.obstacles is not None and self.obstacles.pairs else None
-        )
-
-    def _shares(self, motion: Motion, apart: Array | None) -> Array:
-        """The shares (N, L) along a motion; without distances `apart` (N,) those of the other limits."""
+    def used(self, motion: Motion) -> Array:
+        """Shares (N, L), signed, along a motion q, dq, ddq (N, n)."""
         q, dq, ddq = motion
         parts = [(q - self.middle) / self.most[0], dq / self.most[1], ddq / self.most[2]]
         if self.model is not None:
@@ -118,8 +105,6 @@ class Limits:
             scaled = self.effort.directions / self.allowed[:, None]
             shares = (rigid + self.model.without_sliding(dq, ddq)) @ scaled.T
             parts.append(shares + _sides(shares) * ((self.load * np.abs(rigid)) @ np.abs(scaled).T))
-        if apart is not None:
-            parts.append(1 - (apart[:, None] - MARGIN_M) / FAR_M)
         return np.concatenate(parts, axis=1)
 
     def jacobian(self, slopes: Array, basis: Motion, at: NDArray[np.intp]) -> Array:

@@ -16,7 +16,7 @@ from acquisition.robot import FourierReference, fourier_reference
 from ..arrays import Array
 from ..errors import IdentificationError
 from .information import Information
-from .limits import Limits
+from .limits import FAR_M, MARGIN_M, Limits
 from .series import Motion, Series, motion_of
 
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
@@ -32,7 +32,6 @@ POSES = 200  # of which the one with most room is started from
 ITERATIONS = 50  # of a search
 POLISHING = 10  # iterations more, with what limits are left by between the samples
 LEAST_TIGHTENED = 0.5  # shares below are not looked at between the samples
-ROUNDS = 10  # that a search among obstacles has these iterations in
 TOLERANCE = 1e-6  # of the criterion, and by which a share may be above 1
 BISECTIONS = 10
 
@@ -72,9 +71,9 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
             start = _start(problem, STARTS * seed + i)
             x = best_series(problem, start, partial(_tell, say, text))
             fine = motion_of(x, finer)
-            if (most := problem.limits.most_used(fine)) > 1 + TOLERANCE:
-                used = np.abs(problem.limits.used(fine)).max(axis=0)
-                worst = f"{problem.limits.names[int(used.argmax())]} is left by {100 * (most - 1):.3g} %"
+            most, name = problem.limits.largest(fine)
+            if most > 1 + TOLERANCE:
+                worst = f"{name} is left by {100 * (most - 1):.3g} %"
                 continue
             sigma = problem.information.sigma(motion_of(x, basis))
         except IdentificationError as error:  # it strayed to where nothing is excited
@@ -105,7 +104,7 @@ def _start(problem: Problem, seed: int) -> Array:
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
     x[:, 0] /= START_SHARE
-    if limits.checks_distance:
+    if limits.obstacles is not None:
         x[:, 0] = _roomiest(limits, seed)
     return shrunk(x, series, limits, FINER * problem.samples, share=ALL)[0]
 
@@ -114,8 +113,8 @@ def _roomiest(limits: Limits, seed: int) -> Array:
     """Of random poses (n,) about the middle of the ranges that may be used, the one whose links are farthest apart."""
     poses = limits.middle + np.random.default_rng(seed).uniform(-0.5, 0.5, (POSES, limits.robot.n)) * limits.most[0]
     still = np.zeros(poses.shape)
-    used = np.abs(limits.used((poses, still, still)))
-    return np.asarray(poses[int(used.max(axis=1).argmin())])
+    used = np.abs(limits.used((poses, still, still))).max(axis=1)
+    return np.asarray(poses[int(np.maximum(used, limits.nearness(poses, FAR_M + MARGIN_M)).argmin())])
 
 
 def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
@@ -125,15 +124,11 @@ def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
 def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
     """Coefficients x (n, K) of least criterion; limits are kept between the samples too, or as nearly as can be.
 
-    `start` keeps the limits; `say` is called with the criterion after each iteration.
+    The search knows nothing of distances: what it finds is moved towards `start`, which keeps all limits, until it keeps
+    them. `say` is called with the criterion after each iteration.
     """
     search, limits, between = _Search(problem, say), problem.limits, FINER * problem.samples
-    if not limits.checks_distance:
-        x = search.from_there(start, ITERATIONS)
-    else:  # Distances are not convex: after a few iterations back to what keeps all limits, on the way from where they did.
-        x = start
-        for _ in range(ROUNDS):
-            x, _ = shrunk(search.from_there(x, ITERATIONS // ROUNDS), problem.series, limits, problem.samples, x)
+    x = search.from_there(start, ITERATIONS)
     search.tighten(x)
     safe, _ = shrunk(x, problem.series, limits, between, start, ALL)
     return shrunk(search.from_there(x, POLISHING), problem.series, limits, between, safe, ALL)[0]
@@ -218,7 +213,7 @@ def shrunk(
         still = towards
 
     def most(scale: float) -> float:
-        return limits.most_used(motion_of(still + scale * (x - still), basis))
+        return limits.largest(motion_of(still + scale * (x - still), basis))[0]
 
     low, high = 0.0, 1.0
     if most(1.0) <= share:

@@ -10,7 +10,6 @@ from ..errors import IdentificationError
 from .links import check_inertials
 from .tree import MOVABLE, Tree, attribute, check_name, end, movable, read_tree
 
-QUANTITIES = ("position", "speed", "acceleration", "following_error")
 _ENDINGS = (".urdf", ".xacro", ".xml")
 
 

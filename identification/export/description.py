@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from acquisition.robot import Robot, robot_from_files
 from ..errors import IdentificationError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint
-from .stated import missing
+from .stated import refuse_unstated
 
 FILL_IN = "FILL IN"
 _EXAMPLE = "#: "  # before each line of an example on simulated drives, with which a dry run moves the robot
@@ -23,13 +23,13 @@ _COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m
 _ROUNDING = 1e-14  # kg m² and smaller: what the sums of a lumped link leave of zero
 
 
-def described_robot(chain: Chain, needs: Sequence[str] = ()) -> Robot:
+def described_robot(chain: Chain, *, moves: bool = False) -> Robot:
     """The robot of the description that `init` writes, with its URDF and what options state.
 
-    Where one of `needs`, names of `OPTIONS`, is not stated, an `IdentificationError` names the joint and the option.
+    Where it `moves` and a limit or the bandwidth is not stated, an `IdentificationError` names the joint and the option.
     """
-    if (error := missing(chain, needs)) is not None:
-        raise error
+    if moves:
+        refuse_unstated(chain)
     return _robot(describe(chain, "robot.urdf"), chain)
 
 

@@ -98,6 +98,14 @@ def mechanism_of(model: InverseModel, chi: Array, place: str) -> Mechanism:
     return made
 
 
+def about_com(link: Array) -> tuple[float, Array, Array]:
+    """Mass, centre of mass (3,) and XX XY XZ YY YZ ZZ (6,) about it, of a link's ten parameters (10,) about the origin."""
+    mass = float(link[9])
+    com = link[6:9] / mass
+    steiner = mass * (com @ com * np.eye(3) - np.outer(com, com))
+    return mass, com, np.asarray(link[:6] - steiner[np.triu_indices(3)])
+
+
 def _refuse_impossible(m: Mechanism, place: str) -> None:
     joints = [joint.name for joint in m.model.robot.joints]
     for j, link in enumerate(m.links):

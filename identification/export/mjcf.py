@@ -11,8 +11,7 @@ import numpy as np
 from acquisition.files import text_of
 
 from ..arrays import Array
-from .mechanism import Mechanism
-from .numbers import about_com
+from .mechanism import Mechanism, about_com
 from .urdf import link_names
 
 INERTIA = (0, 3, 5, 1, 2, 4)  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ

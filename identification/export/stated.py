@@ -1,11 +1,10 @@
 """What options say of a robot where its URDF does not: one value for all joints, or one for each."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 from ..errors import IdentificationError
-from .chain import QUANTITIES, Chain, UrdfJoint
+from .chain import Chain, UrdfJoint
 
 OPTIONS = {
     "position": "--range",
@@ -14,7 +13,11 @@ OPTIONS = {
     "following_error": "--following-error",
     "bandwidth_hz": "--bandwidth-hz",
 }
-_UNITS = {"position": "{}, to each side of zero", "speed": "{}/s", "acceleration": "{}/s²", "following_error": "{}"}
+_NEEDED = {
+    "position": "{}, to each side of zero",
+    "speed": "{}/s",
+    "acceleration": "{}/s²",
+}  # by a reference, with units
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,19 +49,18 @@ class Stated:
         return replace(chain, joints=tuple(joints), bandwidth_hz=min(bandwidths, default=None))
 
 
-def missing(chain: Chain, needs: Sequence[str]) -> IdentificationError | None:
-    """The first of `needs`, names of `OPTIONS`, that neither the URDF nor an option states."""
-    for key in (key for key in QUANTITIES if key in needs):
+def refuse_unstated(chain: Chain) -> None:
+    """Refuse a robot that is to move where neither the URDF nor an option states a limit or the bandwidth."""
+    for key, unit in _NEEDED.items():
         for joint in chain.joints:
             if getattr(joint, key) is None:
                 where = f"{chain.place}: joint {joint.name!r}"
-                expected = f"{OPTIONS[key]} ({_UNITS[key].format(joint.unit)}), one value or one per joint"
-                return IdentificationError(place=where, key=key.replace("_", " "), value=None, expected=expected)
-    if "bandwidth_hz" in needs and chain.bandwidth_hz is None:
+                expected = f"{OPTIONS[key]} ({unit.format(joint.unit)}), one value or one per joint"
+                raise IdentificationError(place=where, key=key, value=None, expected=expected)
+    if chain.bandwidth_hz is None:
         expected = f"{OPTIONS['bandwidth_hz']}, of the position loops"
         place = f"{chain.place}: joint {chain.joints[0].name!r} and all others"
-        return IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
-    return None
+        raise IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
 
 
 def _field(option: str) -> str:

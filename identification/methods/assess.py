@@ -22,9 +22,10 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Regression, base_name
+from ..report import Method, OwnTest, Status
 from ..simulation import PassInstruments, Replica
 from ..trust import Evidence, Lag, held_out_recordings, trust_in
-from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Method, OwnTest, Rows, Status, essential_names
+from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Rows, essential_names
 from .observation import position_noise_line
 from .recordings import Observed
 

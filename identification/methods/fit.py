@@ -11,13 +11,9 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
+from ..report import Method, OwnTest, Status
 from ..simulation import DirectModelError, InstrumentKind, Replica
 from ..trust import HeldOut, Lag, Trust
-
-Method = Literal["ols", "wls", "iv"]
-Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
-
-NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +137,7 @@ class ConsistentSet:
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
         base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi; their move is in it.
-        prior, prior_weight: what was expected of the links, in words, and the weight of it.
+        prior: what was expected of the links, in words.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.
         reach: deviations in half a 95 % interval of the estimate.
@@ -158,7 +154,6 @@ class ConsistentSet:
     base_half: Array
     base_from_prior: NDArray[np.bool_]
     prior: str
-    prior_weight: float
     chi_squared: float
     deviations: Array
     reach: float
@@ -201,20 +196,6 @@ class FittedRecording:
     held_out: HeldOut | None
     replica: Replica | None
     states: RowStates | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class OwnTest:
-    """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
-
-    `F_effective` and `p_effective` count only as many independent rows as the residual's correlation leaves.
-    """
-
-    names: tuple[str, ...]
-    F: float
-    p_value: float
-    F_effective: float
-    p_effective: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

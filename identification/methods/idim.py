@@ -25,10 +25,11 @@ from ..estimation import (
 )
 from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
+from ..report import Method
 from ..simulation import PassInstruments
 from ..trust import covariance_of_all
 from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of
-from .fit import Fit, LeastSquares, Method
+from .fit import Fit, LeastSquares
 from .iteration import Iteration, Trial, conclude, inertia_prior, is_coarse, kept_rows, next_values, start_values
 from .recordings import Observed, observe_all
 from .timing import counted, in_known_time, lags_of_ls, over_all, timed

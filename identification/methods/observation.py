@@ -30,9 +30,10 @@ from ..regression import (
     row_states,
     torque_of_recording,
 )
+from ..report import Method
 from ..simulation import Place
 from ..trust import Part, TrustLine, replay_line
-from .fit import LeastSquares, Method
+from .fit import LeastSquares
 
 Say = Callable[[str], None]
 
@@ -91,14 +92,9 @@ class Observation:
 
 
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation | None:
-    """W and Y of a recording and what else is known without an estimate; None where the file is not found here.
-
-    `share` is the number of recordings of the fit.
-    """
+def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation:
+    """W and Y of a recording and what else is known without an estimate; `share` is the number of recordings of the fit."""
     if isinstance(source, RecordingFile):
-        if not source.found:
-            return None
         source = source.load()
     return observation_of(make_problem(source, overrides), share)
 
@@ -158,7 +154,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     """
     settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _not_seen(problem)
     if reason is not None:
-        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{reason}: {ADVICE}")
+        return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
     stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
@@ -167,7 +163,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls, fast)
         both = [_least_squares(_with_noise(problem, way * noise), method, ls, fast) for way in (1, -1)]
     except IdentificationError as error:
-        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{error}: {ADVICE}")
+        return TrustLine(NAME, "cannot tell", f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
     among = np.array([ls.estimate.names.index(name) for name in names])
     beta, half = plain.among(tuple(names)), ls.intervals.half[among]
@@ -182,10 +178,8 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     )
     if matters.any():
         text = f"{text} or more: {ADVICE}"
-        return TrustLine(
-            test=NAME, level="caution", value=value, text=text, finding="least squares biased by position noise"
-        )
-    return TrustLine(test=NAME, level="ok", value=value, text=text)
+        return TrustLine(NAME, "caution", text, value, finding="least squares biased by position noise")
+    return TrustLine(NAME, "ok", text, value)
 
 
 def _not_seen(problem: Problem) -> str | None:

@@ -263,7 +263,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         one = observation_of(make_problem(signals, overrides), 1, say)
         return _observed(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
-    given, found = _observe(given, [overrides] * len(given.sources), len(given.sources))
+    found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
     found = _alike(given, found, overrides)
     by_digest = sorted(
@@ -281,19 +281,9 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
     return observed
 
 
-def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:
-    """Observations of recordings; those whose files the workers do not find are sent to them."""
-    sources, found = list(given.sources), []
-    for k, one in enumerate(
-        given.work.run(observe, list(zip(sources, overrides, [share] * len(sources), strict=True)))
-    ):
-        if one is None:
-            source = sources[k]
-            assert isinstance(source, RecordingFile)
-            sources[k] = source.with_content()
-            (one,) = given.work.run(observe, [(sources[k], overrides[k], share)])
-        found.append(one)
-    return replace(given, sources=tuple(sources)), found
+def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> list[Observation]:
+    tasks = zip(given.sources, overrides, [share] * len(given.sources), strict=True)
+    return list(given.work.run(observe, list(tasks)))
 
 
 def _alike(given: Recordings, found: list[Observation], overrides: Overrides) -> list[Observation]:
@@ -311,6 +301,6 @@ def _alike(given: Recordings, found: list[Observation], overrides: Overrides) ->
             again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
     if again:
         some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
-        for (k, _), one in zip(again, _observe(some, [o for _, o in again], share)[1], strict=True):
+        for (k, _), one in zip(again, _observe(some, [o for _, o in again], share), strict=True):
             found[k] = one
     return found

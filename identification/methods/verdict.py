@@ -6,10 +6,11 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one
+from ..report import Status
 from ..simulation import DirectModelError, PassInstruments, Replica, told, worst
 from ..trust import Evidence, Lag
 from .assess import Verdict, assess_estimate, intervals_along, sums_along
-from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names
+from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .iteration import IterationResult
 from .timing import Along, Timed, counted
 

@@ -66,13 +66,13 @@ class Obstacles:
         """(P,) names of the pairs."""
         return tuple(f"{a.name} and {b.name}" for a, b in self.pairs)
 
-    def nearest(self, q: Array, far: float) -> tuple[Array, Array, tuple[str, ...]]:
-        """Of the pair nearest to each other at each of the positions q (N, n): distance, its derivatives by q, name.
+    def nearest(self, q: Array, far: float) -> tuple[Array, tuple[str, ...]]:
+        """Of the pair nearest to each other at each of the positions q (N, n): distance (N,) in m, and name.
 
-        Distances (N,) are in m, negative inside, `far` at most; derivatives (N, n) are zero from `far` on.
+        Distances are negative inside, `far` at most.
         """
         model, data, q = self.model, self.model.createData(), np.ascontiguousarray(q)
-        d, slopes, every = np.full(len(q), far), np.zeros(q.shape), self.names
+        d, every = np.full(len(q), far), self.names
         least = self._at_least(q)
         nearest_first = np.argsort(least, axis=1)
         names = []
@@ -82,17 +82,14 @@ class Obstacles:
                 if least[k, p] >= (far if found is None else found.min_distance):
                     break
                 if found is None:
-                    pin.computeJointJacobians(model, data, qk)
+                    pin.forwardKinematics(model, data, qk)
                 here = _distance(data, *self.pairs[p])
                 if found is None or here.min_distance < found.min_distance:
                     best, found = int(p), here
             names.append(every[best])
-            if found is not None and found.min_distance < far:
-                a, b = self.pairs[best]
-                d[k] = found.min_distance
-                slopes[k] = _along(model, data, b, found.getNearestPoint2(), found.normal)
-                slopes[k] -= _along(model, data, a, found.getNearestPoint1(), found.normal)
-        return d, slopes, tuple(names)
+            if found is not None:
+                d[k] = min(found.min_distance, far)
+        return d, tuple(names)
 
     def _at_least(self, q: Array) -> Array:
         """Distances (N, P) that the pairs have at least at the positions q (N, n), by the capsules about the shapes."""
@@ -180,14 +177,6 @@ def _distance(data: Any, a: Shape, b: Shape) -> Any:
         found,
     )
     return found
-
-
-def _along(model: Any, data: Any, shape: Shape, point: Array, normal: Array) -> Array:
-    """Speed (n,) of a point of a shape along a normal in the base frame, per joint speed."""
-    J = np.asarray(pin.getJointJacobian(model, data, shape.link, pin.ReferenceFrame.WORLD)).reshape(6, -1)
-    (x, y, z), (u, v, w) = point, normal
-    lever = np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-    return np.asarray(normal @ J[:3] + lever @ J[3:])
 
 
 def _capsule(link: int, name: str, capsule: Capsule) -> Shape:

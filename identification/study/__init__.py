@@ -1,9 +1,9 @@
 """Robots whose parameters are known, Monte-Carlo studies, the demo; many recordings, fitted one by one."""
 
-from .demo import Rehearsal, description, rehearse
+from .demo import description, rehearse
 from .draws import Study
 from .noise import Noise
-from .results import Chart, Drift, control_limits, drifts, fleet_document, write_table
+from .results import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
 from .rows import FleetSettings, Row, Value
 from .run import found_recordings, method_of, run_fleet
 from .study import Judged, Run, run_study, study_truth

@@ -5,7 +5,6 @@ this side hands something to the other: the plant that the drives move.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -21,18 +20,13 @@ from ..model import InverseModel, base_parameters, direct_model, inertias, truth
 from ..simulation import RigidBodyPlant, drive_loops
 from .synthetic import periodic_reference
 
-
-@dataclass(frozen=True, kw_only=True)
-class Rehearsal:
-    """A session on simulated drives: how long, which reference, how much torque noise in % of each joint's rms."""
-
-    duration_s: float = 12.0
-    seed: int = 1
-    noise_percent: float = 3.0
+DURATION_S, SEED = 12.0, 1  # of the session; of its reference and noise
 
 
-def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Callable[[str], None]) -> None:
+def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *, noise_percent: float = 3.0) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
+
+    `noise_percent` is the noise of the torque, of each joint's rms.
 
     Raises `IdentificationError` or `AcquisitionError`: where the description lacks `[bus]` or values, or the session
     fails.
@@ -43,16 +37,16 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     base = base_parameters(idm)
     model = direct_model(idm, base.standard_parameters(truth(idm, base)))
     period_s = robot.bus.sync_period_s
-    t_s: Array = np.arange(round(rehearsal.duration_s / period_s) + 1, dtype=np.float64) * period_s
-    q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=rehearsal.duration_s, seed=rehearsal.seed).at(t_s)
+    t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
+    q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)
     tau = model.torque(q_ref, dq_ref, ddq_ref)
     plant = RigidBodyPlant(
         model,
         q_ref[0],
         speed_scale=np.abs(dq_ref).max(axis=0),
         step_s=period_s / SUBSTEPS,
-        disturbance=0.01 * rehearsal.noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
-        seed=rehearsal.seed,
+        disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
+        seed=SEED,
     )
     mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
@@ -60,7 +54,7 @@ def rehearse(robot: Robot, place: str, out: Path, rehearsal: Rehearsal, say: Cal
     log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))
     simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
-        say(f"simulated drives: {rehearsal.duration_s:g} s on the bus")
+        say(f"simulated drives: {DURATION_S:g} s on the bus")
         outcome = run_active(robot, Master(simulated.link, bus), log, Task(reference=q_ref, place="reference"), Stop())
         log.finish(simulated.link.now_ns())
     finally:

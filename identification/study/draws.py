@@ -8,13 +8,10 @@ import numpy as np
 
 from acquisition.robot import Robot
 
-from ..arrays import Array
-from ..simulation import SURROGATE_DAMPING
 from .noise import Noise
 from .synthetic import PERIOD_S
 
-Controllers = Literal["described", "designed", "none"]
-CONTROLLERS: tuple[Controllers, ...] = ("described", "designed", "none")
+Controllers = Literal["described", "none"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,10 +20,9 @@ class Study:
 
     `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
     knows of the robot (`instruments.regular_start`); `gain_errors` factors on the controller's gains (on the bandwidth of a
-    surrogate) as the fit knows them. `controllers`: the robot has the described control law, or one `designed` for the
-    bandwidth; of the law `none` the fit is told nothing. `vary` says whether each run has the imperfections of `noise`, or
-    draws `everything`: imperfections of all kinds in some runs, none that a description leaves out in others, and any of the
-    controllers.
+    surrogate) as the fit knows them; `controllers` whether the fit is given the described control law, or none. `vary` says
+    whether each run has the imperfections of `noise`, or draws `everything`: imperfections of all kinds in some runs, none
+    that a description leaves out in others, and any of the controllers.
     """
 
     runs: int = 100
@@ -66,9 +62,11 @@ def draw(study: Study, number: int, bandwidth_hz: float) -> Draw:
     cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
     gain_error, seed = float(rng.choice(study.gain_errors)), int(rng.integers(2**31))
     if study.vary == "everything":
-        noise, controller = _any_noise(study.noise, rng, bandwidth_hz), CONTROLLERS[rng.integers(len(CONTROLLERS))]
+        noise = _any_noise(study.noise, rng, bandwidth_hz)
+        controllers: tuple[Controllers, ...] = ("described", "described", "none")
     else:
-        noise, controller = study.noise, study.controllers[rng.integers(len(study.controllers))]
+        noise, controllers = study.noise, study.controllers
+    controller = controllers[rng.integers(len(controllers))]
     return Draw(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
 
 
@@ -96,23 +94,6 @@ def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> N
         asymmetry_percent=some(5.0, 30.0),
         integral_hz=some(0.05, 0.3) * bandwidth_hz,
     )
-
-
-def simulated_robot(robot: Robot, controller: Controllers, J: Array, rate_hz: float) -> Robot:
-    """The robot that is simulated; a `designed` law is a PD with velocity feed-forward for the inertias J (n,) of joints."""
-    if controller != "designed":
-        return robot
-    w, per_effort = 2 * np.pi * robot.bandwidth_hz, np.diag(robot.R) ** 2 * np.abs(robot.gain)
-    law = msgspec.structs.replace(
-        robot.controller,
-        structure="pd_velocity_feedforward",
-        sample_rate_hz=rate_hz,
-        position_gain=tuple((J * w**2 / per_effort).tolist()),
-        velocity_gain=tuple((2 * SURROGATE_DAMPING * J * w / per_effort).tolist()),
-        integral_gain=None,
-        velocity_estimate="backward_difference",
-    )
-    return replace(robot, controller=law)
 
 
 def told_robot(robot: Robot, drawn: Draw) -> Robot:

@@ -47,7 +47,7 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Chart:
+class ControlChart:
     """One number of each fit over time.
 
     Attributes:
@@ -88,7 +88,7 @@ class Drift:
 
     name: str
     rows: tuple[Row, ...]
-    charts: tuple[Chart, ...]
+    charts: tuple[ControlChart, ...]
 
 
 def control_limits(x: Array) -> tuple[float, float, float] | None:
@@ -124,12 +124,12 @@ def drifts(rows: Sequence[Row]) -> list[Drift]:
     return found
 
 
-def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Row]) -> Chart:
+def _chart(name: str, values: Mapping[int, Value], t_s: Array, rows: Sequence[Row]) -> ControlChart:
     """The chart of a number that the rows of these places have."""
     x, low, high = (
         np.array([getattr(v, key) for v in values.values()], dtype=np.float64) for key in ("value", "low", "high")
     )
-    return Chart(
+    return ControlChart(
         name=name,
         unit=next((value.unit for value in values.values()), ""),
         files=tuple(rows[k].file for k in values),

@@ -135,7 +135,7 @@ def _fits(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, boo
             results, done = work.run(fit_row, tasks), 0
             try:
                 for result in results:
-                    yield result or _sent(work, *tasks[done]), True
+                    yield _lasting(result, tasks[done])
                     done += 1
             except IdentificationError as error:  # tasks do not raise: workers are lost
                 if isinstance(error, WorkersNotStartedError):
@@ -146,18 +146,19 @@ def _fits(tasks: Sequence[Task], open_work: OpenWork) -> Iterator[tuple[Row, boo
         tasks = tasks[done:]
 
 
-def _sent(work: Work, sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Row) -> Row:
-    """The row of a recording that the worker did not find: its content is sent."""
-    (result,) = work.run(fit_row, [(tuple(source.with_content() for source in sources), settings, row)])
-    assert isinstance(result, Row)
-    return result
+def _lasting(result: Row | None, task: Task) -> tuple[Row, bool]:
+    """The row of a task, and whether it is kept: not that of a recording which the worker does not find."""
+    if result is None:
+        reason = f"{task[2].file}: a worker does not find it: expected a folder that all workers read at the same path"
+        return msgspec.structs.replace(task[2], status="failed", reason=reason), False
+    return result, True
 
 
 def _alone(task: Task, open_work: OpenWork) -> tuple[Row, bool]:
     with open_work(2) as work:
         try:
             (result,) = work.run(fit_row, [task])
-            return result or _sent(work, *task), True
+            return _lasting(result, task)
         except IdentificationError as error:
             if isinstance(error, WorkersNotStartedError):
                 raise

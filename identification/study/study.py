@@ -19,7 +19,7 @@ from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from .draws import Draw, Study, draw, simulated_robot, told_robot
+from .draws import Draw, Study, draw, told_robot
 from .synthetic import closed_loop, random_reference
 
 
@@ -140,9 +140,8 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         )
 
     try:
-        simulated = simulated_robot(robot, drawn.controller, J, fs)
-        signals = closed_loop(simulated, q_ref, fs, noise=drawn.noise, seed=drawn.seed)
-        signals = replace(signals, robot=told_robot(simulated, drawn))
+        signals = closed_loop(robot, q_ref, fs, noise=drawn.noise, seed=drawn.seed)
+        signals = replace(signals, robot=told_robot(robot, drawn))
         ls = tuned = identify_ls(signals, overrides)
         if drawn.cutoff != CUTOFF_PER_BANDWIDTH:
             tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))

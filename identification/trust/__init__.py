@@ -3,6 +3,6 @@
 from .evidence import Evidence, Lag, Part, covariance_of_all
 from .held_out import HeldOut, held_out_recordings
 from .lag import Groups, combined_lag, lag_columns, lag_moves, lags_in
-from .lines import LEVELS, Assumed, Figure, Level, Trust, TrustLine, Verdict
+from .lines import LEVELS, Figure, Trust, TrustLine
 from .replay import replay_line
 from .solution import trust_in

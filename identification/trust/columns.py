@@ -80,21 +80,16 @@ def added_columns_test(evidence: Evidence) -> TrustLine:
     evidence = evidence.with_rows
     lacks = lacks_of(evidence)
     if not lacks:
-        return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")
+        return TrustLine(name, "not made", "not made: the model contains all that is tried")
     found = [lack for lack in lacks if lack.found]
     first = max(found or lacks, key=_rank)
     told = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
     told += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
     if not found:
-        return TrustLine(
-            test=name,
-            level="ok",
-            value=first.t,
-            text=f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}",
-        )
+        return TrustLine(name, "ok", f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}", first.t)
     more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
     finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
-    return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}", finding=finding)
+    return TrustLine(name, "caution", f"{told}{more}: {first.advice}", first.t, finding=finding)
 
 
 def _untried(evidence: Evidence) -> str:

@@ -11,7 +11,8 @@ from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..regression import Decimation, KnownLag, Motion, Problem, Regression, RowStates
-from .lines import Assumed, TrustLine
+from ..report import Assumed
+from .lines import TrustLine
 
 LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
 SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off

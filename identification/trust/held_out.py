@@ -72,7 +72,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
         text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
         text += _cure(evidence)
         return _doubtful(error, training, text, figures)
-    return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
+    return TrustLine(name, "ok", told, error, figures=tuple(figures), unit="%")
 
 
 def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
@@ -160,7 +160,7 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
         )
         figures.append(Figure(name=name, value=one.error_percent, expected=one.trained_percent))
     if not figures:
-        return TrustLine(test=test, level="cannot tell", value=None, text="; ".join(without))
+        return TrustLine(test, "cannot tell", "; ".join(without))
     torque = sum(one.torque**2 for one in found if one is not None and one.error_percent is not None)
     error, training = float(np.sqrt(held / torque)), float(np.sqrt(trained / torque))
     text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
@@ -168,15 +168,15 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
         text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
         text += _cure(evidence)
         return _doubtful(error, training, text, figures)
-    return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
+    return TrustLine(test, "ok", text, error, figures=tuple(figures), unit="%")
 
 
 def _doubtful(error: float, training: float, text: str, figures: list[Figure]) -> TrustLine:
     return TrustLine(
-        test="held-out blocks",
-        level="caution",
-        value=error,
-        text=text,
+        "held-out blocks",
+        "caution",
+        text,
+        error,
         finding="does not carry over",
         figures=tuple(figures),
         unit="%",

@@ -18,8 +18,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
+from ..report import Level
 from .evidence import Evidence, Lag, Part
-from .lines import Figure, Level, TrustLine
+from .lines import Figure, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
@@ -165,4 +166,4 @@ def _line(evidence: Evidence, lag: Lag) -> TrustLine:
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
             if delay < -NEGATIVE - off:
                 level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
-    return TrustLine(test="lag", level=level, value=late, text=text, figures=figures, unit="samples")
+    return TrustLine("lag", level, text, late, figures=figures, unit="samples")

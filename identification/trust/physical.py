@@ -29,8 +29,9 @@ from ..estimation import (
 )
 from ..model import InverseModel, friction_power, nearest_consistent, requirements
 from ..regression import Problem, base_name, friction_states, recorded_power
+from ..report import Level
 from .evidence import Evidence, covariance_of_all
-from .lines import LEVELS, Level, TrustLine
+from .lines import LEVELS, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width
@@ -63,11 +64,9 @@ def physical_test(evidence: Evidence) -> TrustLine:
         ]
     if not found:
         text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
-        return TrustLine(test="physical", level="ok", value=lowest, text=text)
+        return TrustLine("physical", "ok", text, lowest)
     found.sort(key=lambda finding: LEVELS.index(finding.level))
-    return TrustLine(
-        test="physical", level=found[0].level, value=lowest, text="; ".join(finding.text for finding in found)
-    )
+    return TrustLine("physical", found[0].level, "; ".join(finding.text for finding in found), lowest)
 
 
 def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
@@ -226,7 +225,7 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
-        return TrustLine(test="consistent", level="not made", value=None, text=text)
+        return TrustLine("consistent", "not made", text)
     all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
@@ -236,11 +235,11 @@ def consistent_test(evidence: Evidence) -> TrustLine:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
-        return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
+        return TrustLine("consistent", "cannot tell", str(error))
     moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
         text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
-        return TrustLine(test="consistent", level="caution", value=nearest.chi_squared, text=text)
-    return TrustLine(test="consistent", level="ok", value=nearest.chi_squared, text=text)
+        return TrustLine("consistent", "caution", text, nearest.chi_squared)
+    return TrustLine("consistent", "ok", text, nearest.chi_squared)

@@ -42,14 +42,14 @@ def fixed_point_test(evidence: Evidence) -> TrustLine:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
     if not evidence.fixed_point:
         text = f"{evidence.unconfirmed or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
-        return TrustLine(test="fixed point", level="do not use", value=None, text=text)
+        return TrustLine("fixed point", "do not use", text)
     if evidence.unconfirmed is not None:
         text = f"{evidence.unconfirmed}: check [controller]; compare with least squares"
-        return TrustLine(test="fixed point", level="caution", value=None, text=text)
+        return TrustLine("fixed point", "caution", text)
     text = (
         "settled, and the simulated robot confirms it" if evidence.method == "iv" else "least squares has one solution"
     )
-    return TrustLine(test="fixed point", level="ok", value=None, text=text)
+    return TrustLine("fixed point", "ok", text)
 
 
 def instruments_test(evidence: Evidence) -> TrustLine:
@@ -59,37 +59,35 @@ def instruments_test(evidence: Evidence) -> TrustLine:
         return not_made("instruments", "not made: there are none")
     if F < WEAK_F:
         text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
-        return TrustLine(test="instruments", level="caution", value=F, text=text)
+        return TrustLine("instruments", "caution", text, F)
     if F > SAME_F:
         text = "the instruments are W itself: this is least squares, and noise of the position biases it alike"
-        return TrustLine(test="instruments", level="cannot tell", value=F, text=text)
-    return TrustLine(test="instruments", level="ok", value=F, text=f"strong: first-stage F = {F:.3g}")
+        return TrustLine("instruments", "cannot tell", text, F)
+    return TrustLine("instruments", "ok", f"strong: first-stage F = {F:.3g}", F)
 
 
 def units_test(evidence: Evidence) -> TrustLine:
     """Whether joints share parameters although their drive gains are not known: then the torques are in different units."""
     name, robot = "units", evidence.problem.signals.robot
     if robot.gain_known or robot.n == 1:
-        return TrustLine(test=name, level="ok", value=None, text="torques of all joints are in known units")
+        return TrustLine(name, "ok", "torques of all joints are in known units")
     rows = evidence.observed.system
     by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
     acts = by_joint > SHARED * np.linalg.norm(by_joint, axis=0)
     shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
     if not shared:
-        return TrustLine(
-            test=name, level="ok", value=None, text="drive gains are not known, but no joints share a parameter"
-        )
+        return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
     text = f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: state drive_gain"
-    return TrustLine(test=name, level="do not use", value=None, text=text, finding="drive gains not known")
+    return TrustLine(name, "do not use", text, finding="drive gains not known")
 
 
 def essential_test(evidence: Evidence) -> TrustLine:
     """Whether some inertia is known to better than its own size."""
     name, of = "essential", len(evidence.estimate.names)
     if any(_is_inertia(evidence, base_name(one)) for one in evidence.essential):
-        return TrustLine(test=name, level="ok", value=None, text=f"{len(evidence.essential)} of {of}")
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {of}")
     text = "no inertia has an interval narrower than itself: record faster, longer motion"
-    return TrustLine(test=name, level="caution", value=None, text=text, finding="no inertia is determined")
+    return TrustLine(name, "caution", text, finding="no inertia is determined")
 
 
 def _is_inertia(evidence: Evidence, name: str) -> bool:
@@ -117,8 +115,8 @@ def ends_test(evidence: Evidence) -> TrustLine:
         text = (
             f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         )
-        return TrustLine(test="ends", level="caution", value=value, text=text)
-    return TrustLine(test="ends", level="ok", value=value, text=told)
+        return TrustLine("ends", "caution", text, value)
+    return TrustLine("ends", "ok", told, value)
 
 
 def halves_test(evidence: Evidence) -> TrustLine:
@@ -150,8 +148,8 @@ def halves_test(evidence: Evidence) -> TrustLine:
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
         text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
-        return TrustLine(test="halves", level="caution", value=wald, text=text)
-    return TrustLine(test="halves", level="ok", value=wald, text=told)
+        return TrustLine("halves", "caution", text, wald)
+    return TrustLine("halves", "ok", told, wald)
 
 
 def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
@@ -189,8 +187,8 @@ def prewhitened_test(evidence: Evidence) -> TrustLine:
     value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
     if value > PREWHITENED:
         text = f"{told}: the model lacks something: see added columns"
-        return TrustLine(test=name, level="caution", value=value, text=text)
-    return TrustLine(test=name, level="ok", value=value, text=told)
+        return TrustLine(name, "caution", text, value)
+    return TrustLine(name, "ok", told, value)
 
 
 def _whitened(evidence: Evidence) -> Estimate | str:
@@ -239,9 +237,7 @@ def _standing(e: Evidence) -> list[TrustLine]:
     if not (names := standing_joints(speed, joints)):
         return []
     text = f"joint {', '.join(names)} does not move: its friction values do not hold for motion: move it, or do not use them"
-    return [
-        TrustLine(test="motion", level="caution", value=None, text=text, finding=f"{', '.join(names)} does not move")
-    ]
+    return [TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")]
 
 
 def _rows(e: Evidence) -> list[TrustLine]:
@@ -255,9 +251,9 @@ def _rows(e: Evidence) -> list[TrustLine]:
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
         text = f"{_place(e, e.parts[k])}{finding}, by steps of the position that are twice their neighbours', or none"
         text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
-        return [TrustLine(test=name, level="caution", value=float(surplus[k].sum()), text=text, finding=finding)]
+        return [TrustLine(name, "caution", text, float(surplus[k].sum()), finding=finding)]
     notes = [note for part, x in zip(e.parts, shares, strict=True) if (note := _slow_encoder(e, part, float(x[2])))]
-    return [TrustLine(test=name, level="ok", value=None, text=notes[0])] if notes else []
+    return [TrustLine(name, "ok", notes[0])] if notes else []
 
 
 def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:

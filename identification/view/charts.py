@@ -6,10 +6,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..methods import Fit, ParameterSet, Pass, differences
+from ..methods import Fit, Pass
+from ..report import Level, ParameterSet, differences
 from ..study import Run, summaries
-from ..trust import Level, Trust
-from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing, Scale, Sheet, log10
+from ..trust import Trust
+from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Chart, Color, Scale, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
 FAR = 6.0  # deviations at which a difference runs off its chart
@@ -25,73 +26,71 @@ LEVEL_COLORS: dict[Level, Color] = {
 TRUSTED = 3.0  # deviations that a difference should stay within
 
 
-def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
+def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
     """Every parameter's value with its 95 % interval, others beside it, in one or two columns."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
-    width, height, sheet = 540.0 / columns, 30 + pitch * rows, Sheet()
+    width, height = 540.0 / columns, 30 + pitch * rows
+    title = f"{own.label} ± 95 %: orange essential{_marks(others)}"
+    chart = Chart(path=("parameters",), title=title, size=(540.0, height + 30))
     scale_of, ticks, axis = _value_scale([own, *others], names, 3 if columns == 1 else 2)
-    sheet.labels.append((270.0, height + 4, axis, GREY))
+    chart.label(270.0, height + 4, axis)
     for c in range(columns):
         place = scale_of(width * c + 55, width * (c + 1) - 20)
-        _value_axis(sheet, place, ticks, 22, height)
-    for i, name in enumerate(names):
-        c, row = divmod(i, rows)
-        place = scale_of(width * c + 55, width * (c + 1) - 20)
-        y = 34 + pitch * row
-        sheet.labels.append((width * c + 27, y - 9, name, _color(own, name)))
-        _value(sheet, place, own, others, name, y, pitch)
-    title = f"{own.label} ± 95 %: orange essential{_marks(others)}"
-    return sheet.drawing(("parameters",), title, (540.0, height + 30))
+        _value_axis(chart, place, ticks, 22, height)
+        for row, name in enumerate(names[c * rows : (c + 1) * rows]):
+            y = 34 + pitch * row
+            chart.label(width * c + 27, y - 9, name, _color(own, name))
+            _value(chart, place, own, others, name, y, pitch)
+    return chart
 
 
-def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Drawing:
+def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
     """Every parameter's value, half its 95 % interval in percent and, in deviations, the difference to the other sets."""
     names = list(own.parameters)
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
     width, pitch = SHEET[0] / columns, min(60.0, max(24.0, (SHEET[1] - 106) / rows))
-    height, sheet = 96 + pitch * rows, Sheet()
+    height = 96 + pitch * rows
+    title = f"{own.label}: orange essential, grey not{_marks(others)}"
+    title += ", vermillion beyond 3 σ" if others else ""
+    chart = Chart(path=("deviations",), title=title, size=(SHEET[0], height + 10))
     scale_of, ticks, axis = _value_scale([own, *others], names, 2)
     apart = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
     parts = (0.46, 0.72) if others else (0.55, 1.0)  # where in a column the charts end
     for c in range(columns):
         left = width * c
         value = scale_of(left + 90, left + parts[0] * width - 20)
-        percent = Scale(
-            left=left + parts[0] * width + 15, right=left + parts[1] * width - 15, low=0.01, high=100.0, by=log10
-        )
-        sheet.labels.append((0.5 * (value.left + value.right), 2, "value ± 95 %, SI units", LIGHT))
-        sheet.labels.append((0.5 * (value.left + value.right), 26, axis, GREY))
-        _value_axis(sheet, value, ticks, 78, height)
-        sheet.labels.append((0.5 * (percent.left + percent.right), 2, "± 95 % in % of the value", LIGHT))
-        for tick in (0.01, 0.1, 1.0, 10.0, 100.0):
-            sheet.line(percent(tick), 78, percent(tick), height)
-            sheet.labels.append((percent(tick), 54, f"{tick:g}", GREY))
+        chart.label(value.middle, 2, "value ± 95 %, SI units", LIGHT)
+        chart.label(value.middle, 26, axis)
+        _value_axis(chart, value, ticks, 78, height)
+        edges = {"left": left + parts[0] * width + 15, "right": left + parts[1] * width - 15}
+        percent = Scale(**edges, low=0.01, high=100.0, by=log10)
+        chart.label(percent.middle, 2, "± 95 % in % of the value", LIGHT)
+        chart.ticks_across(percent, {x: f"{x:g}" for x in (0.01, 0.1, 1.0, 10.0, 100.0)}, (78, height), 54)
         far = Scale(left=left + parts[1] * width + 20, right=left + width - 30, low=-FAR, high=FAR)
         if others:
             labels = " and ".join(values.label for values in others)
-            sheet.labels.append((0.5 * (far.left + far.right), 2, f"{own.label} minus {labels}, in σ", LIGHT))
-            for tick in (-FAR, -TRUSTED, 0.0, TRUSTED, FAR):
-                sheet.line(far(tick), 78, far(tick), height, GREY, 0.75 if abs(tick) == TRUSTED else 0.25)
-                sheet.labels.append((far(tick), 54, f"{tick:+g}" if tick else "0", GREY))
+            chart.label(far.middle, 2, f"{own.label} minus {labels}, in σ", LIGHT)
+            marks = {x: f"{x:+g}" if x else "0" for x in (-FAR, -TRUSTED, 0.0, TRUSTED, FAR)}
+            chart.ticks_across(far, marks, (78, height), 54)
+            for limit in (-TRUSTED, TRUSTED):
+                chart.line(far(limit), 78, far(limit), height, GREY, 0.75)
         for row, name in enumerate(names[c * rows : (c + 1) * rows]):
             y, p = 92 + pitch * row, own.parameters[name]
-            sheet.labels.append((left + 45, y - 9, name, _color(own, name)))
-            _value(sheet, value, own, others, name, y, pitch)
+            chart.label(left + 45, y - 9, name, _color(own, name))
+            _value(chart, value, own, others, name, y, pitch)
             size = abs(p.value)
             share = 100 * p.half / size if size > 0 else 100.0
-            sheet.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
+            chart.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
             for k, off in enumerate(apart):
                 if (x := off.get(name)) is not None:
                     level = y + (k - 0.5 * (len(apart) - 1)) * 0.3 * pitch
-                    sheet.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
-                    ends = sheet.dots if _is_exact(others[k], name) else sheet.crosses
+                    chart.line(far(0.0), level, far(x), level, COMPARED[k], 1.0)
+                    ends = chart.dots if _is_exact(others[k], name) else chart.crosses
                     ends.append((far(x), level, COMPARED[k] if abs(x) <= TRUSTED else VERMILLION))
-    title = f"{own.label}: orange essential, grey not{_marks(others)}"
-    title += ", vermillion beyond 3 σ" if others else ""
-    return sheet.drawing(("deviations",), title, (SHEET[0], height + 10))
+    return chart
 
 
 def _value_scale(
@@ -113,29 +112,28 @@ def _value_scale(
     return scale, ticks, f"asinh scale: linear within ±{linear:g}, logarithmic beyond"
 
 
-def _value_axis(sheet: Sheet, place: Scale, ticks: Sequence[float], top: float, bottom: float) -> None:
-    for tick in ticks:
-        sheet.line(place(tick), top, place(tick), bottom, GREY, 0.25 if tick else 0.75)
-        sheet.labels.append((place(tick), top - 20, f"{tick:g}", GREY))
+def _value_axis(chart: Chart, place: Scale, ticks: Sequence[float], top: float, bottom: float) -> None:
+    chart.ticks_across(place, {tick: f"{tick:g}" for tick in ticks}, (top, bottom), top - 20)
+    chart.line(place(0.0), top, place(0.0), bottom, GREY, 0.75)
 
 
 def _value(
-    sheet: Sheet, place: Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
+    chart: Chart, place: Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
 ) -> None:
     """A parameter's dot with its interval, and below it the others' crosses with theirs; an upright line if exact."""
     p, color = own.parameters[name], _color(own, name)
-    sheet.dots.append((place(p.value), y, color))
-    sheet.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
+    chart.dots.append((place(p.value), y, color))
+    chart.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
     for k, values in enumerate(others):
         if (other := values.parameters.get(name)) is None:
             continue
         x, level = place(other.value), y + 0.3 * pitch
         if _is_exact(values, name):
-            sheet.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
+            chart.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
         else:
-            sheet.crosses.append((x, level, COMPARED[k]))
+            chart.crosses.append((x, level, COMPARED[k]))
             ends = place(other.value - other.half), place(other.value + other.half)
-            sheet.line(ends[0], level, ends[1], level, COMPARED[k], 0.75)
+            chart.line(ends[0], level, ends[1], level, COMPARED[k], 0.75)
 
 
 def _is_exact(values: ParameterSet, name: str) -> bool:
@@ -153,11 +151,10 @@ def _color(own: ParameterSet, name: str) -> Color:
     return ORANGE if own.parameters[name].essential else GREY
 
 
-def passes_drawing(fit: Fit) -> Drawing:
+def passes_drawing(fit: Fit) -> Chart:
     """Did the iteration settle: residual, largest change, condition and tracking, pass by pass."""
     assert fit.iv is not None
-    passes, sheet = fit.iv.passes, Sheet()
-    width, each, left, right = 470.0, 0.24 * SHEET[1], 40.0, 450.0
+    passes, width, each, left, right = fit.iv.passes, 470.0, 0.24 * SHEET[1], 40.0, 450.0
     last = len(passes)
     across = Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
     strips: list[tuple[str, Callable[[Pass], float | None], bool, Color]] = [
@@ -166,10 +163,13 @@ def passes_drawing(fit: Fit) -> Drawing:
         ("condition of Z'W, columns of norm one", lambda p: p.condition, False, LIGHT),
         ("simulated position off the measured, %", lambda p: p.tracking_percent, False, SKY),
     ]
+    settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
+    title, size = f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30)
+    chart = Chart(path=("passes",), title=title, size=size)
     for s, (title, number, logarithmic, color) in enumerate(strips):
         top, bottom = 40 + each * s, each * (s + 1) - 25
-        sheet.labels.append((0.5 * (left + right), top - 36, title, color))
-        sheet.line(left, bottom, right, bottom, GREY, 0.5)
+        chart.label(0.5 * (left + right), top - 36, title, color)
+        chart.line(left, bottom, right, bottom, GREY, 0.5)
         points = [(k, x) for k, p in enumerate(passes, 1) if (x := number(p)) is not None and math.isfinite(x)]
         if not points:
             continue
@@ -177,31 +177,32 @@ def passes_drawing(fit: Fit) -> Drawing:
         if logarithmic:
             low, high = max(min(low, 0.5), 1e-3), max(high, 1.0)
             up = Scale(left=bottom - 10, right=top + 22, low=low, high=high, by=log10)
-            sheet.line(left, up(0.5), right, up(0.5), GREY, 0.75)
-            sheet.labels.append((left - 18, up(0.5) - 10, "σ/2", GREY))
+            chart.line(left, up(0.5), right, up(0.5), GREY, 0.75)
+            chart.label(left - 18, up(0.5) - 10, "σ/2")
         else:
             margin = max(0.5 * (high - low), 0.02 * abs(high), 1e-12)
             up = Scale(left=bottom - 10, right=top + 22, low=low - margin, high=high + margin)
         line = [(across(k), up(x)) for k, x in points]
         if len(line) > 1:
-            sheet.strokes.append((line, color, 0.75))
+            chart.strokes.append((line, color, 0.75))
         for (x, y), (_, value) in zip(line, points, strict=True):
-            sheet.dots.append((x, y, color))
-            sheet.labels.append((x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color))
+            chart.dots.append((x, y, color))
+            chart.label(x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color)
     for k, p in enumerate(passes, 1):
         label = f"{k}" if p.instruments == "simulated" else f"{k}: {p.instruments}"
-        sheet.labels.append((across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY))
-    settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
-    return sheet.drawing(("passes",), f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30))
+        chart.label(across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY)
+    return chart
 
 
-def trust_drawing(trust: Trust) -> Drawing | None:
+def trust_drawing(trust: Trust) -> Chart | None:
     """The figures of the tests that have any, by joint or block, with 95 % intervals and what was expected; None without."""
-    lines, sheet = [line for line in trust.lines if line.figures], Sheet()
+    lines = [line for line in trust.lines if line.figures]
     if not lines:
         return None
     (width, height), left = (900.0, SHEET[1]), 90.0
     each = min(220.0, (height - 20) / len(lines))
+    title = "tests of the fit: value and 95 % interval; green bar: expected"
+    chart = Chart(path=("tests",), title=title, size=(width, 20 + each * len(lines)))
     for number, line in enumerate(lines):
         top, bottom, color = 20 + each * number + 50, 20 + each * (number + 1) - 40, LEVEL_COLORS[line.level]
         ends = [f.value + side * f.half_width for f in line.figures for side in (-1, 1)]
@@ -209,56 +210,48 @@ def trust_drawing(trust: Trust) -> Drawing | None:
         margin = max(0.1 * (max(ends) - min(ends)), 1e-9)
         up = Scale(left=bottom, right=top, low=min(ends) - margin, high=max(ends) + margin)
         across = Scale(left=left, right=width - 20, low=0, high=len(line.figures))
-        sheet.labels.append(
-            (0.5 * width, top - 44, f"{line.test}{f', {line.unit}' if line.unit else ''}: {line.level}", color)
-        )
-        for level in sorted({f"{x:.3g}" for x in (min(ends), max(ends))}):
-            sheet.labels.append((40, up(float(level)) - 10, level, GREY))
-            sheet.line(left - 20, up(float(level)), width - 20, up(float(level)))
+        chart.label(0.5 * width, top - 44, f"{line.test}{f', {line.unit}' if line.unit else ''}: {line.level}", color)
+        levels = sorted({f"{x:.3g}" for x in (min(ends), max(ends))})
+        chart.ticks_up(up, {float(level): level for level in levels}, (left - 20, width - 20), 40)
         for k, figure in enumerate(line.figures):
             x = across(k + 0.5)
-            sheet.line(across(k + 0.2), up(figure.expected), across(k + 0.8), up(figure.expected), GREEN, 0.75)
-            sheet.line(x, up(figure.value - figure.half_width), x, up(figure.value + figure.half_width), color, 1.5)
-            sheet.dots.append((x, up(figure.value), color))
-            sheet.labels.append((x, bottom + 6, figure.name, LIGHT))
-    title = "tests of the fit: value and 95 % interval; green bar: expected"
-    return sheet.drawing(("tests",), title, (width, 20 + each * len(lines)))
+            chart.line(across(k + 0.2), up(figure.expected), across(k + 0.8), up(figure.expected), GREEN, 0.75)
+            chart.line(x, up(figure.value - figure.half_width), x, up(figure.value + figure.half_width), color, 1.5)
+            chart.dots.append((x, up(figure.value), color))
+            chart.label(x, bottom + 6, figure.name, LIGHT)
+    return chart
 
 
-def study_drawing(runs: Sequence[Run], true: Array) -> Drawing:
+def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
     """Error of every run over its cut-off, least squares and instrumental variables of a run joined, and their medians."""
-    sheet, (width, height) = Sheet(), STUDY_SHEET
+    title = (
+        f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
+    )
+    chart, (width, height) = Chart(path=("study",), title=title, size=STUDY_SHEET), STUDY_SHEET
     cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
     errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
-    low, high = 10 ** math.floor(log10(min(errors, default=1.0))), 10 ** math.ceil(log10(max(errors, default=100.0)))
-    up = Scale(left=height - 80, right=60, low=low, high=high, by=log10)
+    low, high = math.floor(log10(min(errors, default=1.0))), math.ceil(log10(max(errors, default=100.0)))
+    up = Scale(left=height - 80, right=60, low=10.0**low, high=10.0**high, by=log10)
     across = Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
-    for power in range(round(log10(low)), round(log10(high)) + 1):
-        y = up(10.0**power)
-        sheet.line(70, y, width - 20, y)
-        sheet.labels.append((40, y - 10, f"{10.0**power:g} %", GREY))
+    chart.ticks_up(up, {10.0**d: f"{10.0**d:g} %" for d in range(low, high + 1)}, (70, width - 20), 40)
     for column, cutoff in enumerate(cutoffs):
         here = [run for run in runs if run.cutoff == cutoff]
-        label = f"{cutoff:g} x bandwidth" if cutoff else "no filter"
-        sheet.labels.append((across(column + 0.5), height - 70, label, LIGHT))
+        chart.label(across(column + 0.5), height - 70, f"{cutoff:g} x bandwidth" if cutoff else "no filter", LIGHT)
         for k, run in enumerate(here):
             aside = 0.2 * ((k + 0.5) / len(here) - 0.5)
             x_ls, x_iv = across(column + 0.3 + aside), across(column + 0.7 + aside)
             found = math.isfinite(run.error_ls), math.isfinite(run.error_iv)
             if all(found):
-                sheet.line(x_ls, up(100 * run.error_ls), x_iv, up(100 * run.error_iv))
+                chart.line(x_ls, up(100 * run.error_ls), x_iv, up(100 * run.error_iv))
             if found[0]:
-                sheet.crosses.append((x_ls, up(100 * run.error_ls), PURPLE))
+                chart.crosses.append((x_ls, up(100 * run.error_ls), PURPLE))
             if found[1]:
                 ended = ORANGE if run.status == "converged" else VERMILLION
-                sheet.dots.append((x_iv, up(100 * run.error_iv), ended))
+                chart.dots.append((x_iv, up(100 * run.error_iv), ended))
     for s in summaries(runs, true):
         if math.isfinite(s.median_error_percent):
             column, y = cutoffs.index(s.cutoff), up(s.median_error_percent)
             at, outside, color = (0.3, -0.23, PURPLE) if s.method == "wls" else (0.7, 0.23, ORANGE)
-            sheet.line(across(column + at - 0.14), y, across(column + at + 0.14), y, color, 2.0)
-            sheet.labels.append((across(column + at + outside), y - 10, f"{s.median_error_percent:.3g} %", color))
-    title = (
-        f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
-    )
-    return sheet.drawing(("study",), title, STUDY_SHEET)
+            chart.line(across(column + at - 0.14), y, across(column + at + 0.14), y, color, 2.0)
+            chart.label(across(column + at + outside), y - 10, f"{s.median_error_percent:.3g} %", color)
+    return chart

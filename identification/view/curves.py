@@ -11,7 +11,7 @@ from ..data import Signals
 from ..estimation import are_moving
 from ..methods import Fit
 from ..regression import FilteredMotion, Motion, Settings, predicted_torque
-from ..study import Chart, Drift
+from ..study import ControlChart, Drift
 from .panels import JOINTS, MEASURED, PREDICTED, REFERENCE, RESIDUAL, SIMULATED, Curve, Line, Plot
 
 BUCKETS = 5000  # of a long curve, each kept as its lowest and highest sample: more than a screen has columns
@@ -228,7 +228,7 @@ def drift_plots(drift: Drift) -> list[Plot]:
     return [_drift_plot(drift.name, chart, legend=k == 0) for k, chart in enumerate(charts)]
 
 
-def _drift_plot(name: str, chart: Chart, *, legend: bool) -> Plot:
+def _drift_plot(name: str, chart: ControlChart, *, legend: bool) -> Plot:
     curves = [Curve(key="value", color=SIMULATED, line=(chart.t_s, chart.x), width=2.0)]
     if not np.isnan(chart.low).any():
         interval = (("interval_low", "95 % interval", chart.low), ("interval_high", "95 % interval", chart.high))

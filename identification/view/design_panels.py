@@ -21,11 +21,10 @@ from .panels import (
     REFERENCE,
     SKY,
     VERMILLION,
+    Chart,
     Curve,
-    Drawing,
     Plot,
     Scale,
-    Sheet,
     log10,
     report_note,
 )
@@ -64,12 +63,14 @@ def _plot(quantity: str, joint: str, unit: str, line: tuple[Array, Array], limit
     return Plot(path=(quantity, joint), title=f"{quantity} {joint}, {unit}", curves=tuple(curves), legend=False)
 
 
-def intervals_drawing(excitation: Excitation) -> Drawing:
+def intervals_drawing(excitation: Excitation) -> Chart:
     """Half the expected 95 % interval of every parameter, and below it in grey that of the plain reference."""
-    e, sheet = excitation, Sheet()
-    names, columns = e.base.names, 1 if e.base.b <= 20 else 2
+    e, names = excitation, excitation.base.names
+    columns = 1 if e.base.b <= 20 else 2
     rows, pitch, width = -(-len(names) // columns), 17.0 if e.base.b > 12 else 24.0, 540.0 / columns
     height = 54 + pitch * rows
+    title = "expected ± 95 %: orange this reference, grey the plain one"
+    chart = Chart(path=("intervals",), title=title, size=(540.0, height + 20))
     both = np.concatenate([e.half, e.plain_half])
     low, high = math.floor(log10(float(both.min()))), math.ceil(log10(float(both.max())))
     scales = [
@@ -77,23 +78,23 @@ def intervals_drawing(excitation: Excitation) -> Drawing:
         for c in range(columns)
     ]
     for scale in scales:
-        for power in range(low, high + 1):
-            sheet.line(scale(10.0**power), 44, scale(10.0**power), height)
-            sheet.labels.append((scale(10.0**power), 22, f"1e{power}", GREY))
-    sheet.labels.append((270.0, 0.0, "half the 95 % interval, SI units", LIGHT))
+        powers = {10.0**power: f"1e{power}" for power in range(low, high + 1)}
+        chart.ticks_across(scale, powers, (44, height), 22)
+    chart.label(270.0, 0.0, "half the 95 % interval, SI units", LIGHT)
     for i, name in enumerate(names):
         c, row = divmod(i, rows)
         y = 58 + pitch * row
-        sheet.labels.append((width * c + 30, y - 9, name, LIGHT))
+        chart.label(width * c + 30, y - 9, name, LIGHT)
         for half, level, color in ((e.half[i], y - 2, ORANGE), (e.plain_half[i], y + 3, GREY)):
-            sheet.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
-    title = "expected ± 95 %: orange this reference, grey the plain one"
-    return sheet.drawing(("intervals",), title, (540.0, height + 20))
+            chart.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
+    return chart
 
 
-def friction_drawing(friction: JointFriction, *, of: str = "") -> Drawing:
+def friction_drawing(friction: JointFriction, *, of: str = "") -> Chart:
     """Friction of a joint over its speed: rows as dots, the identified curve and its interval; colors are of the load."""
-    sheet, (left, top, right, bottom) = Sheet(), (70.0, 30.0, 440.0, 300.0)
+    title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
+    path = ("friction", friction.joint, *([of] if of else []))
+    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(470.0, 340.0)), (70.0, 30.0, 440.0, 300.0)
     every = slice(None, None, max(1, len(friction.speed) // MOST_DOTS))
     v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
     shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
@@ -103,27 +104,22 @@ def friction_drawing(friction: JointFriction, *, of: str = "") -> Drawing:
         Scale(left=left, right=right, low=-peak, high=peak),
         Scale(left=bottom, right=top, low=-size, high=size),
     )
-    for x in (-peak, 0.0, peak):
-        sheet.line(across(x), top, across(x), bottom)
-        sheet.labels.append((across(x), bottom + 5, f"{x:.3g}", GREY))
-    for y in (-size, 0.0, size):
-        sheet.line(left, up(y), right, up(y))
-        sheet.labels.append((35.0, up(y) - 10, f"{y:.3g}", GREY))
+    chart.ticks_across(across, {x: f"{x:.3g}" for x in (-peak, 0.0, peak)}, (top, bottom), bottom + 5)
+    chart.ticks_up(up, {y: f"{y:.3g}" for y in (-size, 0.0, size)}, (left, right), 35.0)
     levels = np.array([curve.load for curve in friction.curves])
     nearest = np.zeros(len(v), dtype=int) if len(levels) == 1 else np.abs(load[:, None] - levels).argmin(axis=1)
     colors = (GREY,) if len(levels) == 1 else LOADS
-    sheet.cloud.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
+    chart.cloud.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
     for k, curve in enumerate(friction.curves):
         color = PREDICTED if len(levels) == 1 else LOADS[k]
         for side in (curve.speed < 0, curve.speed > 0):
             for offset, radius in ((0.0, 1.25), (-1.0, 0.4), (1.0, 0.4)):
                 edge = curve.torque + offset * curve.half
                 line = [(across(a), up(b)) for a, b in zip(curve.speed[side], edge[side], strict=True)]
-                sheet.strokes.append((line, color, radius))
+                chart.strokes.append((line, color, radius))
         if len(levels) > 1:
-            sheet.labels.append((left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color))
-    title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
-    return sheet.drawing(("friction", friction.joint, *([of] if of else [])), title, (470.0, 340.0))
+            chart.label(left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color)
+    return chart
 
 
 def excitation_page(show: Show, excitation: Excitation, document: Document) -> list[Any]:

@@ -1,16 +1,16 @@
-"""What a viewer is to show, as plain data: curves over time, bars, drawings, lanes, notes, robots; `viewer` shows it."""
+"""What a viewer is to show, as plain data: curves over time, bars, charts, lanes, notes, robots; `viewer` shows it."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 from ..arrays import Array
 from ..report import Document, to_markdown
 
 Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
-Part = Literal["base", "link", "joint", "tool"]
+Ticks = Mapping[float, str]  # of a scale: values and their texts
 Steps = tuple[Array, float, Array]  # left edges (k,), width, heights (k,)
 
 # Okabe and Ito's colors, told apart by the color-blind too (Color Universal Design, 2008), on a dark ground and a light one.
@@ -55,7 +55,7 @@ class Bars:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Drawing:
+class Chart:
     """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards: any other chart.
 
     Markers are `dots`, and for least squares `crosses`; small ones behind the strokes are the `cloud`.
@@ -64,17 +64,6 @@ class Drawing:
     path: tuple[str, ...]
     title: str
     size: tuple[float, float]
-    strokes: Sequence[tuple[Any, Color, float]]
-    dots: Sequence[tuple[float, float, Color]]
-    labels: Sequence[tuple[float, float, str, Color]]
-    crosses: Sequence[tuple[float, float, Color]] = ()
-    cloud: Sequence[tuple[float, float, Color]] = ()
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Sheet:
-    """A drawing being made, in pixels, y downwards."""
-
     strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
     dots: list[tuple[float, float, Color]] = field(default_factory=list)
     crosses: list[tuple[float, float, Color]] = field(default_factory=list)
@@ -85,9 +74,21 @@ class Sheet:
         """A straight stroke."""
         self.strokes.append((((x0, y0), (x1, y1)), color, radius))
 
-    def drawing(self, path: tuple[str, ...], title: str, size: tuple[float, float]) -> Drawing:
-        """The drawing with all that was put on the sheet."""
-        return Drawing(path=path, title=title, size=size, **vars(self))
+    def label(self, x: float, y: float, text: str, color: Color = GREY) -> None:
+        """Text whose top is at y, its middle at x."""
+        self.labels.append((x, y, text, color))
+
+    def ticks_across(self, scale: "Scale", ticks: "Ticks", edges: tuple[float, float], label_y: float) -> None:
+        """Upright lines between two edges at the ticks of a scale from left to right, with their texts."""
+        for value, text in ticks.items():
+            self.line(scale(value), edges[0], scale(value), edges[1])
+            self.label(scale(value), label_y, text)
+
+    def ticks_up(self, scale: "Scale", ticks: "Ticks", edges: tuple[float, float], label_x: float) -> None:
+        """Level lines between two edges at the ticks of a scale from bottom to top, with their texts."""
+        for value, text in ticks.items():
+            self.line(edges[0], scale(value), edges[1], scale(value))
+            self.label(label_x, scale(value) - 10, text)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,6 +100,11 @@ class Scale:
     low: float
     high: float
     by: Callable[[float], float] = float
+
+    @property
+    def middle(self) -> float:
+        """Between the edges, in pixels."""
+        return 0.5 * (self.left + self.right)
 
     def __call__(self, value: float) -> float:
         """Where the number goes, in pixels."""
@@ -139,45 +145,27 @@ class Note:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Solid:
-    """A solid fixed to a link, 0 the base: a cylinder or capsule about its own z (length, radius), or a box (x, y, z).
-
-    `center` (3,) and `turn` (4,), a quaternion x y z w, place it in the frame of its link.
-    """
-
-    link: int
-    kind: Literal["cylinder", "capsule", "box"]
-    size: tuple[float, ...]
-    center: Array
-    turn: Array
-    part: Part
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Moving:
-    """A robot in motion: at t_s (K,) its joints' positions q (K, n), its links' places (K, n, 3) and turns (K, n, 4)."""
+    """A robot in motion: at t_s (K,) its joints' positions q (K, n)."""
 
     key: str
     t_s: Array
     q: Array
-    places: Array
-    turns: Array
     ghost: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """Robots in one picture.
+    """Robots in one picture, made of the shapes of a `urdf`, whose joints are `joints`.
 
-    They are made of `solids`, or of the shapes of a `urdf` that has some, whose joints are `joints`. `up` (3,) is the
-    direction against gravity, `floor` the height along it of the ground; the eye stands at `eye` (3,) and looks at `target`.
+    `up` (3,) is the direction against gravity, `floor` the height along it of the ground; the eye stands at `eye` (3,) and
+    looks at `target`.
     """
 
     path: tuple[str, ...]
     title: str
     robots: tuple[Moving, ...]
-    solids: tuple[Solid, ...]
-    urdf: str | None
+    urdf: str
     joints: tuple[str, ...]
     up: Array
     floor: float
@@ -185,7 +173,7 @@ class Scene:
     target: Array
 
 
-Panel = Plot | Bars | Drawing | Lanes | Log | Note | Scene
+Panel = Plot | Bars | Chart | Lanes | Log | Note | Scene
 
 
 def report_note(document: Document) -> Note:

@@ -17,10 +17,9 @@ from rerun.urdf import UrdfTree
 from acquisition.files import atomic_write
 
 from ..arrays import Array
-from .panels import GREY, RESIDUAL, SKY, Bars, Curve, Drawing, Lanes, Log, Note, Panel, Plot, Scene, Solid
+from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Curve, Lanes, Log, Note, Panel, Plot, Scene
 
-_SOLID_COLORS = {"base": (95, 100, 110), "link": (215, 218, 224), "joint": (70, 78, 92), "tool": (235, 160, 60)}
-_GHOST, _HALO = (*SKY, 70), 1.07  # a ghost's color, and its size, so that it shows around the robot it covers
+_GHOST = (*SKY, 70)
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
 _CROSS = 3.2  # half a cross's width, in pixels of its sheet
 Show = Callable[[Panel], Any]  # writes a panel, and gives the view of it
@@ -104,7 +103,7 @@ def show(recording: Any, panel: Panel) -> Any:
             return rrb.BarChartView(
                 origin=origin, name=shown_text(panel.title), plot_legend=rrb.PlotLegend(visible=False)
             )
-        case Drawing():
+        case Chart():
             xy, texts, colors = zip(*(((x, y), text, color) for x, y, text, color in panel.labels), strict=True)
             none = rr.Radius.ui_points(0.1)
             log(
@@ -172,51 +171,21 @@ def _emptiest_corner(curves: Sequence[Curve]) -> str:
 
 
 def _show_robot(recording: Any, origin: str, scene: Scene) -> Any:
-    """Robots as links with solids fixed to them, or as their URDF draws them, and the poses of their links."""
+    """Robots as the URDF draws them, and the motion of its joints."""
     for robot in scene.robots:
-        path = f"{origin}/{robot.key}"
-        times = _time(robot.t_s)
-        if scene.urdf is not None:
-            tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
-            tree.log_urdf_to_recording(recording)
-            root = f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}"
-            fixed = rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root)
-            recording.log(f"{path}/root", fixed, static=True)
-            for j, name in enumerate(scene.joints):
-                if (joint := tree.get_joint_by_name(name)) is not None:
-                    columns = joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False)
-                    recording.send_columns(f"{path}/joints/{j + 1}", indexes=[times], columns=columns)
-            continue
-        for link in range(robot.places.shape[1] + 1):
-            if link > 0:
-                columns = rr.Transform3D.columns(
-                    translation=robot.places[:, link - 1], quaternion=robot.turns[:, link - 1]
-                )
-                recording.send_columns(f"{path}/{link}", indexes=[times], columns=columns)
-            solids = [s for s in scene.solids if s.link == link and not (robot.ghost and link == 0)]
-            for kind in dict.fromkeys(s.kind for s in solids):
-                shapes = _shapes(kind, [s for s in solids if s.kind == kind], ghost=robot.ghost)
-                recording.log(f"{path}/{link}/{kind}", shapes, static=True)
+        tree = _urdf_tree(scene.urdf, origin, robot.key, ghost=robot.ghost)
+        tree.log_urdf_to_recording(recording)
+        root = f"{robot.key}/{tree.root_link().name.removeprefix(f'{robot.key}/')}"
+        fixed = rr.Transform3D(parent_frame=f"tf#{origin}", child_frame=root)
+        recording.log(f"{origin}/{robot.key}/root", fixed, static=True)
+        for j, name in enumerate(scene.joints):
+            if (joint := tree.get_joint_by_name(name)) is not None:
+                columns = joint.compute_transform_columns(robot.q[:, j].tolist(), clamp=False)
+                path = f"{origin}/{robot.key}/joints/{j + 1}"
+                recording.send_columns(path, indexes=[_time(robot.t_s)], columns=columns)
     grid = rrb.LineGrid3D(plane=rr.components.Plane3D(scene.up, scene.floor), color=(120, 120, 120, 60))
     eye = rrb.EyeControls3D(position=scene.eye, look_target=scene.target, eye_up=scene.up)
     return rrb.Spatial3DView(origin=origin, name=shown_text(scene.title), line_grid=grid, eye_controls=eye)
-
-
-def _shapes(kind: str, solids: Sequence[Solid], *, ghost: bool) -> Any:
-    colors = [_GHOST if ghost else _SOLID_COLORS[s.part] for s in solids]
-    places, turns = [s.center for s in solids], [rr.Quaternion(xyzw=s.turn) for s in solids]
-    sizes = np.array([s.size for s in solids]) * (_HALO if ghost else 1.0)
-    fill = rr.components.FillMode.Solid
-    if kind == "box":
-        return rr.Boxes3D(sizes=sizes, centers=places, quaternions=turns, colors=colors, fill_mode=fill)
-    length, radius = sizes[:, 0], sizes[:, 1]
-    if kind == "cylinder":
-        return rr.Cylinders3D(
-            lengths=length, radii=radius, centers=places, quaternions=turns, colors=colors, fill_mode=fill
-        )
-    return rr.Capsules3D(
-        lengths=length, radii=radius, translations=places, quaternions=turns, colors=colors, fill_mode=fill
-    )
 
 
 def _urdf_tree(text: str, origin: str, key: str, *, ghost: bool) -> UrdfTree:

@@ -13,7 +13,7 @@ from ..methods import Fit
 from ..regression import Settings
 from ..report import Cell, Number, Section, Table, columns
 from .curves import Observed, extremes, model_stride, thinning
-from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Color, Curve, Drawing, Lanes, Log, Plot, Scale, Sheet, log10
+from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Chart, Color, Curve, Lanes, Log, Plot, Scale, log10
 from .robot_drawing import pose_stride
 
 TRACKING = "track"  # the phase that a fit uses
@@ -107,7 +107,7 @@ def within(t_s: float, end_s: float) -> float:
     return min(max(t_s, 0.0), end_s)
 
 
-def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Drawing]:
+def spectrum_drawings(signals: Signals, settings: Settings | None) -> list[Chart]:
     """Spectra of position and effort of all joints over the span of the settings, with their cut-offs."""
     robot, fs = signals.robot, signals.sample_rate_hz
     start, stop = (settings.start, settings.stop) if settings else (0, len(signals.q))
@@ -143,32 +143,26 @@ def _spectrum(x: Array, sample_rate_hz: float) -> tuple[Array, Array]:
 
 def _log_log(
     path: tuple[str, ...], title: str, curves: Sequence[tuple[str, Array, Array]], marks: Sequence[tuple[float, str]]
-) -> Drawing:
+) -> Chart:
     """Curves (name, x, y) on logarithmic axes, and marks (x, name) across them."""
-    sheet, (left, top, right, bottom) = Sheet(), (70.0, 20.0, 880.0, 510.0)
+    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(900.0, 560.0)), (70.0, 20.0, 880.0, 510.0)
     all_x, all_y = (np.concatenate([c[i] for c in curves]) for i in (1, 2))
     highest = math.ceil(log10(all_y.max()))
     lowest = math.floor(max(log10(all_y.min()), log10(all_y.max()) - 12))
     across = Scale(left=left, right=right, low=all_x.min(), high=all_x.max(), by=log10)
     up = Scale(left=bottom, right=top, low=10.0**lowest, high=10.0**highest, by=log10)
-    for d in range(math.ceil(log10(all_x.min())), math.floor(log10(all_x.max())) + 1):
-        at = across(10.0**d)
-        sheet.line(at, top, at, bottom)
-        sheet.labels.append((at, bottom + 5, f"{10.0**d:g}", GREY))
-    for d in range(lowest, highest + 1):
-        at = up(10.0**d)
-        sheet.line(left, at, right, at)
-        sheet.labels.append((35.0, at - 10, f"1e{d:+d}", GREY))
+    decades = range(math.ceil(log10(all_x.min())), math.floor(log10(all_x.max())) + 1)
+    chart.ticks_across(across, {10.0**d: f"{10.0**d:g}" for d in decades}, (top, bottom), bottom + 5)
+    chart.ticks_up(up, {10.0**d: f"1e{d:+d}" for d in range(lowest, highest + 1)}, (left, right), 35.0)
     for k, (x, name) in enumerate(marks):
         if all_x.min() < x < all_x.max():
-            at = across(x)
-            sheet.line(at, top, at, bottom, GREY, 1.25)
-            sheet.labels.append((at, bottom - 60 + 26 * k, f"{name} {x:g} Hz", GREY))
+            chart.line(across(x), top, across(x), bottom, GREY, 1.25)
+            chart.label(across(x), bottom - 60 + 26 * k, f"{name} {x:g} Hz")
     for j, (name, f, amplitude) in enumerate(curves):
         color = JOINTS[j % len(JOINTS)]
-        sheet.strokes.append(([(across(x), up(y)) for x, y in zip(f, amplitude, strict=True)], color, 0.75))
-        sheet.labels.append((right - 70, top + 26 * j, name, color))
-    return sheet.drawing(path, title, (900.0, 560.0))
+        chart.strokes.append(([(across(x), up(y)) for x, y in zip(f, amplitude, strict=True)], color, 0.75))
+        chart.label(right - 70, top + 26 * j, name, color)
+    return chart
 
 
 def residual_of_moving(seen: Observed, j: int) -> Array:

@@ -16,9 +16,6 @@ from ..design import Excitation
 from ..errors import IdentificationError
 from ..methods import (
     Fit,
-    ParameterSet,
-    comparison_document,
-    comparison_section,
     fit_document,
     fitted_parameters,
     least_squares_parameters,
@@ -27,12 +24,12 @@ from ..methods import (
     trust_document,
 )
 from ..regression import Overrides, Settings, make_settings
-from ..report import Document, to_markdown
+from ..report import Document, ParameterSet, comparison_document, comparison_section, to_markdown
 from ..study import Drift, Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import column_plots, motion_plots, observed, position_plots, torque_plots
 from .design_panels import excitation_page, fleet_pages, friction_page
-from .panels import Drawing, Note, Plot, report_note
+from .panels import Chart, Note, Plot, report_note
 from .rerun_panels import Show, shown_text, write_pages
 from .robot_drawing import robot_scene
 from .signal_panels import (
@@ -204,7 +201,7 @@ def _recording_pages(show: Show, signals: Signals, settings: Settings | None, re
     ]
 
 
-def _drawing_page(show: Show, drawing: Drawing, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
+def _drawing_page(show: Show, drawing: Chart, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
     """One page: a drawing and its report."""
     return [rrb.Horizontal(show(drawing), show(report_note(document)), column_shares=list(shares), name=name)]
 
