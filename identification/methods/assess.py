@@ -35,7 +35,7 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: t
     first = observed.places()[0].problem()
     alone = len(observed.observations) == 1 and not observed.linearised.load
     return Evidence(
-        parts=observed.evidence,
+        recordings=observed.observations,
         observed=observed.regression,
         method=method,
         fixed_point=True,

@@ -10,7 +10,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
 from ..regression import KnownLag
 from ..simulation import Lab, PassInstruments, Replica
-from ..trust import Lag, Part, combined_lag, lag_columns, lag_moves, lags_in
+from ..trust import Lag, RecordingData, combined_lag, lag_columns, lag_moves, lags_in
 from .fit import Pass
 from .recordings import Observed
 
@@ -38,8 +38,8 @@ class Along:
     beginning: "Along | None" = None
 
     @property
-    def parts(self) -> tuple[Part, ...]:
-        """The recordings' parts of the evidence, simulated."""
+    def recordings(self) -> tuple[RecordingData, ...]:
+        """The recordings with the robot simulated in them."""
         return tuple(
             replace(
                 part,
@@ -47,7 +47,7 @@ class Along:
                 decimation=one.simulated.decimation,
                 reference=one.reference_kind,
             )
-            for part, one in zip(self.observed.evidence, self.replicas, strict=True)
+            for part, one in zip(self.observed.observations, self.replicas, strict=True)
         )
 
 
@@ -108,8 +108,8 @@ def _in_time(along: Along, solve: Solve) -> Along:
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
         try:
-            parts = replace(along, observed=observed).parts
-            steps, sd, reach = lags_in(parts, groups, *observed.along(z), estimate)
+            recordings = replace(along, observed=observed).recordings
+            steps, sd, reach = lags_in(recordings, groups, *observed.along(z), estimate)
         except IdentificationError as error:
             why = str(error)
             break
@@ -122,7 +122,7 @@ def _in_time(along: Along, solve: Solve) -> Along:
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break
     lags = [combined_lag(prior, data, why or "") for prior, data in zip(known, found, strict=True)]
-    columns, about = lag_columns(observed.evidence, groups, estimate), observed.about(z)
+    columns, about = lag_columns(observed.observations, groups, estimate), observed.about(z)
     moves = lag_moves(about.regression, z.used, columns, estimate)
     return replace(along, observed=observed, estimate=estimate, lags=_named(observed, lags, moves))
 
@@ -139,7 +139,7 @@ def _not_looked_at(along: Along) -> str | None:
 def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
     """What is known of the lags, and what they move in least squares, which cannot find them."""
     lags = [combined_lag(known, None, "least squares cannot tell it") for known in known_lags(observed)]
-    columns = lag_columns(observed.evidence, lag_groups(observed), estimate)
+    columns = lag_columns(observed.observations, lag_groups(observed), estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
     return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 

@@ -73,7 +73,7 @@ def _evidence_along(along: Along, ls: LeastSquares) -> Evidence:
     observed, z, estimate = along.observed.about(along.z), along.z, along.estimate
     within = counted(estimate, intervals_along(observed, z, estimate), along.lags)
     return Evidence(
-        parts=along.parts,
+        recordings=along.recordings,
         observed=observed.regression,
         method="iv",
         fixed_point=True,

@@ -17,7 +17,7 @@ from ..arrays import Array
 from ..estimation import deviations_of_sums
 from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
-from .evidence import Evidence, Part
+from .evidence import Evidence, RecordingData
 from .lag import simulated_rates
 from .lines import TrustLine
 
@@ -159,7 +159,7 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     )
 
 
-def _motion(part: Part, method: str) -> tuple[Motion, Decimation]:
+def _motion(part: RecordingData, method: str) -> tuple[Motion, Decimation]:
     """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
     settings = part.problem.settings
     if method == "iv" and part.simulated is not None and part.decimation is not None:
@@ -171,7 +171,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
     problem = evidence.problem
     robot, idm, base = problem.signals.robot, problem.model, problem.base
     chi = np.zeros(idm.p)
-    chi[base.columns] = evidence.estimate.among(evidence.parts[0].parameters)
+    chi[base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
     n, T = robot.n, len(evidence.observed.tau)
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
     speed, slow, position = (np.concatenate(x) for x in zip(*_speeds(evidence), strict=True))
@@ -215,7 +215,11 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
             )
     yield from _tilts(evidence, chi, position)
     yield from _frictions(evidence, chi)
-    if n > 1 and evidence.method == "iv" and all(x.simulated and x.reference == "recorded" for x in evidence.parts):
+    if (
+        n > 1
+        and evidence.method == "iv"
+        and all(x.simulated and x.reference == "recorded" for x in evidence.recordings)
+    ):
         yield from _lags(evidence)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)
@@ -223,7 +227,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
 
 def _speeds(evidence: Evidence) -> Iterator[tuple[Array, Array, Array]]:
     """Of each recording |dq|, what Stribeck friction has more at low speed, and positions: decimated, (rows, n)."""
-    motions = [_motion(part, evidence.method) for part in evidence.parts]
+    motions = [_motion(part, evidence.method) for part in evidence.recordings]
     fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
     for motion, decimation in motions:
         slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
@@ -260,7 +264,7 @@ def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
     robot, idm = evidence.problem.signals.robot, evidence.problem.model
     links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
     roots, loads = list[Array](), list[Array]()
-    for part in evidence.parts:
+    for part in evidence.recordings:
         motion, decimation = _motion(part, evidence.method)
         slip = motion.dq @ idm.coulomb_directions.T
         rigid = links.torque(motion.q, motion.dq, motion.ddq)
@@ -282,7 +286,7 @@ def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
 def _lags(evidence: Evidence) -> Iterator[_Column]:
     """The torque's rate of each joint, in fast rows: beside reversals friction that rises smoothly looks like a lag."""
     rates, robot = list[Array](), evidence.problem.signals.robot
-    for part in evidence.parts:
+    for part in evidence.recordings:
         rate, fast = simulated_rates(part)
         rates.append((-1e-3 * rate * fast).T)
     for j, joint in enumerate(robot.joints):
@@ -295,7 +299,7 @@ def _gains(evidence: Evidence) -> Iterator[_Column]:
     """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
     observed, names = evidence.observed, evidence.observed.system.names
     predicted = observed.predicted(evidence.estimate.among(names))
-    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.parts])
+    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(
             kind="relative gain",

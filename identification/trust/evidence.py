@@ -10,7 +10,7 @@ import numpy as np
 from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
-from ..regression import Decimation, KnownLag, Motion, Problem, Regression, RowStates
+from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
 from ..report import Assumed
 from .lines import TrustLine
 
@@ -19,33 +19,43 @@ SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squ
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """What one recording brings to the evidence.
+class RecordingData:
+    """A recording as a fit and its tests see it.
 
     Attributes:
-        problem: recording, settings, model. The samples of long recordings may be left out.
-        parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
-        slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
+        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
+        regression: its W and Y.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
         steps: of its positions, which tell of missing rows.
+        t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
+        parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
         simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
             `decimation` to the rows; None where there is none.
         reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
     """
 
     problem: Problem
-    parameters: tuple[str, ...]
-    slip_noise: Array
+    regression: Regression
     poses: Array
     replay: TrustLine
+    replay_lag: KnownLag | None
     steps: PositionSteps
-    replay_lag: KnownLag | None = None
-    states: RowStates | None = None
+    t_s: Array
+    states: RowStates | None
+    parameters: tuple[str, ...] = ()
     simulated: Motion | None = None
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
+
+    @property
+    def known_lag(self) -> KnownLag:
+        """What is known of its torque's lag without an estimate."""
+        known, replayed = self.problem.settings.known_lag, self.replay_lag
+        if known.stated or replayed is None:
+            return known
+        return replayed if known.source == NOTHING else known.with_other(replayed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,7 +93,7 @@ class Evidence:
     """An estimate and what it rests on.
 
     Attributes:
-        parts: the recordings, in the order of the rows.
+        recordings: in the order of the rows.
         observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
         method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
@@ -103,7 +113,7 @@ class Evidence:
         essential: names of the parameters that the recordings determine well.
     """
 
-    parts: tuple[Part, ...]
+    recordings: tuple[RecordingData, ...]
     observed: Regression
     method: Literal["ols", "wls", "iv"]
     fixed_point: bool
@@ -125,7 +135,7 @@ class Evidence:
     @property
     def problem(self) -> Problem:
         """That of the first recording: robot, model and base parameters are those of all."""
-        return self.parts[0].problem
+        return self.recordings[0].problem
 
     @property
     def with_rows(self) -> "Evidence":

@@ -44,7 +44,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     Several recordings are themselves the blocks.
     """
     name = "held-out blocks"
-    if len(evidence.parts) > 1:
+    if len(evidence.recordings) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
     if not evidence.sums_hold:
         return not_made(name, ILL_CONDITIONED)
@@ -80,14 +80,14 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
 
     Parameters that it has for itself are fitted to the recording: the others know nothing of them.
     """
-    if len(evidence.parts) == 1:
+    if len(evidence.recordings) == 1:
         return (None,)
     names, weights = evidence.estimate.names, evidence.estimate.weights
-    rows = [_rows_of(evidence, k) for k in range(len(evidence.parts))]
+    rows = [_rows_of(evidence, k) for k in range(len(evidence.recordings))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
     for k, (_, W, Y, _) in enumerate(rows):
-        own = np.array(["@" in name and name in evidence.parts[k].parameters for name in names])
+        own = np.array(["@" in name and name in evidence.recordings[k].parameters for name in names])
         kept, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
         beta, undetermined = _solved(
             np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
@@ -148,7 +148,7 @@ def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
 def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> TrustLine:
     """The line of several recordings: their errors held out, and those that the others cannot predict."""
     test, held, trained, figures, without = "held-out blocks", 0.0, 0.0, [], []
-    for part, one in zip(evidence.parts, found, strict=True):
+    for part, one in zip(evidence.recordings, found, strict=True):
         assert one is not None
         name = part.problem.signals.recording
         if one.error_percent is None or one.trained_percent is None:

@@ -82,13 +82,13 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     among = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    poses = np.concatenate([part.poses for part in evidence.parts])
+    poses = np.concatenate([part.poses for part in evidence.recordings])
     findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
     findings += _driving_findings(evidence, estimate, found)
     own = any("@" in name for name in estimate.names)
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
-    for part in evidence.parts if own else evidence.parts[:1]:
+    for part in evidence.recordings if own else evidence.recordings[:1]:
         of_part = np.array([name in part.parameters for name in estimate.names])
         for asked in requirements(idm, shaped=False):
             G = asked.matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
@@ -126,7 +126,7 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
     idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.model.robot
     columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
-    for part in evidence.parts:
+    for part in evidence.recordings:
         of_part = np.array([name in part.parameters for name in estimate.names])
         if part.states is None:
             continue
@@ -189,7 +189,7 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
-    q = np.concatenate([_positions(part.problem) for part in evidence.parts])
+    q = np.concatenate([_positions(part.problem) for part in evidence.recordings])
     of_links = np.array([idm.is_link_parameter(c) for c in columns])
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
@@ -226,10 +226,10 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
         return TrustLine("consistent", "not made", text)
-    all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
+    all_names, names = evidence.observed.system.names, evidence.recordings[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
+    moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters == names]
     beta = estimate.among(names)
     try:
         power = recorded_power(moved, beta)

@@ -16,7 +16,7 @@ from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, inst
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from .columns import added_columns_test
-from .evidence import Evidence, Part, assumed
+from .evidence import Evidence, RecordingData, assumed
 from .held_out import held_out_test
 from .lag import lag_test
 from .lines import ILL_CONDITIONED, Trust, TrustLine, not_made, worst_first
@@ -233,7 +233,7 @@ def trust_in(evidence: Evidence) -> Trust:
 
 def _standing(e: Evidence) -> list[TrustLine]:
     """A line for joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
-    speed, joints = np.abs(e.observed.speed).max(axis=0), e.parts[0].problem.signals.robot.joints
+    speed, joints = np.abs(e.observed.speed).max(axis=0), e.recordings[0].problem.signals.robot.joints
     if not (names := standing_joints(speed, joints)):
         return []
     text = f"joint {', '.join(names)} does not move: its friction values do not hold for motion: move it, or do not use them"
@@ -243,20 +243,26 @@ def _standing(e: Evidence) -> list[TrustLine]:
 def _rows(e: Evidence) -> list[TrustLine]:
     """A line of the recording that misses or repeats most rows; else one of encoders that are slower than the log."""
     name = "rows"
-    shares = [100 * np.array([p.steps.lost, p.steps.repeated, p.steps.held]) / max(p.steps.moving, 1) for p in e.parts]
+    shares = [
+        100 * np.array([p.steps.lost, p.steps.repeated, p.steps.held]) / max(p.steps.moving, 1) for p in e.recordings
+    ]
     surplus = [x[:2] * (x[:2] > max(MISSING_PERCENT, HELD_SHARE * x[2])) for x in shares]
     k = int(np.argmax([x.sum() for x in surplus]))
     if surplus[k].any():
         found = zip(surplus[k], ("missing", "repeated"), strict=True)
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-        text = f"{_place(e, e.parts[k])}{finding}, by steps of the position that are twice their neighbours', or none"
+        text = (
+            f"{_place(e, e.recordings[k])}{finding}, by steps of the position that are twice their neighbours', or none"
+        )
         text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
         return [TrustLine(name, "caution", text, float(surplus[k].sum()), finding=finding)]
-    notes = [note for part, x in zip(e.parts, shares, strict=True) if (note := _slow_encoder(e, part, float(x[2])))]
+    notes = [
+        note for part, x in zip(e.recordings, shares, strict=True) if (note := _slow_encoder(e, part, float(x[2])))
+    ]
     return [TrustLine(name, "ok", notes[0])] if notes else []
 
 
-def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:
+def _slow_encoder(e: Evidence, part: RecordingData, held: float) -> str | None:
     """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
     percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MISSING_PERCENT) & (percent.sum(axis=1) > COARSE_PERCENT)
@@ -268,8 +274,8 @@ def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:
     return f"{_place(e, part)}the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
 
 
-def _place(e: Evidence, part: Part) -> str:
-    return f"{part.problem.signals.recording}: " if len(e.parts) > 1 else ""
+def _place(e: Evidence, part: RecordingData) -> str:
+    return f"{part.problem.signals.recording}: " if len(e.recordings) > 1 else ""
 
 
 def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
