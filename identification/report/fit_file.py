@@ -148,7 +148,7 @@ class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
-class Assumed(msgspec.Struct, frozen=True, kw_only=True):
+class Assumed(msgspec.Struct, frozen=True):
     """What was given and not tested: its value, and why no test sees it."""
 
     what: str

@@ -32,7 +32,7 @@ ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot 
 TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Column:
     """A torque (T, n) that the model lacks, per unit of its coefficient, and the joint or axis it belongs to."""
 
@@ -182,36 +182,36 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
         if resists and not joint.one_sided and "asymmetric" not in joint.terms:
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
             yield _Column(
-                kind=ASYMMETRIC,
-                where=where,
-                torque=0.01 * np.outer(resisting, only),
-                unit="% of it",
-                advice=_to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
+                ASYMMETRIC,
+                where,
+                0.01 * np.outer(resisting, only),
+                "% of it",
+                _to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
             )
         if "offset" not in joint.terms:
             advice = _to_describe(joint, "offset", "offset = true")
-            yield _Column(kind=OFFSET, where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
+            yield _Column(OFFSET, where, np.tile(only, (T, 1)), effort, advice)
         yield _Column(
-            kind=DRIFT,
-            where=where,
-            torque=np.outer(time, only),
-            unit=f"{effort} over the recording",
-            advice="warm the robot up, or record a shorter motion",
+            DRIFT,
+            where,
+            np.outer(time, only),
+            f"{effort} over the recording",
+            "warm the robot up, or record a shorter motion",
         )
         yield _Column(
-            kind=SPRING,
-            where=where,
-            torque=np.outer(position[:, j], only),
-            unit=f"{effort}/{joint.position_unit}",
-            advice="record its torque, of a spring, a hose or a weight, as known_torque",
+            SPRING,
+            where,
+            np.outer(position[:, j], only),
+            f"{effort}/{joint.position_unit}",
+            "record its torque, of a spring, a hose or a weight, as known_torque",
         )
         if "stribeck" not in joint.terms:
             yield _Column(
-                kind=STRIBECK,
-                where=where,
-                torque=np.outer(slow[:, j], only),
-                unit=effort,
-                advice="leave out slow rows by a larger --low-speed-percent",
+                STRIBECK,
+                where,
+                np.outer(slow[:, j], only),
+                effort,
+                "leave out slow rows by a larger --low-speed-percent",
             )
     yield from _tilts(evidence, chi, position)
     yield from _frictions(evidence, chi)
@@ -250,13 +250,7 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
         if not turned.any():
             continue
         torque = direct_model(idm, links).gravity(q, along=turned)
-        yield _Column(
-            kind=TILT,
-            where=f"about {about}",
-            torque=torque,
-            unit="rad",
-            advice="level the base, or set gravity_m_s2",
-        )
+        yield _Column(TILT, f"about {about}", torque, "rad", "level the base, or set gravity_m_s2")
 
 
 def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
@@ -276,11 +270,11 @@ def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
         where = f"of joint {joint.name}" if np.count_nonzero(along) == 1 else f"of the motor of joint {joint.name}"
         if "root" not in joint.terms:
             unit = f"{robot.effort_units[int(np.flatnonzero(along)[-1])]} ({joint.position_unit}/s)^-½"
-            yield _Column(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT)
+            yield _Column(ROOT, where, np.outer(column, along), unit, SELECT)
     for j, joint in enumerate(robot.joints):
         if "load" not in joint.terms:
             torque = np.outer(load[:, j], np.eye(robot.n)[j])
-            yield _Column(kind=LOAD, where=f"of joint {joint.name}", torque=torque, unit="", advice=SELECT)
+            yield _Column(LOAD, f"of joint {joint.name}", torque, "", SELECT)
 
 
 def _lags(evidence: Evidence) -> Iterator[_Column]:
@@ -292,7 +286,7 @@ def _lags(evidence: Evidence) -> Iterator[_Column]:
     for j, joint in enumerate(robot.joints):
         torque = np.outer(np.concatenate(rates)[:, j], np.eye(robot.n)[j])
         advice = "look at how its effort is filtered or stamped"
-        yield _Column(kind=LAG, where=f"of joint {joint.name}", torque=torque, unit="ms", advice=advice)
+        yield _Column(LAG, f"of joint {joint.name}", torque, "ms", advice)
 
 
 def _gains(evidence: Evidence) -> Iterator[_Column]:
@@ -302,9 +296,9 @@ def _gains(evidence: Evidence) -> Iterator[_Column]:
     predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(
-            kind="relative gain",
-            where=f"of joint {joint.name}",
-            torque=0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
-            unit="%",
-            advice="check its drive_gain and ratio against those of the other joints",
+            "relative gain",
+            f"of joint {joint.name}",
+            0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
+            "%",
+            "check its drive_gain and ratio against those of the other joints",
         )

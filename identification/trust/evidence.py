@@ -274,41 +274,38 @@ def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assu
     if robot.gain_known:
         gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None]
         yield Assumed(
-            what="drive gains",
-            value=", ".join(gains)
-            or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
-            why="a wrong one scales all parameters, and fits as well"
+            "drive gains",
+            ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
+            "a wrong one scales all parameters, and fits as well"
             + (", where it is that of all joints" if several else ""),
         )
     ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed(what="ratios", value=ratios, why="positions and torques at the joints are made with them")
+    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
     if several:
         yield Assumed(
-            what="lengths",
-            value="urdf" if robot.urdf is not None else "dh",
-            why="the parameters of the links absorb an error of a length",
+            "lengths",
+            "urdf" if robot.urdf is not None else "dh",
+            "the parameters of the links absorb an error of a length",
         )
-    yield Assumed(
-        what="sample rate", value=f"{signals.sample_rate_hz:g} Hz", why="speeds and accelerations scale with it"
-    )
+    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
     if evidence.method == "iv" and lines["replay"].level == "not made":
         yield Assumed(
-            what="control law",
-            value=robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
-            why=lines["replay"].text.removeprefix("not made: "),
+            "control law",
+            robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
+            lines["replay"].text.removeprefix("not made: "),
         )
     if evidence.lags and evidence.lags[0].prior.stated:
-        yield Assumed(what="lag", value=f"{evidence.lags[0].value_s:g} s", why="stated by torque_lag_s")
+        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
     duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / signals.sample_rate_hz
     if duration_s > LONG_S:
         yield Assumed(
-            what="filters",
-            value=f"{duration_s:.0f} s of motion",
-            why="intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
+            "filters",
+            f"{duration_s:.0f} s of motion",
+            "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
         )
     if evidence.method != "iv":
         yield Assumed(
-            what="encoder noise",
-            value="below the low-pass as above",
-            why="least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
+            "encoder noise",
+            "below the low-pass as above",
+            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
         )
