@@ -21,7 +21,7 @@ from .evidence import Evidence, RecordingData
 from .lag import simulated_rates
 from .lines import TrustLine
 
-BEYOND = 5.0  # deviations that chance does not explain
+MIN_T = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
 SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
 SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
@@ -29,12 +29,12 @@ STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
 SELECT = "run `robot-identify friction`"
 ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
-TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
+MIN_INDEPENDENT_NORM = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
 @dataclass(frozen=True, eq=False)
 class _Column:
-    """A torque (T, n) that the model lacks, per unit of its coefficient, and the joint or axis it belongs to."""
+    """A torque (T, n) that the model lacks, per unit of its coefficient, the joint or axis it belongs to, and what to do."""
 
     kind: str
     where: str
@@ -43,53 +43,52 @@ class _Column:
     advice: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lack:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MissingTerm:
     """What the model may lack.
 
     Attributes:
-        kind, where: what it is, and of which joint or axis.
-        value, unit, t: its coefficient, and that in deviations.
+        column: what it is.
+        value, t: its coefficient, and that in deviations.
         taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
         moves: half-widths by which it moves the essential parameter that it moves most.
-        advice: what to do.
     """
 
-    kind: str
-    where: str
+    column: _Column
     value: float
-    unit: str
     t: float
     taken_percent: float
     together_percent: float
     moves: float
-    advice: str
 
     @property
     def found(self) -> bool:
         """Whether chance does not explain it, and it matters."""
-        if self.kind == LAG:  # it hardly shows in the residual
-            return abs(self.t) > BEYOND and self.moves > 1
-        least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
-        return abs(self.t) > BEYOND and self.taken_percent > least
+        if self.column.kind == LAG:  # it hardly shows in the residual
+            return abs(self.t) > MIN_T and self.moves > 1
+        least = SPRING_TAKEN_PERCENT if self.column.kind == SPRING else TAKEN_PERCENT
+        return abs(self.t) > MIN_T and self.taken_percent > least
 
 
 def added_columns_test(evidence: Evidence) -> TrustLine:
     """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
     evidence = evidence.with_rows
-    lacks = lacks_of(evidence)
-    if not lacks:
+    terms = missing_terms(evidence)
+    if not terms:
         return TrustLine(name, "not made", "not made: the model contains all that is tried")
-    found = [lack for lack in lacks if lack.found]
-    first = max(found or lacks, key=_rank)
-    told = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
-    told += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
+    found = [term for term in terms if term.found]
+    first = max(found or terms, key=_rank)
+    column = first.column
+    strongest = f"{column.kind} {column.where} {first.value:.3g} {column.unit}".rstrip()
+    strongest += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
     if not found:
-        return TrustLine(name, "ok", f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}", first.t)
-    more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
-    finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
-    return TrustLine(name, "caution", f"{told}{more}: {first.advice}", first.t, finding=finding)
+        return TrustLine(
+            name, "ok", f"none of {len(terms)} matters; the first, {strongest}{_untried(evidence)}", first.t
+        )
+    more = f"; {len(found) - 1} more beyond t = {MIN_T:g}" if len(found) > 1 else ""
+    finding = f"{column.kind} {column.where}{'' if column.kind in (TILT, LAG, DRIFT) else ' missing'}"
+    return TrustLine(name, "caution", f"{strongest}{more}: {column.advice}", first.t, finding=finding)
 
 
 def _untried(evidence: Evidence) -> str:
@@ -100,18 +99,18 @@ def _untried(evidence: Evidence) -> str:
     return "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
 
 
-def _rank(lack: Lack) -> tuple[float, float]:
+def _rank(term: MissingTerm) -> tuple[float, float]:
     """What comes first. Several joints may lack the same: kinds count as a whole, or one that acts on all joints would lead.
 
     Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both. A tilt
     of gravity follows the position, as springs do.
     """
-    ahead = ALIKE_PERCENT if lack.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if lack.kind == SPRING else 1.0
-    return behind * lack.together_percent + ahead, lack.taken_percent
+    ahead = ALIKE_PERCENT if term.column.kind in (ASYMMETRIC, TILT) else 0.0
+    behind = 0.5 if term.column.kind == SPRING else 1.0
+    return behind * term.together_percent + ahead, term.taken_percent
 
 
-def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
+def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
     """All columns that can be told apart from W, not of reduced rows.
 
     Stribeck friction below zero is none: near standstill filters and elasticity round off the sign of the speed.
@@ -123,7 +122,7 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     n = evidence.observed.tau.shape[1]
     C = np.stack([column.torque.T.reshape(-1) for column in columns], axis=1) * rows.weight[:, None]  # (r, k)
     z = C - Q @ (bread.T @ (rows.W.T @ C))  # zᵀW = 0
-    seen = np.linalg.norm(z, axis=0) > TOLD_APART * np.linalg.norm(C, axis=0)
+    seen = np.linalg.norm(z, axis=0) > MIN_INDEPENDENT_NORM * np.linalg.norm(C, axis=0)
     seen &= np.linalg.norm(C, axis=0) > 0
     C, z, columns = C[:, seen], z[:, seen], [column for column, s in zip(columns, seen, strict=True) if s]
     size = np.einsum("rk,rk->k", z, C)
@@ -143,16 +142,13 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
         left = rows.rho - apart @ np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rows.rho, rcond=1e-6)[0]
         together[kind] = 100 * (1 - float(left @ left) / whole)
     return tuple(
-        Lack(
-            kind=column.kind,
-            where=column.where,
+        MissingTerm(
+            column=column,
             value=float(value),
-            unit=column.unit,
             t=float(value / s) if s > 0 else 0.0,
             taken_percent=float(percent),
             together_percent=together[column.kind],
             moves=float(moves),
-            advice=column.advice,
         )
         for column, value, s, percent, moves in zip(columns, g, sigma, taken, moved.max(axis=0), strict=True)
         if column.kind != STRIBECK or value > 0

@@ -15,7 +15,7 @@ from ..report import Assumed
 from .lines import TrustLine
 
 LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
-SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
+MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -192,13 +192,13 @@ class Evidence:
         return slice(first, last)
 
     @property
-    def sums_hold(self) -> bool:
+    def sums_accurate(self) -> bool:
         """Whether sums over blocks, of squares, still have the digits that tests need: Q'Q = 1 and Q'W bread = 1."""
         if not self.blocks:
             return True
         QQ, QW = (sum(getattr(own, name).sum(axis=0) for own in self.blocks) for name in ("QQ", "QW"))
         one = np.eye(len(self.estimate.beta))
-        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < SUMS_HOLD)
+        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < MAX_SUMS_ERROR)
 
     def _within(self, part: slice) -> list[tuple[int, int]]:
         """What a part of the time has of each recording: first and last instant, counted from the recording's start."""

@@ -46,7 +46,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     name = "held-out blocks"
     if len(evidence.recordings) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
-    if not evidence.sums_hold:
+    if not evidence.sums_accurate:
         return TrustLine(name, "not made", ILL_CONDITIONED)
     sums, estimate = [evidence.sums(part) for part in _blocks(len(evidence.observed.tau), BLOCKS)], evidence.estimate
     rows, b = [one.rows for one in sums], len(estimate.beta)

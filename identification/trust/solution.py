@@ -124,7 +124,7 @@ def halves_test(evidence: Evidence) -> TrustLine:
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
-    if not evidence.sums_hold:
+    if not evidence.sums_accurate:
         return TrustLine("halves", "not made", ILL_CONDITIONED)
     T, parts = len(evidence.observed.tau), evidence.observed.parts
     if len(parts) > 1:  # cut between recordings
@@ -257,7 +257,7 @@ def _place(e: Evidence, part: RecordingData) -> str:
     return f"{part.problem.signals.recording}: " if len(e.recordings) > 1 else ""
 
 
-def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
+def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
@@ -279,4 +279,4 @@ TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
 def trust_in(evidence: Evidence) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    return worst_first(_judged_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
+    return worst_first(_judge_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
