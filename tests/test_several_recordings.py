@@ -419,7 +419,7 @@ def test_lag_columns_do_not_cross_recordings(monkeypatch):
     late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
     fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
     assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
-    assert [len(part.poses) > 0 for part in seen[0].parts] == [True, True]
+    assert [len(part.poses) > 0 for part in seen[0].recordings] == [True, True]
 
 
 def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:

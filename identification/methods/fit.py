@@ -12,45 +12,53 @@ from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, Torque
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
 from ..report import Method, OwnTest, Status
-from ..simulation import DirectModelError, InstrumentKind, Replica
+from ..simulation import DirectModelError, PassInstruments, Replica
 from ..trust import HeldOut, Lag, Trust
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One pass of the instrumental variable method.
+    """One pass of the instrumental variable method, without what is as large as W but of the last one.
 
     Attributes:
-        instruments: along the robot `simulated` with the physically consistent parameters nearest to the estimate before; named
-            `consistent` where the inertia matrix of that estimate itself is not positive; along the `reference` where the
-            simulated robot leaves it. `reason` says why it is one of the last two.
-        residual_norm: |Y - W beta| after the pass, weighted.
+        z: its instruments. Their `kind`: along the robot `simulated` with the physically consistent parameters nearest to the
+            estimate before; named `consistent` where the inertia matrix of that estimate itself is not positive; along the
+            `reference` where the simulated robot leaves it. `reason` says why it is one of the last two.
+        estimate: that they give.
+        asked, covariance: (b, b) of all base parameters, with honest deviations: that the instruments were asked for with,
+            None of a regular start, and that of the estimate.
+        coarse: whether the robot was simulated coarsely.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
             among those larger than two deviations; the parameter of the former.
-        gains: (n,) factors on the controller's gains, J_j(beta)/J_j(a priori).
-        tracking_percent: simulated against measured position, None where nothing was simulated.
-        condition: of ZᵀW with columns of norm one.
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
     """
 
-    instruments: InstrumentKind
-    reason: str | None
-    residual_norm: float
+    z: PassInstruments
+    estimate: Estimate
+    asked: Array | None
+    covariance: Array
+    coarse: bool
     change_sigma: float
     change_percent: float
     changed: str
-    gains: Array
-    tracking_percent: float | None
-    condition: float
     residual_percent: float
     residual_settled: bool
     parameters_settled: bool
+
+    def without_rows(self) -> "Pass":
+        """The same without what is as large as W: only the last pass needs that."""
+        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows())
 
     @property
     def settled(self) -> bool:
         """Whether both tests hold."""
         return self.residual_settled and self.parameters_settled
+
+    @property
+    def is_last(self) -> bool:
+        """Whether it is a fixed point of instruments that are not coarse."""
+        return self.settled and not self.coarse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

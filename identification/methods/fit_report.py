@@ -187,14 +187,14 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
         rows=tuple(
             (
                 Number(number, "d"),
-                p.instruments,
-                Number(p.residual_norm, ".3f"),
+                p.z.kind,
+                Number(p.estimate.residual_norm, ".3f"),
                 Number(p.change_sigma, ".2g"),
                 p.changed,
-                Number(p.tracking_percent, ".2f"),
-                Number(float(p.gains.min()), ".3g"),
-                Number(float(p.gains.max()), ".3g"),
-                Number(p.condition, ".1f"),
+                Number(p.z.tracking_percent, ".2f"),
+                Number(float(p.z.gains.min()), ".3g"),
+                Number(float(p.z.gains.max()), ".3g"),
+                Number(p.estimate.condition_number_scaled, ".1f"),
             )
             for number, p in enumerate(iv.passes, 1)
         ),
@@ -215,7 +215,7 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     """Tests of the instruments, in words; why a pass went without simulation."""
     t = iv.tests
-    lines = [f"pass {k}: instruments {p.instruments}: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
+    lines = [f"pass {k}: instruments {p.z.kind}: {p.z.reason}" for k, p in enumerate(iv.passes, 1) if p.z.reason]
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
     contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"

@@ -148,7 +148,7 @@ class TrustLineFile(msgspec.Struct, frozen=True, kw_only=True):
     text: str
 
 
-class Assumed(msgspec.Struct, frozen=True, kw_only=True):
+class Assumed(msgspec.Struct, frozen=True):
     """What was given and not tested: its value, and why no test sees it."""
 
     what: str
@@ -203,8 +203,8 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     method: Method | UnsetType = UNSET
     status: Status | UnsetType = UNSET
     doubts: list[Doubt] = msgspec.field(default_factory=list)
-    condition_number: float | UnsetType = UNSET
-    condition_number_scaled: float | UnsetType = UNSET
+    condition_number: float | UnsetType | None = UNSET
+    condition_number_scaled: float | UnsetType | None = UNSET
     rows: int | UnsetType = UNSET
     essential: EssentialSet | UnsetType = UNSET
     description: dict[str, str] = msgspec.field(default_factory=dict)

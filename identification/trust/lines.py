@@ -44,11 +44,6 @@ class TrustLine:
     far_off: bool = False
 
 
-def not_made(test: str, text: str) -> TrustLine:
-    """The line of a test that could not be made, `text` saying why."""
-    return TrustLine(test, "not made", text)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Trust:
     """All tests of a fit, worst first, and what none of them tests. A test that was not made says nothing either way."""

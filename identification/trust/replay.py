@@ -49,8 +49,8 @@ class Replay:
 
 def replay_test(evidence: Evidence) -> TrustLine:
     """Whether the recorded efforts are what the described controllers give: the line of the worst recording."""
-    worst = min(evidence.parts, key=lambda part: _rank(part.replay))
-    if len(evidence.parts) == 1:
+    worst = min(evidence.recordings, key=lambda part: _rank(part.replay))
+    if len(evidence.recordings) == 1:
         return worst.replay
     name, text = worst.problem.signals.recording, worst.replay.text
     reason = text.removeprefix("not made: ")
