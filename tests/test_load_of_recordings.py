@@ -16,9 +16,9 @@ from identification.data import RecordingFile, Recordings, cluster, processes, s
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.regression import (
-    AtHand,
     Linearised,
     Overrides,
+    Place,
     make_problem,
     own_parameters,
     regression_of_recording,
@@ -276,7 +276,7 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
     linearised = Linearised(
         problem=problems[0],
         each=tuple(regression_of_recording(problem) for problem in problems),
-        places=tuple(AtHand(at_hand=problem) for problem in problems),
+        places=tuple(Place.of(problem) for problem in problems),
         parameters=own_parameters(problems),
     )
     settled = settled_least_squares(linearised)

@@ -261,9 +261,7 @@ class Fit:
         """The fit as one of its recordings shows it: rows, errors and simulated motion of that one."""
         iv = self.iv
         if iv is not None and one.replica is not None:
-            iv = replace(
-                iv, simulated=one.replica.simulated.motion, q=one.replica.simulated.q, direct=one.replica.direct
-            )
+            iv = replace(iv, simulated=one.replica.motion, q=one.replica.q, direct=one.replica.direct)
         rows = Rows(**{name: x[one.rows] for name, x in vars(self.rows).items()})
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(self, recordings=(replace(one, rows=here),), rows=rows, errors=one.errors, iv=iv)

@@ -11,7 +11,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
-from ..simulation import Lab, PassInstruments, Replica, has_controller
+from ..simulation import Instruments, Lab, Replica, has_controller
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass
@@ -45,7 +45,7 @@ class Trial:
     with.
     """
 
-    z: PassInstruments
+    z: Instruments
     estimate: Estimate
     covariance: Array
     asked: Array | None
@@ -77,7 +77,7 @@ class IterationResult:
     """
 
     estimate: Estimate
-    z: PassInstruments
+    z: Instruments
     asked: Array | None
     covariance: Array
     final: tuple[Replica, ...]
@@ -123,7 +123,7 @@ def conclude(
     iteration: Iteration,
     trials: Sequence[Trial],
     failure: str | None,
-    solve: Callable[[PassInstruments], Estimate],
+    solve: Callable[[Instruments], Estimate],
 ) -> IterationResult:
     """The last pass where it settled; otherwise the pass whose simulated robot tracks best at its worst joint.
 
@@ -160,7 +160,7 @@ def _best_pass(lab: Lab, trials: Sequence[Trial]) -> tuple[int, tuple[Replica, .
     """
     found = []
     for place, trial in enumerate(trials):
-        replicas = lab.plain_replicas(trial.estimate.among(lab.parameters.names))
+        replicas = lab.replicas(trial.estimate.among(lab.parameters.names), None)
         if all(one.direct for one in replicas):
             joints = [d.position_error_percent for one in replicas for d in one.direct]
             found.append((max((x for x in joints if x is not None), default=0.0), place, replicas))

@@ -17,6 +17,7 @@ from ..regression import (
     FilteredMotion,
     KnownLag,
     Overrides,
+    Place,
     Problem,
     Regression,
     RowStates,
@@ -30,7 +31,6 @@ from ..regression import (
     row_states,
     torque_of_recording,
 )
-from ..simulation import Place
 from ..trust import Part, TrustLine, replay_line
 from .fit import LeastSquares, Method
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one
-from ..simulation import DirectModelError, PassInstruments, Replica, told, worst
+from ..simulation import DirectModelError, Instruments, Replica, told, worst
 from ..trust import Evidence, Lag
 from .assess import Verdict, assess_estimate, intervals_along, sums_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names
@@ -26,8 +26,8 @@ def assess_iv(found: Timed, ls: LeastSquares, outcome: IterationResult) -> Fit:
     system, _ = observed.along(outcome.z)
     tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, outcome.z.used)
     direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.evidence]
-    final_reason = told([one.simulated.reason for one in replicas], names)
-    tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
+    final_reason = told([one.reason for one in replicas], names)
+    tracking_percent = worst([one.tracking_percent for one in replicas])
     status, reason = _status(passes, final_reason, tracking_percent, outcome.failure, direct, tests)
     first = replicas[observed.order[0]]
     if reason is not None and outcome.returned != len(passes):
@@ -47,18 +47,17 @@ def assess_iv(found: Timed, ls: LeastSquares, outcome: IterationResult) -> Fit:
         rows_used_percent=float(100 * outcome.z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
-        simulated=first.simulated.motion,
-        q=first.simulated.q,
+        simulated=first.motion,
+        q=first.q,
     )
     verdict = Verdict(status=status, iv=of_method, warnings=_iv_warnings(replicas, tests), replicas=replicas)
-    factors = [(one.factors.system, one.factors.Z) for one in outcome.z.each if one.factors is not None]
     evidence = replace(
         evidence,
         Z=None if long else evidence.Z,
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        factors=tuple(factors) if len(factors) > 1 else (),
+        factors=outcome.z.factors if len(outcome.z.factors) > 1 else (),
         blocks=sums_along(outcome.z, estimate),
         looked_at=None if found.beginning is None else _evidence_along(found.beginning, ls, found.lags),
     )
@@ -86,7 +85,7 @@ def _evidence_along(along: Along, ls: LeastSquares, lags: tuple[Lag, ...]) -> Ev
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-def assess_pass(estimate: Estimate, z: PassInstruments, system: System, tolerance_percent: float) -> Pass:
+def assess_pass(estimate: Estimate, z: Instruments, system: System, tolerance_percent: float) -> Pass:
     """A pass that led from the parameters asked for to `estimate`, and whether it settled.
 
     `system` has all parameters and the rows that this pass used.

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +13,9 @@ from ..estimation import one_thread
 from ..model import BaseParameters
 from .load import LinkSeries, LoadFriction, load_friction
 from .own import OwnParameters, own_parameters
+from .place import Place
 from .problem import Problem, motion_blocks
 from .system import ALL_REDUCED, Regression, regression_of_recording, stacked
-
-
-class Place(Protocol):
-    """Where a task finds a recording."""
-
-    def problem(self) -> Problem:
-        """Its problem, in the process that runs the task."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AtHand:
-    """A recording whose problem is in this process."""
-
-    at_hand: Problem
-
-    def problem(self) -> Problem:
-        """The problem."""
-        return self.at_hand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,8 +42,7 @@ class Linearised:
     @classmethod
     def of_one(cls, problem: Problem, plain: Regression) -> "Linearised":
         """Of one recording; `plain` is its regression, columns of load friction zero."""
-        places, parameters = (AtHand(at_hand=problem),), own_parameters([problem])
-        return cls(problem=problem, each=(plain,), places=places, parameters=parameters)
+        return cls(problem=problem, each=(plain,), places=(Place.of(problem),), parameters=own_parameters([problem]))
 
     @cached_property
     def load(self) -> LoadFriction:

@@ -1,6 +1,5 @@
 """The robot in closed loop: control laws, friction, a recorded experiment simulated again, instruments, dry runs' plant."""
 
-from .bench import Bench, DirectModelError, Place, Replica
 from .closed_loop import ClosedLoop, simulate
 from .control_law import (
     SURROGATE_DAMPING,
@@ -13,7 +12,7 @@ from .control_law import (
 )
 from .disturbances import Disturbances
 from .experiment import make_experiment
-from .instruments import Counting, InstrumentKind, simulate_instruments
-from .lab import Lab, PassInstruments, told, worst
-from .motion import simulated_motion
+from .instruments import InstrumentKind, Instruments, simulate_instruments, told, worst
+from .lab import Lab, Simulation
+from .motion import DirectModelError, Replica, simulate_replica
 from .plant import RigidBodyPlant, described_robot, drive_loops

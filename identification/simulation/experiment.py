@@ -50,15 +50,14 @@ class Experiment:
 
     Attributes:
         blocks: of the rows; `layout` the instants, and `decimation` of the instruments to the rows.
-        reference_kind: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
         start: measured position and speed, filtered, (n,) each, at the first instant.
         bound: (n,) how far a simulation may leave the reference; `held` (n,), which joints the reference holds;
             `fastest` (c,) speeds of its directions of Coulomb friction.
         scatter: (n,) sum of squares of the measured position, filtered, about its mean.
         poses: (P, n) positions at which M is checked.
+        slip_noise: (c,) noise of the speeds of the directions of Coulomb friction.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
-        saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         gain_update: whether gains follow the inertias of each estimate.
         long: whether rows are QR factors: no whole motion is kept.
     """
@@ -67,20 +66,28 @@ class Experiment:
     blocks: tuple[RowBlock, ...]
     layout: Layout
     decimation: Decimation
-    reference_kind: Literal["recorded", "surrogate"]
     start: tuple[Array, Array]
     bound: Array
     held: NDArray[np.bool_]
     fastest: Array
     scatter: Array
     poses: Array
+    slip_noise: Array
     loop: ControlLaw | None
     J_prior: Array
     J_known: bool
-    bandwidth_hz: float
-    saturated_percent: float | None
     gain_update: bool
     long: bool
+
+    @property
+    def reference_kind(self) -> Literal["recorded", "surrogate"]:
+        """`surrogate` for the measured position low-passed without phase shift."""
+        return "surrogate" if self.problem.signals.q_ref is None else "recorded"
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Of the position loops."""
+        return self.problem.signals.robot.bandwidth_hz
 
     def reference(self, first: int, last: int) -> Reference:
         """What the controller follows from its instant `first` to before `last`."""
@@ -98,6 +105,7 @@ class Experiment:
 def make_experiment(
     problem: Problem,
     beta_ls: Array,
+    slip_noise: Array,
     *,
     gain_update: bool = True,
     rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
@@ -105,7 +113,8 @@ def make_experiment(
 ) -> Experiment:
     """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
 
-    `rate_per_bandwidth` is the number of simulated steps and of instrument samples per period of the bandwidth, at least.
+    `slip_noise` (c,) is that of the speeds of the directions of Coulomb friction. There are
+    `rate_per_bandwidth` simulated steps and instrument samples, at least, per period of the bandwidth.
 
     Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
     """
@@ -140,18 +149,16 @@ def make_experiment(
         blocks=blocks,
         layout=layout,
         decimation=decimation,
-        reference_kind="surrogate" if signals.q_ref is None else "recorded",
         start=(first.q[0], first.dq[0]),
         bound=LOST * np.maximum(scale, 0.1 * travel.max()),
         held=held,
         fastest=fastest,
         scatter=np.maximum(squares - total**2 / layout.N, 0.0),
         poses=at,
+        slip_noise=slip_noise,
         loop=loop,
         J_prior=J_prior,
         J_known=J_known,
-        bandwidth_hz=bandwidth_hz,
-        saturated_percent=_saturated_percent(problem),
         gain_update=gain_update,
         long=long,
     )
@@ -217,7 +224,7 @@ def _refuse_foreign_reference(problem: Problem) -> None:
             continue
         place = f"{signals.recording}: reference of joint {joint.name}"
         left = f"{error:.3g} {joint.position_unit} rms off the measured position"
-        saturated = _saturated_percent(problem)
+        saturated = saturated_percent(problem)
         if saturated is not None and saturated > MIN_SATURATED_PERCENT:
             raise IdentificationError(
                 f"{left}: a drive is saturated in {saturated:.0f} % of the samples",
@@ -229,7 +236,8 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         )
 
 
-def _saturated_percent(problem: Problem) -> float | None:
+def saturated_percent(problem: Problem) -> float | None:
+    """Share of recorded samples at the drives' limit, None where no limit is stated."""
     signals, settings = problem.signals, problem.settings
     limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
     if not np.isfinite(limits).any():
