@@ -95,8 +95,7 @@ def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load
         term = idm.sources[column]
         if isinstance(term, JointTerm) and term.kind in DISSIPATING:
             for j in term.rows:
-                torque = np.sign(dq[:, j]) * load[:, j] if term.kind == "load" else term.entry(j, dq, still)
-                G[:, i] += dq[:, j] * torque
+                G[:, i] += dq[:, j] * term.entry(j, dq, still, load[:, j])
     return np.asarray(G / np.abs(dq).sum(axis=1)[:, None])
 
 

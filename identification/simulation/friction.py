@@ -112,4 +112,4 @@ class Friction:
         if self._stuck:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
-        return shapes.friction(u, along), 0.5 * shapes.root / np.sqrt(u)
+        return shapes.friction(u, along), shapes.steepness(u)
