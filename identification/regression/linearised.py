@@ -94,12 +94,8 @@ class Linearised:
         of_each = [beta[self.parameters.places(k)] for k in range(len(self.each))]
         base = self.problem.base
         if self.plain.reduced:
-            each = tuple(
-                self.work.run(
-                    reduced_regression_at,
-                    [(place, base, own) for place, own in zip(self.places, of_each, strict=True)],
-                )
-            )
+            places = zip(self.places, of_each, strict=True)
+            each = tuple(self.work.run(reduced_regression_at, [(place, base, own) for place, own in places]))
         else:
             tasks = [
                 (place, one.links, base, load, own)
@@ -130,14 +126,11 @@ def without_terms(problem: Problem, left_out: dict[str, str]) -> Problem:
 def load_columns(
     place: Place, links: tuple[LinkSeries, ...], base: BaseParameters, load: LoadFriction, beta: Array
 ) -> Array:
-    """Columns of load friction and their derivatives, (2, k, rows), as of `LoadFriction.columns`, about beta (b,).
-
-    `links` are the recording's, where they are at hand; they are made anew otherwise, and never sent to another process.
-    """
+    """`LoadFriction.columns` of a recording."""
     problem, parts = place.problem(), []
+    # What is at hand is never sent to another process: there it is made anew.
     for block in links or _blocks(problem, base, load):
-        rigid = load.torque_of_links(block.entries, block.series, beta)
-        parts.append(load.columns(rigid, block.dq, problem.settings.decimator)[..., block.inside])
+        parts.append(load.columns(block, beta, problem.settings.decimator))
     return np.concatenate(parts, axis=-1)
 
 
@@ -160,11 +153,9 @@ def _blocks(problem: Problem, base: BaseParameters, load: LoadFriction) -> Itera
 def _linearised(plain: Regression, load: LoadFriction, columns: Array, beta: Array) -> Regression:
     """Rows that are not reduced, about beta (b,), from the columns (2, k, rows) of load friction."""
     n, b = plain.tau.shape[1], len(beta)
-    W = plain.system.W.reshape(n, -1, b).transpose(0, 2, 1).copy()
-    Y = plain.system.Y.reshape(n, -1).copy()
-    load.linearise(W, Y, columns, beta)
-    rows = np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(-1, b)
-    return replace(plain, system=replace(plain.system, W=rows, Y=Y.reshape(-1)), links=())
+    W, Y = plain.system.W.copy(), plain.system.Y.copy()
+    load.linearise(W.reshape(n, -1, b).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
+    return replace(plain, system=replace(plain.system, W=W, Y=Y), links=())
 
 
 def _without_columns(regression: Regression, left_out: dict[str, str]) -> Regression:

@@ -208,8 +208,8 @@ def decimated_regressor(
     """
     load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
     if load and beta is not None:
-        rigid = load.torque_of_links(entries, series, beta)
-        load.linearise(W, None, load.columns(rigid, motion.dq, decimation), beta)
+        columns = load.columns(load.series_of_links(entries, series, motion.dq, slice(None)), beta, decimation)
+        load.linearise(W, None, columns, beta)
     return W
 
 
@@ -261,11 +261,12 @@ def _block(problem: Problem, at: RowBlock, beta: Array | None) -> tuple[_Block, 
     load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)
     stride = 1 if load else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
     W, entries, series = _decimated(motion, model, base, decimation, stride)
-    links, Y = load.series_of_links(entries, series, motion.dq, inside), tau.copy()
+    links = load.series_of_links(entries, series, motion.dq, inside)
+    W, tau = W[..., inside], tau[:, inside]
+    Y = tau.copy()
     if load and beta is not None:
-        rigid = load.torque_of_links(links.entries, links.series, beta)
-        load.linearise(W, Y, load.columns(rigid, motion.dq, decimation), beta)
-    block = _Block(W=W[..., inside], Y=Y[:, inside], tau=tau[:, inside], speed=decimation.kept(motion.dq)[inside])
+        load.linearise(W, Y, load.columns(links, beta, decimation), beta)
+    block = _Block(W=W, Y=Y, tau=tau, speed=decimation.kept(motion.dq)[inside])
     return block, links
 
 
