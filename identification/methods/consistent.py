@@ -109,7 +109,7 @@ def consistent_set(
         beta=found.beta,
         base_half=known.reach * of_beta.sigma,
         base_from_prior=of_beta.share > FROM_PRIOR,
-        prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
+        prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
         prior_weight=prior.weight,
         chi_squared=found.chi_squared,
         deviations=found.deviations,

@@ -8,7 +8,6 @@ from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
 from .physical import (
     RESISTING,
-    ExpectedLinks,
     expected_links,
     friction_alone,
     friction_power,

@@ -49,25 +49,14 @@ class Requirement:
     matrix: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExpectedLinks:
-    """What is expected of the links before anything is measured.
+def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tuple[Array, tuple[str, ...]]:
+    """The links of `prior`, another description of the robot, or of the model's own, before anything is measured.
 
-    Attributes:
-        links: (n, 10) XX XY XZ YY YZ ZZ MX MY MZ M in the frames of the model's links.
-        sources: by link, where they are from: `[parameters]`, `URDF` or `plausible`.
-    """
+    Their parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the frames of the model's links, and of each where it is from.
 
-    links: Array
-    sources: tuple[str, ...]
-
-
-def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> ExpectedLinks:
-    """The links of `prior`, another description of the robot, or of the model's own.
-
-    A link is that of the description's `[parameters]`, else of its URDF, else a plausible one: a rod from its joint to the
-    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it
-    has other joints, or its links do not move as those of the model.
+    A link is that of the description's `[parameters]`, else of its `URDF`, else `plausible`: a rod from its joint to the next.
+    The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it has
+    other joints, or its links do not move as those of the model.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
@@ -76,7 +65,7 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> Expe
     if prior is not None:
         T = _frames_of(idm, prior)
         links = link_parameters(T @ pseudo_inertia(links) @ T.transpose(0, 2, 1))
-    return ExpectedLinks(links=links, sources=tuple(source for _, source in found))
+    return links, tuple(source for _, source in found)
 
 
 def link_columns(idm: InverseModel) -> NDArray[np.intp]:
@@ -162,7 +151,7 @@ def physical_parameters(
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
     links, start = link_columns(idm), np.zeros(idm.p)
-    start[links] = expected_links(idm, prior).links
+    start[links] = expected_links(idm, prior)[0]
     rows, A = own_shares(idm)
     first = A @ values
     for i, c in enumerate(rows):

@@ -165,14 +165,14 @@ def _along(
     """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
     problem, base = e.problem, e.problem.base
     directions, percent, rows = problem.model.coulomb_directions, problem.settings.low_speed.iv, e.blocks[0].rows
-    factors = Factors(problem.signals.robot.n, 2 * base.b + 1)
-    time_blocks = InstrumentBlocks.none_yet(rows if e.long else 0, base.names)
+    factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
+    time_blocks = InstrumentBlocks.none_yet(rows, base.names) if e.long else None
     error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
         own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
         slow = _slip(e, motion.dq @ directions.T)[at.inside]
-        if not e.long:
+        if factors is None or time_blocks is None:
             parts.append(own)
             slip.append(slow)
             continue
@@ -184,7 +184,7 @@ def _along(
         factors.add_block(columns, counts)
         time_blocks.add(at.first, columns, weights, counts)
         fast.append(counts)
-    if e.long:
+    if factors is not None:
         system, of_system = factors.system(base.names)
         assert of_system is not None
         return (of_system, np.concatenate(fast), system, time_blocks), error.percent
