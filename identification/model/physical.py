@@ -189,16 +189,14 @@ def _columns(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...])
 
 
 def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
-    """Joints that share motors; those whose friction has further terms than viscous and Coulomb ones, or the others.
-
-    One-sided terms count as further ones where joints share motors.
-    """
+    """Joints that share motors: those whose friction has further terms than viscous and Coulomb ones, or the others."""
     everywhere = tuple(range(idm.robot.n))
     joined = np.eye(idm.robot.n)
     for c in _columns(idm, DISSIPATING, everywhere):
         joined[np.ix_(_term(idm, c).rows, _term(idm, c).rows)] = 1.0
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
+    # One-sided terms count as further ones where joints share motors.
     one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
     further = {g for g in groups if _columns(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
     return [joints for joints in groups if (joints in further) == shaped]

@@ -131,10 +131,7 @@ def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
 
 
 def stacked(regressions: Sequence[Regression]) -> Regression:
-    """The system of several recordings: rows stacked joint by joint, in the order given; reduced if one of them is.
-
-    All must be reduced, or none.
-    """
+    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
     if len(regressions) == 1:
         return regressions[0]
     n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
