@@ -20,7 +20,9 @@ from identification.estimation import (
 )
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
-from identification.simulation import make_experiment, simulate_instruments, simulate_replica
+from identification.simulation.experiment import make_experiment
+from identification.simulation.instruments import simulate_instruments
+from identification.simulation.motion import simulate_replica
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])

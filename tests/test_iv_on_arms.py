@@ -21,7 +21,9 @@ from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem
-from identification.simulation import make_experiment, simulate_instruments, simulate_replica
+from identification.simulation.experiment import make_experiment
+from identification.simulation.instruments import simulate_instruments
+from identification.simulation.motion import simulate_replica
 
 SETTLED = ("converged", "not_confirmed")
 SENSOR_ARM = Path(__file__).with_name("torque_sensor_arm.toml")

@@ -26,9 +26,9 @@ from identification.regression import (
     row_states,
     settled_least_squares,
     system,
-    torque_of_links,
     torque_of_recording,
 )
+from identification.regression.links import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
 

@@ -15,7 +15,8 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Pool, Recordings, Signals, check_one_robot, signals_from_arrays
+from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
+from identification.data.work import Pool
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent

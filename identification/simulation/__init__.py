@@ -1,6 +1,6 @@
 """The robot in closed loop: control laws, friction, a recorded experiment simulated again, instruments, dry runs' plant."""
 
-from .closed_loop import ClosedLoop, simulate
+from .closed_loop import ClosedLoop
 from .control_law import (
     SURROGATE_DAMPING,
     Control,
@@ -11,8 +11,7 @@ from .control_law import (
     surrogate_loop,
 )
 from .disturbances import Disturbances
-from .experiment import make_experiment
-from .instruments import InstrumentKind, Instruments, simulate_instruments, told, worst
+from .instruments import InstrumentKind, Instruments, told, worst
 from .lab import Lab, Simulation
-from .motion import DirectModelError, Replica, simulate_replica
+from .motion import DirectModelError, Replica
 from .plant import RigidBodyPlant, described_robot, drive_loops

@@ -20,6 +20,8 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model, inertias, pose_step
 from ..regression import (
+    BLOCK_SAMPLES,
+    SPLINE_REACH,
     Decimation,
     Motion,
     Problem,
@@ -40,8 +42,6 @@ MIN_TRAVEL = (
     0.01  # of the reference, in that of the joint of the same type which travels most: a joint with less is held
 )
 MIN_SATURATED_PERCENT = 5.0  # share of saturated samples that explains why a robot leaves its reference
-_SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
-_BLOCK = 200_000  # samples looked through at a time for saturation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -171,16 +171,14 @@ def _measured(problem: Problem, samples: slice) -> Motion:
 
 
 def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Reference:
-    """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion.
-
-    The measured motion has in it what was fed forward. A surrogate loop's output is torque at the joints.
-    """
+    """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion."""
     signals, settings = problem.signals, problem.settings
-    low = max(settings.start, math.floor(at[0]) - _SPLINE)
-    high = min(settings.stop, math.ceil(at[-1]) + 1 + _SPLINE)
+    low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
+    high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
     at, near = at - low, slice(low, high)
     known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
+        # What was fed forward is in the measured motion already.
         measured = _measured(problem, near)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
@@ -190,15 +188,15 @@ def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Referenc
     ahead = None
     if signals.feedforward is not None:  # held from sample to sample: a cubic would swing beside a step
         ahead = signals.feedforward[near][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
-        ahead = signals.robot.joint_effort(ahead) if loop is None else ahead
+        ahead = (
+            signals.robot.joint_effort(ahead) if loop is None else ahead
+        )  # a surrogate's output is torque at the joints
     return Reference(*paths, known_torque=known, feedforward=ahead)
 
 
 def _scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.bool_]]:
-    """(n,) by what position errors are large, from the `travel` (n,) of the reference; and which joints are held.
-
-    Neighbours push a held joint, whose own travel says nothing of that: it goes by the joint of its type that travels most.
-    """
+    """(n,) by what position errors are large, from the `travel` (n,) of the reference; and which joints are held."""
+    # Neighbours push a held joint, whose own travel says nothing of that.
     largest = largest_of_type(travel, joints)
     held = travel < MIN_TRAVEL * largest
     return np.where(held, largest, travel), held
@@ -211,8 +209,8 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         return
     joints, first, N = signals.robot.joints, signals.q_ref[used.start], used.stop - used.start
     total, squares, off = np.zeros((3, len(joints)))
-    for a in range(used.start, used.stop, _BLOCK):
-        some = slice(a, min(used.stop, a + _BLOCK))
+    for a in range(used.start, used.stop, BLOCK_SAMPLES):
+        some = slice(a, min(used.stop, a + BLOCK_SAMPLES))
         x = signals.q_ref[some] - first
         total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
         off = off + ((signals.q_ref[some] - signals.q[some]) ** 2).sum(axis=0)
@@ -243,8 +241,8 @@ def saturated_percent(problem: Problem) -> float | None:
     if not np.isfinite(limits).any():
         return None
     saturated = 0
-    for a in range(settings.start, settings.stop, _BLOCK):
-        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + _BLOCK)])
+    for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
+        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
         saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
         let_go(signals.effort)
     return 100.0 * saturated / (settings.stop - settings.start)
