@@ -2,7 +2,7 @@
 
 The rooms, ground floor first. Each is entered by its face, what its `__init__` shows; imports only run down::
 
-    report       documents and their renderers
+    report       documents, their renderers, the JSON file of a fit, comparisons
     estimation   least squares, instrumental variables and their tests, on arrays
     data         a recording as signals on a uniform grid; where tasks run
     model        inverse and direct dynamics, friction and rotors, base parameters, what is physical (pinocchio)

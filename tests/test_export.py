@@ -20,11 +20,10 @@ from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import Outputs, StoredModel, export_model, mechanism_of, model_of_fit
 from identification.export.robot_toml import with_parameters
-from identification.methods import Prior, with_consistent
-from identification.methods.stored_fit import Covariance, LeftOut
+from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
-from identification.report import fit_document, fit_file, read_fit, write_json
+from identification.report import Covariance, LeftOut, read_fit, write_json
 from identification.study import study_truth
 
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -431,7 +430,7 @@ def fits(tmp_path_factory):
     files = {}
     for name, made in (("free", fit), ("consistent", with_consistent(fit, Prior()))):
         files[name] = folder / f"{name}.json"
-        write_json(files[name], fit_file(made.problem.signals, made, fit_document(made.problem.signals, made)))
+        write_json(files[name], fit_file(made))
     return files
 
 
@@ -465,7 +464,7 @@ def test_parameters_left_out_are_zero_with_their_own_deviation(fits, tmp_path):
     beta = np.array([0.0 if k == out else p.value for k, p in enumerate(stored.parameters)])
     C = matrix.copy()
     C[out], C[:, out], C[out, out] = 0.0, 0.0, sigma**2
-    model = InverseModel(stored.robot("fit.json"))
+    model = InverseModel(stored_robot(stored, "fit.json"))
     expected = consistent_parameters(beta, C, base_parameters(model).K, physical_parameters(model)).chi
     np.testing.assert_allclose(model_of_fit(few, "fit.json").mechanism.chi, expected, rtol=1e-6, atol=1e-9)
 

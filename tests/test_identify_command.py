@@ -222,11 +222,11 @@ def test_outputs_are_whole_or_not_there(capsys, tmp_path):
             "expected those of the recording's robot",
         ),
         (
-            '{"format": 1, "method": "wls", "status": "", "parameters": [{"name": "ZZ9", "value": 1, "sigma": 1, "unit": ""}]}',
+            '{"format": 1, "status": "solved", "parameters": [{"name": "ZZ9", "value": 1, "sigma": 1, "unit": ""}]}',
             "parameters = 'ZZ9': expected those of the recording's robot",
         ),
         (
-            '{"format": 1, "method": "wls", "status": "", "parameters": [{"name": "MX2", "value": 1, "sigma": 1, "unit":"A"}]}',
+            '{"format": 1, "status": "solved", "parameters": [{"name": "MX2", "value": 1, "sigma": 1, "unit":"A"}]}',
             "MX2.unit = 'A': expected kg m, as the recording's robot has it",
         ),
         (

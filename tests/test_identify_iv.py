@@ -70,12 +70,12 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
     fit = identify_iv(signals_of(tx40), Overrides(), Iteration(gain_update=False))
     # A wrist of 1 kg m² under gains set for 0.01 kg m² does not follow: only along the reference does the method go on.
     first = fit.iv.passes[0]
-    assert first.instruments == "reference"
-    assert "the simulated robot leaves its reference at joint 6" in first.reason
+    assert first.z.kind == "reference"
+    assert "the simulated robot leaves its reference at joint 6" in first.z.reason
     updated = iv_of(tx40)
-    assert all(p.instruments == "simulated" for p in updated.iv.passes)
-    assert updated.iv.passes[0].tracking_percent < 5
-    assert fit.iv.passes[0].residual_norm > 1.02 * updated.iv.passes[0].residual_norm
+    assert all(p.z.kind == "simulated" for p in updated.iv.passes)
+    assert updated.iv.passes[0].z.tracking_percent < 5
+    assert fit.iv.passes[0].estimate.residual_norm > 1.02 * updated.iv.passes[0].estimate.residual_norm
     # Nor are the gains updated for the last simulation, that of the result.
     assert not np.array_equal(fit.iv.simulated.q, updated.iv.simulated.q)
 
@@ -192,7 +192,7 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "not_confirmed"
     assert "inertia matrix is not positive" in wrong.iv.reason
-    assert all(p.instruments != "simulated" or p.reason is None for p in wrong.iv.passes)
+    assert all(p.z.kind != "simulated" or p.z.reason is None for p in wrong.iv.passes)
 
 
 def test_too_few_passes_are_called_what_they_are():
@@ -263,7 +263,7 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
     np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
-    assert (fit.iv.passes[0].gains >= 1 / J - 1e-9).all()
+    assert (fit.iv.passes[0].z.gains >= 1 / J - 1e-9).all()
 
 
 def test_a_saturated_drive_is_reported(emps):

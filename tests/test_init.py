@@ -1,6 +1,7 @@
 """A URDF as a description: init, and base, study, simulate on the URDF itself; dynamics against pinocchio's own reading."""
 
 import json
+import re
 import tomllib
 from pathlib import Path
 
@@ -150,7 +151,7 @@ def test_base_of_a_urdf_is_that_of_its_description_and_names_the_joints(here, ca
     first, second = (json.loads((here / f"{kind}.json").read_text()) for kind in ("urdf", "toml"))
     assert first == second
     assert first["joint_names"] == list(ARM)
-    assert first["report"]["sections"][1]["rows"][2] == ["3", "slide", "prismatic"]
+    assert re.search(r"3\W+slide\W+prismatic", of_toml)
 
 
 @pytest.mark.parametrize(

@@ -151,8 +151,8 @@ def test_the_distance_to_the_nearest_robot_is_told():
     wrong = identify_iv(
         dataclasses.replace(signals, effort=signals.effort * np.array([1.0, -1.0])), Overrides(), Iteration()
     )
-    assert {p.instruments for p in right.iv.passes} == {"simulated"}
-    assert all(p.reason is not None for p in wrong.iv.passes if p.instruments != "simulated")
+    assert {p.z.kind for p in right.iv.passes} == {"simulated"}
+    assert all(p.z.reason is not None for p in wrong.iv.passes if p.z.kind != "simulated")
     line = right.trust.line("consistent")
     assert (line.level, "chi² = " in line.text) == ("ok", True)
     assert line.value < 10

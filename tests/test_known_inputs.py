@@ -90,7 +90,7 @@ def test_with_both_the_truth_is_in_the_intervals(method):
     if fit.iv:
         assert fit.status == "converged"
         assert (
-            fit.iv.passes[-1].tracking_percent < 0.01
+            fit.iv.passes[-1].z.tracking_percent < 0.01
         )  # 0.03 without the pulses, and the robot is lost without the spring
         assert fit.iv.direct[0].torque_error_percent < 3.0
 
@@ -116,7 +116,7 @@ def test_without_the_pulses_the_fit_says_caution(method):
     assert found.level == "caution"
     assert found.value < 0.97
     if fit.iv:
-        assert fit.iv.passes[-1].tracking_percent > 10 * fitted(records()[0], "iv").iv.passes[-1].tracking_percent
+        assert fit.iv.passes[-1].z.tracking_percent > 10 * fitted(records()[0], "iv").iv.passes[-1].z.tracking_percent
 
 
 def test_a_validation_counts_the_known_torque():

@@ -8,9 +8,9 @@ from conftest import REPLAY, ROOT
 from fits_of_records import signals_of
 
 from identification.commands import main
-from identification.methods import identify
+from identification.methods import fit_document, identify
 from identification.regression import Overrides
-from identification.report import Document, Section, Table, columns, fit_document, print_whole
+from identification.report import Document, Section, Table, columns, print_whole
 from identification.study import FALSE_ERROR, Noise, Study
 from identification.study.study_report import study_notes
 

@@ -6,7 +6,7 @@ import pytest
 from conftest import REPLAY
 from fits_of_records import iv_of, ls_of, signals_of
 
-from identification.report import Validated, fit_document, recording_document, validation_document
+from identification.methods import Validated, fit_document, recording_document, validation_document
 
 SCARA = REPLAY / "scara" / "session.mcap"
 

@@ -19,10 +19,18 @@ from identification.data import Recordings, Signals, check_one_robot, signals_fr
 from identification.data.work import Pool
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
-from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
+from identification.methods import (
+    Iteration,
+    Prior,
+    fit_file,
+    fitted_parameters,
+    identify_iv,
+    identify_ls,
+    with_consistent,
+)
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
-from identification.report import differences, fit_document, fit_file, fitted_parameters, read_fit, write_json
+from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
 
 CELL = Noise(encoder_step=1e-5, effort_percent=2.0)
@@ -424,7 +432,7 @@ def test_lag_columns_do_not_cross_recordings(monkeypatch):
     late = not_stated(replace(recorded(2), effort=np.roll(recorded(2).effort, 2, axis=0)))
     fit = identify_iv(several(not_stated(recorded(1)), late), Overrides(), Iteration())
     assert fit.trust.line("lag").value == pytest.approx(1.0, abs=0.6)
-    assert [len(part.poses) > 0 for part in seen[0].parts] == [True, True]
+    assert [len(part.poses) > 0 for part in seen[0].recordings] == [True, True]
 
 
 def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1, 0.05)) -> list[Signals]:
@@ -475,7 +483,7 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
     file = tmp_path / "fit.json"
 
     def stored(fit):
-        write_json(file, fit_file(fit.problem.signals, fit, fit_document(fit.problem.signals, fit)))
+        write_json(file, fit_file(fit))
         return read_fit(file)
 
     free = stored(fit)
@@ -485,11 +493,12 @@ def test_a_file_of_own_parameters_is_exported_where_it_is_consistent(tmp_path):
         model_of_fit(free, "fit.json")
     assert (told.value.key, told.value.expected) == ("covariance", "the fit again with --consistent")
     assert told.value.value.startswith("Off1@r")
-    rows = differences(free.parameter_set("a"), free.parameter_set("b"))
+    a, b = (ParameterSet.of_file(free, label) for label in ("a", "b"))
+    rows = differences(a, b)
     assert [(row.name, row.off) for row in rows] == [(name, 0.0) for name in fit.estimate.names]
     plain = replace(robot, identification=msgspec.structs.replace(robot.identification, own=()))
     shared = identify_ls(several(*(replace(recorded(k), robot=plain) for k in (1, 2, 3))), Overrides())
-    beside = {row.name: row.b.name for row in differences(free.parameter_set("a"), fitted_parameters(shared))}
+    beside = {row.name: row.b.name for row in differences(a, fitted_parameters(shared))}
     assert beside == {name: name.split("@")[0] for name in fit.estimate.names}
     made = with_consistent(fit, Prior())
     np.testing.assert_array_equal(model_of_fit(stored(made), "fit.json").mechanism.chi, made.consistent.chi)

@@ -271,7 +271,7 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     measured = dataclasses.replace(signals, q_ref=None)
     fit = identify_iv(measured, Overrides(), Iteration())
     assert (fit.status, fit.iv.reference, fit.iv.controller) == ("converged", "surrogate", "surrogate")
-    assert fit.iv.passes[-1].tracking_percent < 5
+    assert fit.iv.passes[-1].z.tracking_percent < 5
     np.testing.assert_allclose(fit.beta, [20.0, 50.0], rtol=0.01)
     # So does a described PD, where the measured position, with the sag in it, stands in for the reference.
     described = msgspec.structs.replace(
@@ -285,7 +285,7 @@ def test_a_surrogate_holds_a_vertical_axis_up():
     assert signals.q.mean() < -5e-3  # it sags
     fit = identify_iv(dataclasses.replace(signals, q_ref=None), Overrides(), Iteration())
     assert fit.status == "converged"
-    assert fit.iv.passes[-1].tracking_percent < 20
+    assert fit.iv.passes[-1].z.tracking_percent < 20
 
 
 def test_a_simulation_that_runs_away_in_its_last_steps_is_told():

@@ -90,6 +90,16 @@ def test_the_methods_are_imported_without_the_slow_parts_of_scipy():
     assert done.returncode == 0, done.stderr
 
 
+def test_two_files_are_compared_without_what_made_them():
+    fits = [str(ROOT / "replay_data" / name / "fit.json") for name in ("scara", "scara")]
+    code = (
+        f"import sys\nfrom identification.commands import main\nassert main(['compare', *{fits}]) == 0\n"
+        "print(sum(name.split('.')[0] in ('acquisition', 'identification') for name in sys.modules))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert int(done.stdout.split()[-1]) <= 45, done.stderr
+
+
 MOST_PARAMETERS = 6
 MANY_PARAMETERS = {  # to be emptied
     "identification/view/charts.py _value",

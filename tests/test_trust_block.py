@@ -28,12 +28,12 @@ from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
 from identification.regression import Overrides
 from identification.trust import LEVELS, Evidence, Trust, TrustLine
-from identification.trust.columns import lacks_of
+from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
 from identification.trust.lines import worst_first
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
-    _judged_together,
+    _judge_together,
     _whitened,
     essential_test,
     fixed_point_test,
@@ -90,7 +90,7 @@ def examined_as_long(method: str) -> tuple[Fit, Evidence]:
 
 
 def line(level: str, test: str = "a test", finding: str = "") -> TrustLine:
-    return TrustLine(test=test, level=level, value=None, text="", finding=finding)
+    return TrustLine(test, level, "", finding=finding)
 
 
 def test_the_worst_line_is_the_verdict():
@@ -148,8 +148,8 @@ def test_held_out_blocks_far_off_and_no_positive_m_together_are_not_to_be_used()
     held = held_out_test(evidence)
     far = replace(held, level="caution", far_off=True)
     for value, line_, level in ((-0.1, far, "do not use"), (0.1, far, "caution"), (-0.1, held, "ok")):
-        physical = TrustLine(test="physical", level="caution", value=value, text="")
-        (judged,) = (x for x in _judged_together([physical, line_]) if x.test == "held-out blocks")
+        physical = TrustLine("physical", "caution", "", value)
+        (judged,) = (x for x in _judge_together([physical, line_]) if x.test == "held-out blocks")
         assert judged.level == level
         assert ("--consistent" in judged.text) == (level == "do not use")
 
@@ -211,7 +211,7 @@ def test_a_column_is_solved_with_the_others(method):
     system, n = evidence.observed.system.with_rows(evidence.used), 2
     W, Y = system.weighted(fit.estimate.weights)
     T = len(Y) // n
-    (lack,) = (x for x in lacks_of(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
+    (lack,) = (x for x in missing_terms(evidence) if (x.column.kind, x.column.where) == ("drift", "of joint shoulder"))
     weight = fit.estimate.weights[0] * evidence.used[:T]
     column = np.r_[np.linspace(0, 1, T) * weight, np.zeros(T)]
     Z = evidence.Z if method == "iv" else system.W
@@ -238,9 +238,13 @@ def test_what_the_model_lacks_is_named_first(method, fault):
 
 
 def test_a_column_has_the_size_of_the_fault():
-    by_joint = {x.where: x for x in lacks_of(examined("iv", "scara", fault="asymmetric friction")[1])}
+    by_joint = {x.column.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
     assert len(by_joint) > 2
-    found = [x.value for x in lacks_of(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind]
+    found = [
+        x.value
+        for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])
+        if "asym" in x.column.kind
+    ]
     np.testing.assert_allclose(found, [20.0, 20.0], atol=5.0)
 
 
@@ -510,7 +514,7 @@ def test_sums_that_lost_their_digits_are_not_used():
     """Q'Q of all blocks is 1 and Q'W the inverse of the bread, unless squares are too ill-conditioned."""
     _, long = examined_as_long("wls")
     (blocks,) = long.blocks
-    assert long.sums_hold
+    assert long.sums_accurate
     for lost in ({"QQ": blocks.QQ * (1 + 1e-5)}, {"QW": blocks.QW * (1 + 1e-5)}):
         ill = replace(long, blocks=(replace(blocks, **lost),))
         for test in (held_out_test, halves_test):

@@ -1,6 +1,7 @@
 """`converged` is not said where a joint does not track or the instruments say nothing of the regressor."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import msgspec
 from conftest import REPLAY
@@ -19,8 +20,8 @@ GOOD = InstrumentTests(
 
 def verdict(tracking, errors, tests=GOOD):
     settled = Pass(
-        instruments="simulated", reason=None, residual_norm=1.0, change_sigma=0.1, change_percent=0.1, changed="M1",
-        gains=None, tracking_percent=tracking, condition=1.0,
+        z=SimpleNamespace(kind="simulated"), estimate=None, asked=None, covariance=None, coarse=False,
+        change_sigma=0.1, change_percent=0.1, changed="M1",
         residual_percent=0.1, residual_settled=True, parameters_settled=True,
     )  # fmt: skip
     direct = [

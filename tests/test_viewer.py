@@ -230,7 +230,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     labels = file.static["/passes/labels"]["Points2D:labels"]
     assert {str(k) for k in range(1, len(fit.iv.passes) + 1)} <= {label.split(":")[0] for label in labels}
     for p in fit.iv.passes:
-        assert f"{p.residual_norm:.3g}" in labels
+        assert f"{p.estimate.residual_norm:.3g}" in labels
     text = file.static["/report"]["TextDocument:text"][0]
     assert "simulated robot against the recording" in text
     assert "IV and LS" in text

@@ -19,10 +19,11 @@ from identification.commands import main
 from identification.data import load_signals
 from identification.data.signals import SignalEvent
 from identification.errors import IdentificationError
-from identification.methods.comparison import difference_lines
+from identification.methods import fitted_parameters
 from identification.model import InverseModel
 from identification.regression import Overrides
-from identification.report import Parameter, ParameterSet, differences, fitted_parameters
+from identification.report import Parameter, ParameterSet, differences
+from identification.report.comparison import difference_lines
 from identification.study import Run
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
@@ -545,14 +546,14 @@ def test_fits_that_cannot_be_compared_are_refused_in_one_line(capsys, tmp_path):
 
 def test_figures_of_the_trust_tests_are_drawn_with_their_intervals_and_what_was_expected():
     lag = TrustLine(
-        test="lag",
-        level="caution",
-        value=1.2,
-        text="torque late",
+        "lag",
+        "caution",
+        "torque late",
+        1.2,
         unit="samples",
         figures=(Figure(name="shoulder", value=1.2, half_width=0.2, expected=-0.5), Figure(name="elbow", value=-0.5)),
     )
-    made = TrustLine(test="ends", level="ok", value=0.0, text="no outlier")
+    made = TrustLine("ends", "ok", "no outlier", 0.0)
     assert trust_drawing(Trust(lines=(made,))) is None
     drawing = trust_drawing(Trust(lines=(lag, made)))
     labels = [text for _, _, text, _ in drawing.labels]

@@ -21,19 +21,18 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Print the differences, and what must be known of either fit."""
-    from ..methods import comparison_document, comparison_file, doubts, frame_lines, read_fit
-    from ..report import write_json
+    from ..report import ParameterSet, comparison_document, comparison_file, frame_lines, read_fit, write_json
 
     refuse_outputs([options.a, options.b], options.json, options.rrd)
     same = options.a.stem == options.b.stem
     labels = [str(path) if same else path.stem for path in (options.a, options.b)]
     fits = [read_fit(path) for path in (options.a, options.b)]
-    a, b = (fit.parameter_set(label) for fit, label in zip(fits, labels, strict=True))
-    warnings = [*doubts(fits[0], str(options.a)), *doubts(fits[1], str(options.b))]
+    a, b = (ParameterSet.of_file(fit, label) for fit, label in zip(fits, labels, strict=True))
+    warnings = [*fits[0].warnings_of(str(options.a)), *fits[1].warnings_of(str(options.b))]
     warnings += frame_lines(fits[0], fits[1], (labels[0], labels[1]))
     document = comparison_document(a, b, tuple(warnings))
     if options.json:
-        write_json(options.json, comparison_file(a, b, document))
+        write_json(options.json, comparison_file(a, b))
     if options.rrd:
         from ..view import write_comparison_rrd
 

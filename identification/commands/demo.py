@@ -51,7 +51,7 @@ def run(options: argparse.Namespace) -> None:
         fits["iv"] = identify_iv(signals, Overrides(), Iteration(), say=progress.say)
         reports = {name: fit_document(signals, fit) for name, fit in fits.items()}
         for name, fit in fits.items():
-            write_json(out / f"{name}.json", fit_file(signals, fit, reports[name]))
+            write_json(out / f"{name}.json", fit_file(fit))
         progress.say("writing the Rerun file")
         write_fit_rrd(out / "demo.rrd", signals, fits["iv"], truth=true)
     print_results(*reports.values(), truth_document(robot.name, list(fits.values()), true))

@@ -36,8 +36,7 @@ def run(options: argparse.Namespace) -> None:
     refuse_outputs([options.fit], options.urdf, options.mjcf, options.toml)
     with Progress("reading"):
         from ..export import Outputs, distrust, export_model, model_of_fit
-        from ..methods import read_fit
-        from ..report import Section
+        from ..report import Section, read_fit
 
         stored, place = read_fit(options.fit), str(options.fit)
         reasons = distrust(stored, place)

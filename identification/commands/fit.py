@@ -46,9 +46,6 @@ def add(commands: Commands) -> None:
         metavar="ROBOT.toml|URDF",
         help="links expected: those of its [parameters] or its URDF (default: those of the recording's description)",
     )
-    consistent.add_argument(
-        "--prior-weight", type=above_zero, metavar="W", help="weight of the expected links (default 1)"
-    )
     iv = parser.add_argument_group("settings of instrumental variables")
     iv.add_argument(
         "--start",
@@ -81,11 +78,9 @@ def run(options: argparse.Namespace) -> int:
                 value=getattr(options, name),
                 expected="--method iv with it",
             )
-    for name in ("prior", "prior_weight"):
-        value = getattr(options, name)
-        if value is not None and not options.consistent:
-            shown = {"value": str(value) if name == "prior" else value, "expected": "--consistent with it"}
-            raise IdentificationError("does nothing alone", key=f"--{name.replace('_', '-')}", **shown)
+    if options.prior is not None and not options.consistent:
+        expected = "--consistent with it"
+        raise IdentificationError("does nothing alone", key="--prior", value=str(options.prior), expected=expected)
     inputs = [*options.recordings, options.robot, options.prior, Path(options.start or "regular")]
     refuse_outputs(inputs, options.json, options.report, picture=options.rrd)
     from acquisition.files import refuse_clash
@@ -113,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     document = fit_document(signals, fit, everything=options.all)
     try:
         if options.json:
-            write_json(options.json, fit_file(signals, fit, document))
+            write_json(options.json, fit_file(fit))
         if options.report:
             write_report(options.report, document)
         for picture, one in zip(pictures, fit.recordings, strict=False):
@@ -135,30 +130,31 @@ def _prior(options: argparse.Namespace) -> "Prior":
 
     from ..methods import Prior, refuse_unknown_gain, urdf_prior
 
-    path, weight = options.prior, options.prior_weight or 1.0
+    path = options.prior
     robot = sources(options)[0].load().robot
     refuse_unknown_gain(robot)
     if path is None:
-        return Prior(weight=weight)
+        return Prior()
     if path.suffix.lower() == ".toml":
-        return Prior(robot=load_robot(path), name=path.name, weight=weight)
+        return Prior(robot=load_robot(path), name=path.name)
     try:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise IdentificationError(f"cannot be read: {error}", place=str(path)) from error
-    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name, weight=weight)
+    return Prior(robot=urdf_prior(robot, text, path.name), name=path.name)
 
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
-    from ..methods import Iteration, identify, read_fit
+    from ..methods import Iteration, identify, stored_beta
     from ..regression import Overrides
+    from ..report import read_fit
 
     overrides = from_options(Overrides, options)
     iteration = None
     if any(getattr(options, name) is not None for name in ("start", "tolerance_percent", "max_iterations")):
         values = None
         if options.start not in (None, "regular", "ls"):
-            values = partial(read_fit(Path(options.start)).beta, place=options.start)
+            values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
         iteration = from_options(Iteration, options, values=values)
     return identify(
         recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say

@@ -43,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
     document = friction_document(choice)
     try:
         if options.json:
-            write_json(options.json, friction_file(choice, document))
+            write_json(options.json, friction_file(choice))
         if options.rrd:
             with Progress("writing the Rerun file"):
                 from ..view import write_friction_rrd

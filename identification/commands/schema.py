@@ -25,9 +25,9 @@ def schema(file: str) -> dict[str, Any]:
 
     from acquisition.robot import RobotFile
 
-    from ..methods import fit_schema
+    from ..report import FitFile
 
-    made = msgspec.json.schema(RobotFile) if file == "robot" else fit_schema()
+    made = msgspec.json.schema(RobotFile if file == "robot" else FitFile)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_with_common_anchors(made)}
 
 

@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
     document = study_document(robot.name, study, runs, true)
     try:
         if options.json:
-            write_json(options.json, study_file(study, runs, base, true, document))
+            write_json(options.json, study_file(study, runs, base, true))
         if options.rrd:
             from ..view import write_study_rrd
 

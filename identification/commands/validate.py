@@ -12,7 +12,7 @@ from .results import print_results, untrusted
 if TYPE_CHECKING:
     from ..data import Signals
     from ..estimation import TorqueError
-    from ..methods import StoredFit
+    from ..report import FitFile
 
 
 def add(commands: Commands) -> None:
@@ -38,28 +38,36 @@ def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
-        from ..methods import Validated, doubts, read_fit, validate_all, validation_document, validation_file
+        from ..methods import (
+            Validated,
+            consistent_fit,
+            stored_beta,
+            stored_settings,
+            validate_all,
+            validation_document,
+            validation_file,
+        )
         from ..regression import Overrides
-        from ..report import write_json
+        from ..report import read_fit, write_json
 
         stored, recordings, notes = read_fit(options.fit), [], []
-        consistent = stored.consistent_fit(str(options.fit)) if options.consistent else None
+        consistent = consistent_fit(stored, str(options.fit)) if options.consistent else None
         for path, own in zip(options.recordings, load(options), strict=True):
             signals, told = as_fitted(own, path, stored, str(options.fit), chosen=options.robot is not None)
-            overrides = from_options(Overrides, options).over(stored.settings(signals))
+            overrides = from_options(Overrides, options).over(stored_settings(stored, signals))
             recordings.append((signals, overrides))
             notes += told
         progress.say("predicting")
-        each, errors = validate_all(recordings, lambda base: stored.beta(base, str(options.fit)))
+        each, errors = validate_all(recordings, lambda base: stored_beta(stored, base, str(options.fit)))
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
-            _, of_set = validate_all(recordings, lambda base: consistent.beta(base, str(options.fit)))
+            _, of_set = validate_all(recordings, lambda base: stored_beta(consistent, base, str(options.fit)))
     of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
-    warnings = (*of_settings, *notes, *doubts(stored, str(options.fit)))
+    warnings = (*of_settings, *notes, *stored.warnings_of(str(options.fit)))
     validated = [Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
     document = validation_document(validated, options.fit.name, errors, warnings, of_set)
     if options.json:
-        write_json(options.json, validation_file(validated, options.fit.name, errors, document, warnings, of_set))
+        write_json(options.json, validation_file(validated, options.fit.name, errors, warnings, of_set))
     print_results(document)
     error, most = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
@@ -70,20 +78,21 @@ def run(options: argparse.Namespace) -> int:
 
 
 def as_fitted(
-    signals: "Signals", recording: Path, stored: "StoredFit", place: str, *, chosen: bool
+    signals: "Signals", recording: Path, stored: "FitFile", place: str, *, chosen: bool
 ) -> tuple["Signals", list[str]]:
     """The signals of a recording, by the fit's own description where the parameters are not those of the recording's.
 
     `chosen`: the user gave the description. The lines say what a reader must know; `place` names the fit in them.
     """
     from ..data import load_signals
+    from ..methods import other_meaning, stored_robot
     from ..model import InverseModel, base_parameters
 
-    other = stored.other_meaning(base_parameters(InverseModel(signals.robot)))
+    other = other_meaning(stored, base_parameters(InverseModel(signals.robot)))
     if not other:
         return signals, []
     names = ", ".join(other[:5]) + (", ..." if len(other) > 5 else "")
-    robot = None if chosen else stored.robot(place)
+    robot = None if chosen else stored_robot(stored, place)
     if robot is None:
         return signals, [
             f"{place}: {names}: perhaps not the same quantities as those of robot {signals.robot.name} here"

@@ -11,9 +11,10 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..data import Signals, load_signals
 from ..errors import IdentificationError
-from ..methods import doubts, read_fit
+from ..methods import stored_beta
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, load_parameters, truth
 from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
+from ..report import read_fit
 from .series import Motion
 
 NOISE_SHARE = 0.02  # of a joint's rms torque, where no noise is known
@@ -70,7 +71,7 @@ def knowledge_of(
     errors = stored.joints
     known = len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors)
     found = Knowledge(
-        beta=stored.beta(base, str(fit)),
+        beta=stored_beta(stored, base, str(fit)),
         beta_from=fit.name,
         error_percent=np.array([e.percent for e in errors]) if known else None,
         correlation=np.array([e.autocorrelation for e in errors]) if known else None,
@@ -78,7 +79,7 @@ def knowledge_of(
         recordings=recordings,
         folder=folder,
     )
-    return found, doubts(stored, str(fit))
+    return found, stored.warnings_of(str(fit))
 
 
 def torque_noise(

@@ -4,7 +4,7 @@ import msgspec
 
 from acquisition.robot import FrictionTerm, Robot
 
-from ..report import Document, Number, ResultFile, Section, Table, columns, document_json
+from ..report import Document, Number, ResultFile, Section, Table, columns
 from .selection import TermChoice
 from .sets import TRIED, described_terms, tried_terms
 from .trials import Trial
@@ -50,7 +50,7 @@ class FrictionFile(ResultFile, frozen=True, kw_only=True):
     left_out: list[str]
 
 
-def friction_file(choice: TermChoice, report: Document) -> FrictionFile:
+def friction_file(choice: TermChoice) -> FrictionFile:
     """A choice of terms as it goes into its JSON file; an error that does not exist is null."""
     names, first = [joint.name for joint in choice.robot.joints], choice.recordings[0]
     each = [RecordingOfChoice(recording=one.recording, sha256=one.sha256) for one in choice.recordings]
@@ -75,7 +75,6 @@ def friction_file(choice: TermChoice, report: Document) -> FrictionFile:
         ],
         recommended=choice.described,
         left_out=list(choice.left_out),
-        report=document_json(report),
     )
 
 

@@ -9,8 +9,9 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..methods import Known, Prior, StoredFit, consistent_set, doubts, refuse_unknown_gain
+from ..methods import Known, Prior, consistent_set, refuse_unknown_gain, stored_beta, stored_robot
 from ..model import InverseModel, base_parameters
+from ..report import FitFile
 from .mechanism import Mechanism, mechanism_of
 
 
@@ -27,20 +28,20 @@ class StoredModel:
         return self.mechanism.model.robot
 
 
-def distrust(stored: StoredFit, place: str) -> list[str]:
+def distrust(stored: FitFile, place: str) -> list[str]:
     """Why a fit is not to be trusted; a file without a verdict, of an earlier version, by its status and doubts."""
     if stored.verdict is UNSET:
-        return doubts(stored, place)
+        return stored.warnings_of(place)
     return [f"{place}: verdict {stored.verdict}"] if stored.verdict == "do not use" else []
 
 
-def model_of_fit(stored: StoredFit, place: str) -> StoredModel:
+def model_of_fit(stored: FitFile, place: str) -> StoredModel:
     """The robot of a fit, which its own description describes, with values for all standard parameters.
 
     An `IdentificationError`, with the file's `place`, for a fit in A or V, without a description or a covariance, or whose
     parameters no robot can have.
     """
-    robot = stored.robot(place)
+    robot = stored_robot(stored, place)
     if robot is None:
         expected = "a fit as `robot-identify fit --json` writes it"
         raise IdentificationError(place=place, key="description", value=None, expected=expected)
@@ -53,7 +54,7 @@ def model_of_fit(stored: StoredFit, place: str) -> StoredModel:
     return StoredModel(mechanism=mechanism_of(model, chi, place), lines=lines)
 
 
-def _standard(stored: StoredFit, model: InverseModel, place: str) -> Array:
+def _standard(stored: FitFile, model: InverseModel, place: str) -> Array:
     given = stored.standard_parameters or []
     found = [(p.name, p.unit) for p in given]
     expected = list(zip(model.names, model.units, strict=True))
@@ -64,7 +65,7 @@ def _standard(stored: StoredFit, model: InverseModel, place: str) -> Array:
     return np.array([p.value for p in given])
 
 
-def _of_consistent(stored: StoredFit, place: str) -> tuple[str, ...]:
+def _of_consistent(stored: FitFile, place: str) -> tuple[str, ...]:
     c = stored.consistent
     if c is UNSET:
         return ()
@@ -74,9 +75,9 @@ def _of_consistent(stored: StoredFit, place: str) -> tuple[str, ...]:
     )
 
 
-def _made_consistent(stored: StoredFit, model: InverseModel, place: str) -> tuple[Array, tuple[str, ...]]:
+def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, tuple[str, ...]]:
     base = base_parameters(model)
-    beta = stored.beta(base, place)
+    beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
         problem = "the fit is not consistent, and cannot be made so without it"
         expected = "a fit of this version, best with --consistent"
@@ -100,7 +101,7 @@ def _made_consistent(stored: StoredFit, model: InverseModel, place: str) -> tupl
     reach = float(np.median([p.half / sigma[p.name] for p in stored.parameters if sigma.get(p.name)] or [1.0]))
     c = consistent_set(model, base, Known(beta=beta, covariance=covariance, reach=reach), prior=Prior())
     line = (
-        f"{place} is not consistent: the nearest consistent parameters are taken; prior {c.prior}, weight {c.prior_weight:g}; "
+        f"{place} is not consistent: the nearest consistent parameters are taken; prior {c.prior}; "
         f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "
         f"interval, of {c.moved_most}; certificate {c.certificate:.1e}"
     )

@@ -1,23 +1,23 @@
-"""The method on one screen, several recordings, what a fit is worth, and its documents and files."""
+"""The method on one screen, several recordings, what a fit is worth, and its documents and files.
 
-from .comparison import (
-    Parameter,
-    ParameterSet,
-    comparison_document,
-    comparison_file,
-    comparison_section,
-    differences,
-    fitted_parameters,
-    least_squares_parameters,
-    true_parameters,
-)
+The path of a fit, stage by stage::
+
+    Signals, Settings, Problem   a recording, what is done with it, with its robot's model
+    RecordingData, Observed      W and Y of one recording, and of all together
+    Instruments, Pass            Z along the simulated robot, the estimate that it gives, how far that moved
+    Along                        the estimate along the last instruments, with the torques in time
+    Evidence, Trust              all that the tests look at, and what they say
+    Fit                          the result; `report.FitFile` is its JSON file
+"""
+
 from .consistent import Known, Prior, consistent_set, refuse_unknown_gain, urdf_prior, with_consistent
-from .fit import Fit, FittedRecording, Method, Pass, Rows
-from .fit_files import fit_file, fit_schema, validation_file
+from .fit import Fit, FittedRecording, Pass, Rows
+from .fit_files import fit_file, validation_file
 from .fit_report import fit_document, trust_document
 from .idim import identify, identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
+from .parameters import fitted_parameters, least_squares_parameters, true_parameters
 from .recording_report import Validated, recording_document, validation_document
 from .recordings import observe_all
-from .stored_fit import StoredFit, doubts, frame_lines, read_fit
+from .stored_fit import consistent_fit, other_meaning, stored_beta, stored_robot, stored_settings
 from .timing import in_known_time

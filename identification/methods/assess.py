@@ -1,6 +1,6 @@
 """Assesses an estimate: torque errors of all rows, intervals, tests, warnings."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -22,21 +22,12 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Regression, base_name
+from ..report import Method, OwnTest
 from ..simulation import Instruments, Replica
 from ..trust import Evidence, Lag, held_out_recordings, trust_in
-from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Method, OwnTest, Rows, Status, essential_names
+from .fit import Fit, FittedRecording, LeastSquares, Rows, essential_names
 from .observation import position_noise_line
 from .recordings import Observed
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Verdict:
-    """How a method ended, and what it adds to a fit."""
-
-    status: Status = "solved"
-    iv: InstrumentEvidence | None = None
-    warnings: tuple[str, ...] = ()
-    replicas: tuple[Replica, ...] = ()
 
 
 def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
@@ -44,7 +35,7 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: t
     first = observed.places()[0].problem()
     alone = len(observed.observations) == 1 and not observed.linearised.load
     return Evidence(
-        parts=observed.evidence,
+        recordings=observed.observations,
         observed=observed.regression,
         method=method,
         fixed_point=True,
@@ -68,27 +59,14 @@ def factors_of_ls(observed: Observed) -> tuple[tuple[System, Array], ...]:
     return tuple((one.regression.system, one.regression.system.W) for one in observed.observations)
 
 
-def assess_ls(observed: Observed, evidence: Evidence, ls: LeastSquares) -> Fit:
-    """A fit by least squares."""
-    return _fit(observed, evidence, ls, Verdict())
-
-
-def assess_estimate(
-    observed: Observed, evidence: Evidence, ls: LeastSquares, predicted: Array, verdict: Verdict
-) -> Fit:
-    """A fit by instruments, with the torque (rows, n) it predicts; least squares of the same rows stands beside it."""
-    own = replace(ls, estimate=evidence.estimate, intervals=evidence.intervals, tau_predicted=predicted)
-    return replace(_fit(observed, evidence, own, verdict), least_squares=ls)
-
-
-def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: Verdict) -> Fit:
+def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
+    """A fit of the estimate that was `solved`, judged by its evidence; with the robot simulated in each recording, or none."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
     trust, held_out = trust_in(evidence), held_out_recordings(evidence)
     judged, of_model = observed, predicted
-    if (
-        behind := observed.behind_rule()
-    ) is not None:  # errors of the model, without the noise that the fit lets through
+    # errors of the model, without the noise that the fit lets through
+    if (behind := observed.behind_rule()) is not None:
         judged = behind.at(solved.estimate.among(rows.system.names))
         of_model = judged.predicted(solved.estimate)
     seen = judged.regression
@@ -99,7 +77,7 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
             rows=part,
             errors=torque_errors(seen.tau[own], of_model[own], seen.speed[own], names),
             held_out=held,
-            replica=verdict.replicas[k] if verdict.replicas else None,
+            replica=replicas[k] if replicas else None,
             states=one.states,
         )
         for k, (one, part, own, held) in enumerate(
@@ -109,7 +87,7 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
     return Fit(
         recordings=tuple(fitted[k] for k in observed.order),
         method=evidence.method,
-        status=verdict.status,
+        status="solved",
         estimate=solved.estimate,
         intervals=solved.intervals,
         least_squares=solved,
@@ -121,10 +99,9 @@ def _fit(observed: Observed, evidence: Evidence, solved: LeastSquares, verdict: 
         ),
         errors=torque_errors(seen.tau, of_model, seen.speed, names),
         lags=evidence.lags,
-        warnings=_warnings(observed, verdict.warnings),
+        warnings=_warnings(observed),
         trust=trust,
         own=own_test(observed, solved.full),
-        iv=verdict.iv,
     )
 
 
@@ -174,14 +151,14 @@ def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
 
 
-def _warnings(observed: Observed, of_method: tuple[str, ...]) -> tuple[str, ...]:
-    """Those of the settings and of the recordings, which several recordings may share, and those of the method."""
+def _warnings(observed: Observed) -> tuple[str, ...]:
+    """Those of the settings and of the recordings, which several recordings may share."""
     problems = [observed.observations[k].problem for k in observed.order]
     of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
     if len(problems) == 1:
-        return (*of_settings[0], *recording_warnings(problems[0].signals), *of_method)
+        return (*of_settings[0], *recording_warnings(problems[0].signals))
     named = [f"{p.signals.recording}: {text}" for p in problems for text in recording_warnings(p.signals)]
-    return (*dict.fromkeys(text for texts in of_settings for text in texts), *named, *of_method)
+    return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 
 
 def recording_warnings(signals: Signals) -> tuple[str, ...]:

@@ -9,7 +9,7 @@ from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import GAMMA, certainty, consistent_parameters, one_thread, torque_errors
+from ..estimation import certainty, consistent_parameters, one_thread, torque_errors
 from ..model import BaseParameters, InverseModel, expected_links, physical_parameters
 from ..regression import recorded_power, torque_of_recording
 from ..trust import covariance_of_all
@@ -25,12 +25,10 @@ class Prior:
     Attributes:
         robot: another description of the robot, whose `[parameters]` or URDF are expected; None for the fit's own.
         name: of that description.
-        weight: of the expectation; 1 is the default.
     """
 
     robot: Robot | None = None
     name: str = "the description"
-    weight: float = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,9 +94,9 @@ def consistent_set(
     """
     refuse_unknown_gain(model.robot)
     expected = None if prior.robot is None else InverseModel(prior.robot)
-    physical, gamma = physical_parameters(model, expected, power), GAMMA * prior.weight
-    found = consistent_parameters(known.beta, known.covariance, base.K, physical, gamma=gamma)
-    of_chi, of_beta = certainty(found, known.covariance, base.K, physical, gamma=gamma)
+    physical = physical_parameters(model, expected, power)
+    found = consistent_parameters(known.beta, known.covariance, base.K, physical)
+    of_chi, of_beta = certainty(found, known.covariance, base.K, physical)
     return ConsistentSet(
         names=model.names,
         units=model.units,
@@ -110,7 +108,6 @@ def consistent_set(
         base_half=known.reach * of_beta.sigma,
         base_from_prior=of_beta.share > FROM_PRIOR,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
-        prior_weight=prior.weight,
         chi_squared=found.chi_squared,
         deviations=found.deviations,
         reach=known.reach,

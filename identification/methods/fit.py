@@ -11,50 +11,54 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
-from ..simulation import DirectModelError, InstrumentKind, Replica
+from ..report import Method, OwnTest, Status
+from ..simulation import DirectModelError, Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
-
-Method = Literal["ols", "wls", "iv"]
-Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
-
-NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pass:
-    """One pass of the instrumental variable method.
+    """One pass of the instrumental variable method, without what is as large as W but of the last one.
 
     Attributes:
-        instruments: along the robot `simulated` with the physically consistent parameters nearest to the estimate before; named
-            `consistent` where the inertia matrix of that estimate itself is not positive; along the `reference` where the
-            simulated robot leaves it. `reason` says why it is one of the last two.
-        residual_norm: |Y - W beta| after the pass, weighted.
+        z: its instruments. Their `kind`: along the robot `simulated` with the physically consistent parameters nearest to the
+            estimate before; named `consistent` where the inertia matrix of that estimate itself is not positive; along the
+            `reference` where the simulated robot leaves it. `reason` says why it is one of the last two.
+        estimate: that they give.
+        asked, covariance: (b, b) of all base parameters, with honest deviations: that the instruments were asked for with,
+            None of a regular start, and that of the estimate.
+        coarse: whether the robot was simulated coarsely.
         change_sigma, change_percent, changed: largest change of a parameter in its deviations, and in percent of itself
             among those larger than two deviations; the parameter of the former.
-        gains: (n,) factors on the controller's gains, J_j(beta)/J_j(a priori).
-        tracking_percent: simulated against measured position, None where nothing was simulated.
-        condition: of ZᵀW with columns of norm one.
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
     """
 
-    instruments: InstrumentKind
-    reason: str | None
-    residual_norm: float
+    z: Instruments
+    estimate: Estimate
+    asked: Array | None
+    covariance: Array
+    coarse: bool
     change_sigma: float
     change_percent: float
     changed: str
-    gains: Array
-    tracking_percent: float | None
-    condition: float
     residual_percent: float
     residual_settled: bool
     parameters_settled: bool
+
+    def without_rows(self) -> "Pass":
+        """The same without what is as large as W: only the last pass needs that."""
+        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows())
 
     @property
     def settled(self) -> bool:
         """Whether both tests hold."""
         return self.residual_settled and self.parameters_settled
+
+    @property
+    def is_last(self) -> bool:
+        """Whether it is a fixed point of instruments that are not coarse."""
+        return self.settled and not self.coarse
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -141,7 +145,7 @@ class ConsistentSet:
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
         base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi; their move is in it.
-        prior, prior_weight: what was expected of the links, in words, and the weight of it.
+        prior: what was expected of the links, in words.
         chi_squared: distance of the estimate, (beta - estimate)' C⁻¹ (beta - estimate), C = D R D.
         deviations: (b,) moves of the base parameters in deviations of the estimate.
         reach: deviations in half a 95 % interval of the estimate.
@@ -158,7 +162,6 @@ class ConsistentSet:
     base_half: Array
     base_from_prior: NDArray[np.bool_]
     prior: str
-    prior_weight: float
     chi_squared: float
     deviations: Array
     reach: float
@@ -201,20 +204,6 @@ class FittedRecording:
     held_out: HeldOut | None
     replica: Replica | None
     states: RowStates | None
-
-
-@dataclass(frozen=True, kw_only=True)
-class OwnTest:
-    """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
-
-    `F_effective` and `p_effective` count only as many independent rows as the residual's correlation leaves.
-    """
-
-    names: tuple[str, ...]
-    F: float
-    p_value: float
-    F_effective: float
-    p_effective: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

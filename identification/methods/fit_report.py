@@ -5,8 +5,8 @@ import math
 from ..data import Signals
 from ..estimation import relative_error_percent
 from ..regression import base_name
-from ..report import Document, Number, Row, Section, Table, columns, value_form
-from .fit import NO_FIXED_POINT, Fit, InstrumentEvidence
+from ..report import NO_FIXED_POINT, Document, Number, Row, Section, Table, columns, value_form
+from .fit import Fit, InstrumentEvidence
 from .recording_report import error_line, errors_section, headline, recording_lines, recordings_section, settings_lines
 
 
@@ -138,8 +138,8 @@ def _consistent(fit: Fit, *, everything: bool) -> list[Section]:
     rows: list[Row] = list(map(row, c.names, c.chi.tolist(), c.half.tolist(), c.units, c.from_prior.tolist()))
     left = [f"{name} ({move:+.2g})" for name, move in zip(c.base_names, c.moves, strict=True) if abs(move) > 1]
     lines = (
-        f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; prior: {c.prior}; "
-        f"weight {c.prior_weight:g}{own}",
+        f"every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy; "
+        f"prior: {c.prior}{own}",
         f"added chi² {c.chi_squared:.3g} on {len(c.beta)} parameters; largest move {c.largest_move:.2g} half-widths of the "
         f"95 % interval, of {c.moved_most}",
         *([f"moved by over one half-width of the fit's interval: {', '.join(left)}"] if left else []),
@@ -187,14 +187,14 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
         rows=tuple(
             (
                 Number(number, "d"),
-                p.instruments,
-                Number(p.residual_norm, ".3f"),
+                p.z.kind,
+                Number(p.estimate.residual_norm, ".3f"),
                 Number(p.change_sigma, ".2g"),
                 p.changed,
-                Number(p.tracking_percent, ".2f"),
-                Number(float(p.gains.min()), ".3g"),
-                Number(float(p.gains.max()), ".3g"),
-                Number(p.condition, ".1f"),
+                Number(p.z.tracking_percent, ".2f"),
+                Number(float(p.z.gains.min()), ".3g"),
+                Number(float(p.z.gains.max()), ".3g"),
+                Number(p.estimate.condition_number_scaled, ".1f"),
             )
             for number, p in enumerate(iv.passes, 1)
         ),
@@ -215,18 +215,11 @@ def _iv_sections(iv: InstrumentEvidence) -> list[Section]:
 def _iv_lines(iv: InstrumentEvidence) -> tuple[str, ...]:
     """Tests of the instruments, in words; why a pass went without simulation."""
     t = iv.tests
-    lines = [f"pass {k}: instruments {p.instruments}: {p.reason}" for k, p in enumerate(iv.passes, 1) if p.reason]
-    if t.dwh_F is None or t.dwh_F_effective is None or t.dwh_p_value is None or t.dwh_p_effective is None:
-        dwh = "instruments and regressor agree: nothing to test"
-    else:
-        dwh = (
-            f"Durbin-Wu-Hausman F = {t.dwh_F:.2f}, p = {t.dwh_p_value:.2g}; with the residual's correlation counted "
-            f"F = {t.dwh_F_effective:.2f}, p = {t.dwh_p_effective:.2g}"
-        )
+    lines = [f"pass {k}: instruments {p.z.kind}: {p.z.reason}" for k, p in enumerate(iv.passes, 1) if p.z.reason]
     strength = f"instruments: smallest correlation with W {t.strength:.3f}, first-stage F {t.first_stage_F:.3g}"
     used = f"{iv.rows_used_percent:.1f} % of the rows used; reference {iv.reference}, controller {iv.controller}"
     contrast = f"least squares is {iv.contrast:.2g} half-widths off at {iv.contrast_at}"
-    return (*lines, dwh, strength, contrast, used)
+    return (*lines, strength, contrast, used)
 
 
 def _expressions(fit: Fit) -> list[Section]:

@@ -25,14 +25,24 @@ from ..estimation import (
 )
 from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
+from ..report import Method
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import assess_ls, evidence_of_ls, intervals_along, intervals_of
-from .fit import Fit, LeastSquares, Method
-from .iteration import Iteration, Trial, conclude, inertia_prior, is_coarse, kept_rows, next_values, start_values
+from .assess import evidence_of_ls, fit_of, intervals_along, intervals_of
+from .fit import Fit, LeastSquares, Pass
+from .iteration import (
+    Iteration,
+    assess_pass,
+    conclude,
+    inertia_prior,
+    is_coarse,
+    kept_rows,
+    next_values,
+    start_values,
+)
 from .recordings import Observed, observe_all
-from .timing import counted, in_known_time, lags_of_ls, over_all, timed
-from .verdict import assess_iv, assess_pass
+from .timing import Along, counted, in_known_time, lags_of_ls, over_all, timed
+from .verdict import assess_iv
 
 Say = Callable[[str], None]
 
@@ -127,8 +137,7 @@ def _by_least_squares(observed: Observed, method: Literal["ols", "wls"], *, esse
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
     ls = replace(ls, intervals=counted(ls.estimate, ls.intervals, lags))
-    evidence = evidence_of_ls(observed, method, ls, lags)
-    return assess_ls(observed, replace(evidence, looked_at=beginning), ls)
+    return fit_of(observed, replace(evidence_of_ls(observed, method, ls, lags), looked_at=beginning), ls)
 
 
 @one_thread
@@ -150,29 +159,31 @@ def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool
         system, Z = observed.along(z)
         return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
 
-    beta, covariance = start_values(observed, iteration, ls)
-    ls, trials, failure = ls.without_rows(), list[Trial](), None
-    while not (trials and trials[-1].settled) and len(trials) < iteration.max_iterations:
-        say(f"pass {len(trials) + 1}: simulating the robot")
-        coarse, fast = is_coarse(observed.problem, iteration, trials), kept_rows(trials)
+    beta, C = start_values(observed, iteration, ls)
+    ls, passes, failure = ls.without_rows(), list[Pass](), None
+    while not (passes and passes[-1].is_last) and len(passes) < iteration.max_iterations:
+        say(f"pass {len(passes) + 1}: simulating the robot")
+        coarse = is_coarse(observed.problem, iteration, passes)
         # Z = IDM(q_sim, dq_sim, ddq_sim)
-        z, asked = lab.instruments(beta, covariance, weights, kept=fast, coarse=coarse), covariance
+        z = lab.instruments(beta, C, weights, kept=kept_rows(passes), coarse=coarse)
         try:
             estimate = solve(z)
         except IdentificationError as error:
-            failure = f"pass {len(trials) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
+            failure = f"pass {len(passes) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
             failure += f"; {z.reason}" if z.reason else ""
             break
         # C = D R D
-        covariance = covariance_of_all(names, estimate, intervals_along(observed, z, estimate), ls.full)
-        evidence = assess_pass(estimate, z, observed.along(z)[0], iteration.tolerance_percent)
-        trial = Trial(z=z, estimate=estimate, covariance=covariance, asked=asked, evidence=evidence, coarse=coarse)
-        trials = [*(before.without_rows() for before in trials), trial]
-        beta = next_values(trials, names)
-    result = conclude(lab, iteration, trials, failure, solve)
+        asked, C = C, covariance_of_all(names, estimate, intervals_along(observed, z, estimate), ls.full)
+        W_and_Y, tolerance = observed.along(z)[0], iteration.tolerance_percent
+        this = assess_pass(z, estimate, W_and_Y, (asked, C), coarse=coarse, tolerance_percent=tolerance)
+        passes = [*(before.without_rows() for before in passes), this]
+        beta = next_values(passes, names)
+    returned, best, replicas = conclude(lab, passes, failure, solve)
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
-    found = timed(observed, result, solve, partial(Observed.lab, prior=prior, gain_update=iteration.gain_update))
-    return assess_iv(found, ls, replace(result, estimate=found.whole.estimate, z=found.whole.z))
+    along = Along(observed=observed, z=best.z, estimate=best.estimate, replicas=replicas)
+    along = timed(along, best, solve, partial(Observed.lab, prior=prior, gain_update=iteration.gain_update))
+    passes = [one.without_rows() for one in passes]
+    return assess_iv(along, ls, passes, returned, iteration.start, failure)
 
 
 def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate
+from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
 from ..simulation import Instruments, Lab, Replica, has_controller
@@ -37,56 +37,6 @@ class Iteration:
     gain_update: bool = True
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Trial:
-    """A pass: its instruments, the estimate they give, and whether it was simulated coarsely.
-
-    `covariance` (b, b) is that of all base parameters, with honest deviations; `asked` the one that instruments were asked for
-    with.
-    """
-
-    z: Instruments
-    estimate: Estimate
-    covariance: Array
-    asked: Array | None
-    evidence: Pass
-    coarse: bool
-
-    def without_rows(self) -> "Trial":
-        """The same without what is as large as W: only the last pass needs that."""
-        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows())
-
-    @property
-    def settled(self) -> bool:
-        """Whether it is the last: a fixed point, of instruments that are not coarse."""
-        return self.evidence.settled and not self.coarse
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class IterationResult:
-    """How the iteration ended.
-
-    Attributes:
-        estimate: that of the pass number `returned`, counted from 1.
-        z: the instruments that gave it.
-        asked: covariance that these were asked for with; `covariance` (b, b) that of the estimate.
-        final: the robot simulated with it in each recording, or with the nearest consistent parameters.
-        passes: all of them.
-        start: what the iteration started from.
-        failure: why it could not go on, None where it could.
-    """
-
-    estimate: Estimate
-    z: Instruments
-    asked: Array | None
-    covariance: Array
-    final: tuple[Replica, ...]
-    passes: tuple[Pass, ...]
-    returned: int
-    start: str
-    failure: str | None
-
-
 def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
     """Values of all parameters that are simulated first, and their covariance: None of a regular start."""
     problem, repeated, rows = observed.problem, observed.parameters.repeated, observed.regression
@@ -97,74 +47,99 @@ def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> 
     return beta, covariance_of_all(rows.system.names, ls.full, found, ls.full)
 
 
-def next_values(trials: Sequence[Trial], names: tuple[str, ...]) -> Array:
+def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     """Base parameters (b,) to simulate next: the estimate, later its mean with those asked for last."""
-    beta = trials[-1].estimate.among(names)
-    return 0.5 * (beta + trials[-1].z.beta) if len(trials) >= RELAXED_AFTER else beta
+    beta = passes[-1].estimate.among(names)
+    return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= RELAXED_AFTER else beta
 
 
-def is_coarse(problem: Problem, iteration: Iteration, trials: Sequence[Trial]) -> bool:
+def is_coarse(problem: Problem, iteration: Iteration, passes: Sequence[Pass]) -> bool:
     """Whether the next pass is simulated coarsely: the first from a regular start, and a second where a PD stands in.
 
     Their estimates are only where the passes after them start. A described controller sets steps of its own, so that there
     is less to save. The last pass allowed is never coarse.
     """
     early = 0 if iteration.start != "regular" else 1 if has_controller(problem.signals.robot.controller) else 2
-    return len(trials) < min(early, iteration.max_iterations - 1)
+    return len(passes) < min(early, iteration.max_iterations - 1)
 
 
-def kept_rows(trials: Sequence[Trial]) -> tuple[NDArray[np.bool_], ...] | None:
+def kept_rows(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
     """By recording the rows (rows, n) that count in the next pass, or None where the simulated speeds tell."""
-    return trials[-1].z.fast if len(trials) >= ROWS_FREE else None
+    return passes[-1].z.fast if len(passes) >= ROWS_FREE else None
 
 
-def conclude(
-    lab: Lab,
-    iteration: Iteration,
-    trials: Sequence[Trial],
-    failure: str | None,
-    solve: Callable[[Instruments], Estimate],
-) -> IterationResult:
-    """The last pass where it settled; otherwise the pass whose simulated robot tracks best at its worst joint.
+@np.errstate(over="ignore", invalid="ignore")  # a start may be anything
+def assess_pass(
+    z: Instruments,
+    estimate: Estimate,
+    system: System,
+    covariances: tuple[Array | None, Array],
+    *,
+    coarse: bool,
+    tolerance_percent: float,
+) -> Pass:
+    """A pass that led from the parameters asked for to `estimate`, and whether it settled.
 
-    Raises `IdentificationError` where there was no pass.
+    `system` has all parameters and the rows that this pass used; `covariances` are that asked for and that of the estimate.
     """
-    if not trials:
-        raise IdentificationError(f"no instruments: {failure}", place=", ".join(lab.names))
-    returned, final = len(trials) - 1, None
-    if not trials[-1].settled or failure is not None:
-        returned, final = _best_pass(lab, trials)
-    trial = trials[returned]
-    z, estimate = trial.z, trial.estimate
-    if returned < len(trials) - 1:
-        z = lab.instruments(z.beta, trial.asked, estimate.weights, kept=z.fast, coarse=trial.coarse)
-        estimate = solve(z)
-    return IterationResult(
-        estimate=estimate,
+    # Compared with what was asked for, not with what was simulated in its place. Parameters near zero never settle in percent
+    # of themselves: half a deviation is enough.
+    tolerance = 0.01 * tolerance_percent
+    old = np.array([z.beta[system.names.index(name)] for name in estimate.names])
+    change = np.abs(estimate.beta - old)
+    w = estimate.weights[system.joint_of_row] * system.used
+    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.beta)))
+    norm_change = abs(estimate.residual_norm - norm_before)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
+        in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
+    return Pass(
         z=z,
-        asked=trial.asked,
-        covariance=trial.covariance,
-        final=final or lab.replicas(estimate.among(lab.parameters.names), trial.covariance),
-        passes=tuple(trial.evidence for trial in trials),
-        returned=returned + 1,
-        start=iteration.start,
-        failure=failure,
+        estimate=estimate,
+        asked=covariances[0],
+        covariance=covariances[1],
+        coarse=coarse,
+        change_sigma=float(in_sigma.max()),
+        change_percent=float(in_percent.max()),
+        changed=estimate.names[int(in_sigma.argmax())],
+        residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
+        residual_settled=norm_change <= tolerance * norm_before,
+        parameters_settled=bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()),
     )
 
 
-def _best_pass(lab: Lab, trials: Sequence[Trial]) -> tuple[int, tuple[Replica, ...] | None]:
-    """Where there is no fixed point, the place of the pass whose simulated robot tracks best at its worst joint.
+def conclude(
+    lab: Lab, passes: Sequence[Pass], failure: str | None, solve: Callable[[Instruments], Estimate]
+) -> tuple[int, Pass, tuple[Replica, ...]]:
+    """The last pass where it settled; otherwise the one whose simulated robot tracks best at its worst joint.
 
-    Robots are simulated with the estimates themselves, not with the nearest consistent parameters. The last pass where none
-    can be simulated.
+    Returns its number, counted from 1, the pass with its rows, and the robot simulated with its estimate in each recording, or
+    with the nearest consistent parameters. Raises `IdentificationError` where there was no pass.
     """
+    if not passes:
+        raise IdentificationError(f"no instruments: {failure}", place=", ".join(lab.names))
+    place, replicas = len(passes) - 1, None
+    if not passes[-1].is_last or failure is not None:
+        place, replicas = _best_pass(lab, passes)
+    best = passes[place]
+    if place < len(passes) - 1:
+        weights = best.estimate.weights
+        z = lab.instruments(best.z.beta, best.asked, weights, kept=best.z.fast, coarse=best.coarse)
+        best = replace(best, z=z, estimate=solve(z))
+    if replicas is None:
+        replicas = lab.replicas(best.estimate.among(lab.parameters.names), best.covariance)
+    return place + 1, best, replicas
+
+
+def _best_pass(lab: Lab, passes: Sequence[Pass]) -> tuple[int, tuple[Replica, ...] | None]:
+    """The place of the pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
     found = []
-    for place, trial in enumerate(trials):
-        replicas = lab.replicas(trial.estimate.among(lab.parameters.names), None)
-        if all(one.direct for one in replicas):
-            joints = [d.position_error_percent for one in replicas for d in one.direct]
+    for place, one in enumerate(passes):
+        replicas = lab.replicas(one.estimate.among(lab.parameters.names), None)
+        if all(replica.direct for replica in replicas):
+            joints = [d.position_error_percent for replica in replicas for d in replica.direct]
             found.append((max((x for x in joints if x is not None), default=0.0), place, replicas))
-    return min(found, key=lambda one: one[:2])[1:] if found else (len(trials) - 1, None)
+    return min(found, key=lambda one: one[:2])[1:] if found else (len(passes) - 1, None)
 
 
 def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:

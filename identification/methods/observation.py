@@ -1,26 +1,23 @@
 """What one recording brings to a fit, and the tasks that find it."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..data import ON_GRID, PositionSteps, RecordingFile, Signals, position_steps
+from ..data import ON_GRID, RecordingFile, Signals, position_steps
 from ..errors import IdentificationError
 from ..estimation import Estimate, one_thread, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, poses_of
 from ..regression import (
     HELD,
-    NOTHING,
     FilteredMotion,
-    KnownLag,
     Overrides,
     Place,
     Problem,
     Regression,
-    RowStates,
     Settings,
     base_name,
     make_problem,
@@ -31,8 +28,9 @@ from ..regression import (
     row_states,
     torque_of_recording,
 )
-from ..trust import Part, TrustLine, replay_line
-from .fit import LeastSquares, Method
+from ..report import Method
+from ..trust import RecordingData, TrustLine, replay_line
+from .fit import LeastSquares
 
 Say = Callable[[str], None]
 
@@ -45,53 +43,8 @@ BIASED, BIASED_PERCENT = 1.0, 1.0  # half-widths, and percent of the value, that
 ADVICE = "take --method iv, which needs the reference recorded"
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Observation:
-    """A recording as a fit sees it.
-
-    Attributes:
-        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
-        regression: its W and Y.
-        poses: (P, n) positions at which M is looked at.
-        replay: its described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
-        steps: of its positions, which tell of missing rows.
-        t_s: (rows,) instants of its decimated rows, s.
-        states: some rows and the motion at them; None where friction has the usual terms alone.
-    """
-
-    problem: Problem
-    regression: Regression
-    poses: Array
-    replay: TrustLine
-    replay_lag: KnownLag | None
-    steps: PositionSteps
-    t_s: Array
-    states: RowStates | None
-
-    def part(self, parameters: tuple[str, ...]) -> Part:
-        """What it brings to the evidence before anything is simulated; its base parameters have these names."""
-        return Part(
-            problem=self.problem,
-            parameters=parameters,
-            slip_noise=self.regression.slip_noise,
-            poses=self.poses,
-            replay=self.replay,
-            replay_lag=self.replay_lag,
-            steps=self.steps,
-            states=self.states,
-        )
-
-    @property
-    def known_lag(self) -> KnownLag:
-        """What is known of its torque's lag without an estimate."""
-        known, replayed = self.problem.settings.known_lag, self.replay_lag
-        if known.stated or replayed is None:
-            return known
-        return replayed if known.source == NOTHING else known.with_other(replayed)
-
-
 @one_thread
-def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> Observation | None:
+def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -> RecordingData | None:
     """W and Y of a recording and what else is known without an estimate; None where the file is not found here.
 
     `share` is the number of recordings of the fit.
@@ -103,7 +56,7 @@ def observe(source: Signals | RecordingFile, overrides: Overrides, share: int) -
     return observation_of(make_problem(source, overrides), share)
 
 
-def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -> Observation:
+def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -> RecordingData:
     """The observation of a recording that is at hand; `share` as of `observe`."""
     settings, signals = problem.settings, problem.signals
     regression = regression_of_recording(problem, say, share=share)
@@ -116,7 +69,7 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
     states = row_states(problem) if shaped else None
     if share > 1 and regression.reduced:
         problem = problem.without_samples()
-    return Observation(
+    return RecordingData(
         problem=problem,
         regression=regression,
         poses=np.array(poses),
@@ -158,7 +111,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     """
     settings, fs, reason = problem.settings, problem.signals.sample_rate_hz, _not_seen(problem)
     if reason is not None:
-        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{reason}: {ADVICE}")
+        return TrustLine(NAME, "cannot tell", f"{reason}: {ADVICE}")
     assert settings.cutoff_hz is not None
     stop = min(settings.stop, settings.start + round(SPAN_S * fs))
     problem = replace(problem, settings=replace(settings, stop=stop))
@@ -167,7 +120,7 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
         plain = ls.estimate if alone and stop == settings.stop else _least_squares(problem, method, ls, fast)
         both = [_least_squares(_with_noise(problem, way * noise), method, ls, fast) for way in (1, -1)]
     except IdentificationError as error:
-        return TrustLine(test=NAME, level="cannot tell", value=None, text=f"{error}: {ADVICE}")
+        return TrustLine(NAME, "cannot tell", f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
     among = np.array([ls.estimate.names.index(name) for name in names])
     beta, half = plain.among(tuple(names)), ls.intervals.half[among]
@@ -182,10 +135,8 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     )
     if matters.any():
         text = f"{text} or more: {ADVICE}"
-        return TrustLine(
-            test=NAME, level="caution", value=value, text=text, finding="least squares biased by position noise"
-        )
-    return TrustLine(test=NAME, level="ok", value=value, text=text)
+        return TrustLine(NAME, "caution", text, value, finding="least squares biased by position noise")
+    return TrustLine(NAME, "ok", text, value)
 
 
 def _not_seen(problem: Problem) -> str | None:

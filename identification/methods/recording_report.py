@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from ..data import ON_GRID, Signals
 from ..estimation import TorqueError
 from ..regression import Settings, forward_backward_3db_hz
-from ..report import Document, Number, Row, Section, Table, columns
-from .fit import FittedRecording, OwnTest
+from ..report import Document, Number, OwnTest, Row, Section, Table, columns
+from .fit import FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")
 
@@ -69,7 +69,7 @@ def validation_document(
     names = ", ".join(one.signals.recording for one in recordings)
     lines = [line for one in recordings for line in settings_lines(one.signals, one.settings, used="evaluated on")]
     lines += [line for one in recordings for line in recording_lines(one.signals)]
-    rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors)) for one in recordings]
+    rows: list[Row] = [(one.signals.recording, *_error_cells(one.errors[-1])) for one in recordings]
     each = Section(
         title="recordings", table=Table(columns=columns("recording", numbers=ERROR_COLUMNS), rows=tuple(rows))
     )
@@ -97,7 +97,7 @@ def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | Non
         span = (settings.start / signals.sample_rate_hz, settings.stop / signals.sample_rate_hz)
         error = None if held is None else held.error_percent
         timing = (Number(signals.sample_rate_hz, "g"), *(Number(x, ".3f") for x in span))
-        rows.append((signals.recording, *timing, *_error_cells(one.errors), Number(error, ".4f")))
+        rows.append((signals.recording, *timing, *_error_cells(one.errors[-1]), Number(error, ".4f")))
         if held is not None and error is None:
             why = f"{', '.join(held.undetermined)} undetermined" if held.undetermined else "it has no torque"
             lines.append(f"{signals.recording} cannot be predicted by the others: {why}")
@@ -116,14 +116,9 @@ def recordings_section(recordings: Sequence[FittedRecording], own: OwnTest | Non
     return Section(title="recordings: relative torque error, %", table=table, lines=tuple(lines))
 
 
-def _error_cells(errors: tuple[TorqueError, ...]) -> tuple[Number, ...]:
-    """The cells of `ERROR_COLUMNS`, of all joints together."""
-    whole = errors[-1]
-    percents = (
-        whole.relative_error_percent,
-        whole.moving_relative_error_percent,
-        whole.standing_relative_error_percent,
-    )
+def _error_cells(error: TorqueError) -> tuple[Number, ...]:
+    """The cells of `ERROR_COLUMNS`."""
+    percents = error.relative_error_percent, error.moving_relative_error_percent, error.standing_relative_error_percent
     return tuple(Number(percent, ".4f") for percent in percents)
 
 
@@ -155,9 +150,7 @@ def errors_section(errors: tuple[TorqueError, ...], units: tuple[str, ...]) -> S
                 (
                     error.name,
                     unit,
-                    Number(error.relative_error_percent, ".4f"),
-                    Number(error.moving_relative_error_percent, ".4f"),
-                    Number(error.standing_relative_error_percent, ".4f"),
+                    *_error_cells(error),
                     Number(error.moving_rows, "d"),
                     Number(error.standing_rows, "d"),
                     Number(error.autocorrelation, ".2f"),

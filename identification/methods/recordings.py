@@ -29,8 +29,8 @@ from ..regression import (
     without_terms,
 )
 from ..simulation import Instruments, Lab, Simulation
-from ..trust import Part
-from .observation import SPAN_S, Observation, Say, observation_of, observe, predict, regression_at, retimed_at
+from ..trust import RecordingData
+from .observation import SPAN_S, Say, observation_of, observe, predict, regression_at, retimed_at
 
 SPAN_NUMBERS = 3_000_000  # of its W
 
@@ -49,7 +49,7 @@ class Observed:
 
     recordings: Recordings
     overrides: Overrides
-    observations: tuple[Observation, ...]
+    observations: tuple[RecordingData, ...]
     order: tuple[int, ...]
     linearised: Linearised
     regression: Regression
@@ -68,11 +68,6 @@ class Observed:
     def parts(self) -> tuple[slice, ...]:
         """The decimated instants of each recording."""
         return tuple(slices(self.regression.parts))
-
-    @property
-    def evidence(self) -> tuple[Part, ...]:
-        """What the recordings bring to the evidence before anything is simulated."""
-        return tuple(one.part(names) for one, names in zip(self.observations, self.parameters.of, strict=True))
 
     def places(self) -> list[Place]:
         """Where tasks find the recordings, without the terms that are left out."""
@@ -127,8 +122,8 @@ class Observed:
         found = settled_least_squares(self.linearised, method)
         told = found.linearised
         observations = (
-            replace(one, problem=without_terms(one.problem, told.left_out), regression=own)
-            for one, own in zip(self.observations, told.each, strict=True)
+            replace(one, problem=without_terms(one.problem, told.left_out), regression=own, parameters=names)
+            for one, own, names in zip(self.observations, told.each, told.parameters.of, strict=True)
         )
         observed = replace(self, observations=tuple(observations), linearised=told, regression=told.plain)
         return observed.at(found.about), found.full
@@ -206,7 +201,7 @@ class Observed:
 def _observed(
     recordings: Recordings,
     overrides: Overrides,
-    observations: tuple[Observation, ...],
+    observations: tuple[RecordingData, ...],
     order: tuple[int, ...],
     left_out: tuple[str, ...] = (),
 ) -> Observed:
@@ -220,10 +215,11 @@ def _observed(
         parameters=own_parameters([one.problem for one in observations]),
         work=recordings.work,
     )
+    named = zip(observations, linearised.parameters.of, strict=True)
     return Observed(
         recordings=recordings,
         overrides=overrides,
-        observations=observations,
+        observations=tuple(replace(one, parameters=names) for one, names in named),
         order=order,
         linearised=linearised,
         regression=linearised.plain,
@@ -231,7 +227,7 @@ def _observed(
 
 
 def _places(
-    recordings: Recordings, overrides: Overrides, observations: Sequence[Observation], left_out: tuple[str, ...]
+    recordings: Recordings, overrides: Overrides, observations: Sequence[RecordingData], left_out: tuple[str, ...]
 ) -> list[Place]:
     """Where tasks find recordings: the problem where it is at hand and need not be sent, or the file.
 
@@ -281,7 +277,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
     return observed
 
 
-def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[Observation]]:
+def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> tuple[Recordings, list[RecordingData]]:
     """Observations of recordings; those whose files the workers do not find are sent to them."""
     sources, found = list(given.sources), []
     for k, one in enumerate(
@@ -296,7 +292,7 @@ def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> t
     return replace(given, sources=tuple(sources)), found
 
 
-def _alike(given: Recordings, found: list[Observation], overrides: Overrides) -> list[Observation]:
+def _alike(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
     """The same with common cut-off and rate of rows, and all of them reduced or none; only others are observed again."""
     settings = [one.problem.settings for one in found]
     rates = [one.problem.signals.sample_rate_hz for one in found]

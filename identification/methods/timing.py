@@ -10,13 +10,12 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
 from ..regression import KnownLag
 from ..simulation import Instruments, Lab, Replica
-from ..trust import Lag, Part, combined_lag, lag_columns, lag_moves, lags_in
-from .iteration import IterationResult
+from ..trust import Lag, RecordingData, combined_lag, lag_columns, lag_moves, lags_in
+from .fit import Pass
 from .recordings import Observed
 
-LAG_PASSES = (
-    4  # of correcting the torque and looking again: a lag of many samples is not quite the column of its first order
-)
+# Of correcting the torque and looking again: a lag of many samples is not quite the column of its first order.
+LAG_PASSES = 4
 NEAR = 0.25  # samples that the last of them may find
 MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
 
@@ -25,34 +24,31 @@ Solve = Callable[[Instruments, Observed], Estimate]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Along:
-    """Recordings, instruments, and the estimate along them; `replicas` are the robot simulated with it in each recording."""
+    """Recordings, instruments, and the estimate along them.
+
+    `replicas` are the robot simulated with it in each recording; `lags` those of the torques, by which they are corrected; of
+    long recordings `beginning` is the same of the part that has rows.
+    """
 
     observed: Observed
     z: Instruments
     estimate: Estimate
     replicas: tuple[Replica, ...]
+    lags: tuple[Lag, ...] = ()
+    beginning: "Along | None" = None
 
     @property
-    def parts(self) -> list[Part]:
-        """The recordings' parts of the evidence, simulated."""
-        return [
+    def recordings(self) -> tuple[RecordingData, ...]:
+        """The recordings with the robot simulated in them."""
+        return tuple(
             replace(
                 part,
                 simulated=one.motion,
                 decimation=one.decimation,
                 reference=one.reference_kind,
             )
-            for part, one in zip(self.observed.evidence, self.replicas, strict=True)
-        ]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Timed:
-    """The `whole` of the recordings in time, the lags of their torques, and the `beginning` with rows of long ones."""
-
-    whole: Along
-    lags: tuple[Lag, ...]
-    beginning: Along | None
+            for part, one in zip(self.observed.observations, self.replicas, strict=True)
+        )
 
 
 def lag_groups(observed: Observed) -> list[list[int]]:
@@ -85,39 +81,35 @@ def _with_lags(observed: Observed, values_s: Sequence[float]) -> Observed:
     return observed.corrected([by_place[k] for k in range(len(by_place))])
 
 
-def timed(observed: Observed, result: IterationResult, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Timed:
-    """The recordings corrected by the lags of their torques, which the instruments of the result find."""
-    whole = Along(observed=observed, z=result.z, estimate=result.estimate, replicas=result.final)
+def timed(along: Along, last: Pass, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Along:
+    """The recordings corrected by the lags of their torques, which the instruments of the last pass find."""
+    observed, weights = along.observed, last.estimate.weights
     if not observed.regression.reduced:
-        whole, lags = _in_time(whole, solve)
-        return Timed(whole=whole, lags=lags, beginning=None)
-    span, weights = observed.on_span(), result.estimate.weights
-    lab, beta = lab_of(span), result.estimate.among(observed.regression.system.names)
-    z = lab.instruments(beta, result.covariance, weights)
-    replicas = lab.replicas(beta, result.covariance)
-    beginning, found = _in_time(Along(observed=span, z=z, estimate=solve(z, span), replicas=replicas), solve)
-    lags = over_all(observed, result.estimate, found)
+        return _in_time(along, solve)
+    span = observed.on_span()
+    lab, beta = lab_of(span), last.estimate.among(observed.regression.system.names)
+    z = lab.instruments(beta, last.covariance, weights)
+    replicas = lab.replicas(beta, last.covariance)
+    beginning = _in_time(Along(observed=span, z=z, estimate=solve(z, span), replicas=replicas), solve)
+    lags = over_all(observed, last.estimate, beginning.lags)
     now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
     off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
-        z = lab_of(observed).instruments(result.z.beta, result.asked, weights, kept=result.z.fast)
-        whole = replace(whole, observed=observed, z=z, estimate=solve(z, observed))
-    return Timed(whole=whole, lags=lags, beginning=beginning)
+        z = lab_of(observed).instruments(last.z.beta, last.asked, weights, kept=last.z.fast)
+        along = replace(along, observed=observed, z=z, estimate=solve(z, observed))
+    return replace(along, lags=lags, beginning=beginning)
 
 
-def _in_time(along: Along, solve: Solve) -> tuple[Along, tuple[Lag, ...]]:
-    """The same with the torques corrected by their lags, found where the reference is recorded; and the lags.
-
-    `solve` gives the estimate along the same instruments.
-    """
+def _in_time(along: Along, solve: Solve) -> Along:
+    """The same with the torques corrected by their lags, found where the reference is recorded."""
     observed, z, estimate, why = along.observed, along.z, along.estimate, _not_looked_at(along)
     groups, known = lag_groups(observed), known_lags(observed)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
         try:
-            parts = replace(along, observed=observed).parts
-            steps, sd, reach = lags_in(parts, groups, *observed.along(z), estimate)
+            recordings = replace(along, observed=observed).recordings
+            steps, sd, reach = lags_in(recordings, groups, *observed.along(z), estimate)
         except IdentificationError as error:
             why = str(error)
             break
@@ -130,9 +122,9 @@ def _in_time(along: Along, solve: Solve) -> tuple[Along, tuple[Lag, ...]]:
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break
     lags = [combined_lag(prior, data, why or "") for prior, data in zip(known, found, strict=True)]
-    columns, about = lag_columns(observed.evidence, groups, estimate), observed.about(z)
+    columns, about = lag_columns(observed.observations, groups, estimate), observed.about(z)
     moves = lag_moves(about.regression, z.used, columns, estimate)
-    return replace(along, observed=observed, estimate=estimate), _told(observed, lags, moves)
+    return replace(along, observed=observed, estimate=estimate, lags=_named(observed, lags, moves))
 
 
 def _not_looked_at(along: Along) -> str | None:
@@ -147,9 +139,9 @@ def _not_looked_at(along: Along) -> str | None:
 def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
     """What is known of the lags, and what they move in least squares, which cannot find them."""
     lags = [combined_lag(known, None, "least squares cannot tell it") for known in known_lags(observed)]
-    columns = lag_columns(observed.evidence, lag_groups(observed), estimate)
+    columns = lag_columns(observed.observations, lag_groups(observed), estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
-    return _told(observed, lags, lag_moves(observed.regression, used, columns, estimate))
+    return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 
 
 def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
@@ -166,7 +158,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
     return tuple(found)
 
 
-def _told(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
+def _named(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
     """The lags, named, with what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
     found = []
     for lag, group, move in zip(lags, lag_groups(observed), moves.T, strict=True):

@@ -1,75 +1,78 @@
 """Assesses the instrumental variable method: each pass, the instruments, the direct model, and whether it converged."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, System, instrument_tests, lag_one
-from ..simulation import DirectModelError, Instruments, Replica, told, worst
-from ..trust import Evidence, Lag
-from .assess import Verdict, assess_estimate, intervals_along, sums_along
-from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, Status, essential_names
-from .iteration import IterationResult
-from .timing import Along, Timed, counted
+from ..report import Status
+from ..simulation import DirectModelError, Replica, told, worst
+from ..trust import Evidence
+from .assess import fit_of, intervals_along, sums_along
+from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, essential_names
+from .timing import Along, counted
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def assess_iv(found: Timed, ls: LeastSquares, outcome: IterationResult) -> Fit:
+def assess_iv(
+    found: Along, ls: LeastSquares, passes: Sequence[Pass], returned: int, start: str, failure: str | None
+) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
-    observed, estimate = found.whole.observed.about(outcome.z), outcome.estimate
-    replicas, passes, long = outcome.final, outcome.passes, observed.regression.reduced
-    evidence = _evidence_along(replace(found.whole, observed=observed), ls, found.lags)
-    system, _ = observed.along(outcome.z)
-    tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, outcome.z.used)
-    direct, names = _direct_errors(replicas), [part.problem.signals.recording for part in observed.evidence]
+    observed, z, estimate, replicas = found.observed.about(found.z), found.z, found.estimate, found.replicas
+    evidence, (system, _) = _evidence_along(found, ls), observed.along(z)
+    tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
+    direct, names = _direct_errors(replicas), [one.problem.signals.recording for one in observed.observations]
     final_reason = told([one.reason for one in replicas], names)
     tracking_percent = worst([one.tracking_percent for one in replicas])
-    status, reason = _status(passes, final_reason, tracking_percent, outcome.failure, direct, tests)
-    first = replicas[observed.order[0]]
-    if reason is not None and outcome.returned != len(passes):
-        reason += f"; pass {outcome.returned} is returned, which tracks best"
+    status, reason = _status(passes, final_reason, tracking_percent, failure, direct, tests)
+    if reason is not None and returned != len(passes):
+        reason += f"; pass {returned} is returned, which tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(ls.full.among(estimate.names) - estimate.beta) / evidence.intervals.half)
-    of_method = InstrumentEvidence(
-        start=outcome.start,
+    first = replicas[observed.order[0]]
+    iv = InstrumentEvidence(
+        start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
         controller="described" if all(one.described for one in replicas) else "surrogate",
-        passes=passes,
-        returned=outcome.returned,
+        passes=tuple(passes),
+        returned=returned,
         reason=reason,
         tests=tests,
         contrast=float(apart.max()),
         contrast_at=estimate.names[int(apart.argmax())],
-        rows_used_percent=float(100 * outcome.z.used.mean()),
+        rows_used_percent=float(100 * z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
         simulated=first.motion,
         q=first.q,
     )
-    verdict = Verdict(status=status, iv=of_method, warnings=_iv_warnings(replicas, tests), replicas=replicas)
     evidence = replace(
         evidence,
-        Z=None if long else evidence.Z,
+        Z=None if observed.regression.reduced else evidence.Z,
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        factors=outcome.z.factors if len(outcome.z.factors) > 1 else (),
-        blocks=sums_along(outcome.z, estimate),
-        looked_at=None if found.beginning is None else _evidence_along(found.beginning, ls, found.lags),
+        factors=z.factors if len(z.factors) > 1 else (),
+        blocks=sums_along(z, estimate),
+        looked_at=None if found.beginning is None else _evidence_along(replace(found.beginning, lags=found.lags), ls),
     )
-    return assess_estimate(observed, evidence, ls, evidence.predicted, verdict)
+    own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
+    fit = fit_of(observed, evidence, own, replicas)
+    warnings = (*fit.warnings, *_iv_warnings(replicas, tests))
+    return replace(fit, status=status, iv=iv, least_squares=ls, warnings=warnings)
 
 
-def _evidence_along(along: Along, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+def _evidence_along(along: Along, ls: LeastSquares) -> Evidence:
     """What an estimate by instruments rests on, in its rows."""
     observed, z, estimate = along.observed.about(along.z), along.z, along.estimate
-    within = counted(estimate, intervals_along(observed, z, estimate), lags)
+    within = counted(estimate, intervals_along(observed, z, estimate), along.lags)
     return Evidence(
-        parts=tuple(along.parts),
+        recordings=along.recordings,
         observed=observed.regression,
         method="iv",
         fixed_point=True,
@@ -79,43 +82,8 @@ def _evidence_along(along: Along, ls: LeastSquares, lags: tuple[Lag, ...]) -> Ev
         intervals=within,
         least_squares=ls.full,
         Z=observed.along(z)[1],
-        lags=lags,
+        lags=along.lags,
         essential=essential_names(ls.essential, estimate, within),
-    )
-
-
-@np.errstate(over="ignore", invalid="ignore")  # a start may be anything
-def assess_pass(estimate: Estimate, z: Instruments, system: System, tolerance_percent: float) -> Pass:
-    """A pass that led from the parameters asked for to `estimate`, and whether it settled.
-
-    `system` has all parameters and the rows that this pass used.
-
-    The estimate is compared with what was asked for, not with what was simulated in its place. Both must hold: the residual
-    norm changed by less than the tolerance, and each parameter by less than the tolerance or half its deviation, whichever is
-    larger. Parameters near zero never settle in percent of themselves.
-    """
-    tolerance = 0.01 * tolerance_percent
-    old = np.array([z.beta[system.names.index(name)] for name in estimate.names])
-    change = np.abs(estimate.beta - old)
-    w = estimate.weights[system.joint_of_row] * system.used
-    norm_before = float(np.linalg.norm(w * (system.Y - system.W @ z.beta)))
-    norm_change = abs(estimate.residual_norm - norm_before)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        in_sigma = np.where(change > 0, change / estimate.sigma, 0.0)
-        in_percent = np.where(np.abs(estimate.beta) > 2 * estimate.sigma, 100 * change / np.abs(estimate.beta), 0.0)
-    return Pass(
-        instruments=z.kind,
-        reason=z.reason,
-        residual_norm=estimate.residual_norm,
-        change_sigma=float(in_sigma.max()),
-        change_percent=float(in_percent.max()),
-        changed=estimate.names[int(in_sigma.argmax())],
-        gains=z.gains,
-        tracking_percent=z.tracking_percent,
-        condition=estimate.condition_number_scaled,
-        residual_percent=100 * norm_change / norm_before if norm_before > 0 else 0.0,
-        residual_settled=norm_change <= tolerance * norm_before,
-        parameters_settled=bool((change <= np.maximum(tolerance * np.abs(estimate.beta), estimate.sigma / 2)).all()),
     )
 
 
@@ -147,7 +115,7 @@ def _largest(percents: list[float | None]) -> float | None:
 
 
 def _status(
-    passes: tuple[Pass, ...],
+    passes: Sequence[Pass],
     final_reason: str | None,
     tracking_percent: float | None,
     failure: str | None,
@@ -165,8 +133,8 @@ def _status(
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
     last, unconfirmed = passes[-1], _unconfirmed(final_reason, tracking_percent, direct)
     if last.settled:
-        if unconfirmed is None and last.instruments != "simulated":
-            unconfirmed = f"settled without simulated instruments: {last.reason}"
+        if unconfirmed is None and last.z.kind != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.z.reason}"
         return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
     if unconfirmed is not None:
         return "diverged", unconfirmed

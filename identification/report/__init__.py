@@ -1,7 +1,13 @@
-"""Documents of sections and tables, and their renderers: terminal, Markdown, HTML, JSON."""
+"""The bottom of reporting: documents of sections and tables, their renderers, the JSON file of a fit, comparisons."""
 
+from .comparison import (
+    ParameterSet,
+    comparison_document,
+    comparison_file,
+    comparison_section,
+    differences,
+)
 from .document import (
-    FORMAT,
     Cell,
     Document,
     Number,
@@ -10,8 +16,32 @@ from .document import (
     Section,
     Table,
     columns,
-    document_json,
     value_form,
     write_json,
 )
+from .fit_file import (
+    NO_FIXED_POINT,
+    Assumed,
+    ConsistentFile,
+    Covariance,
+    DirectModelErrorFile,
+    Doubt,
+    EssentialSet,
+    FitFile,
+    KnownLagFile,
+    LagFile,
+    LeftOut,
+    Level,
+    Method,
+    OwnTest,
+    Parameter,
+    PassFile,
+    StandardParameter,
+    Status,
+    TrustLineFile,
+    Verdict,
+    frame_lines,
+    read_fit,
+)
+from .recording_file import JointError, Provenance, RecordingOfFit, ValidationFile
 from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report

@@ -1,4 +1,4 @@
-"""A report as data: sections of tables and lines. `renderers` shows it, `document_json` stores it."""
+"""A report as data: sections of tables and lines, which `renderers` shows; and what all JSON files have."""
 
 import json
 import math
@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
-from msgspec import UNSET, UnsetType
 
 from acquisition.files import atomic_write
 
@@ -103,51 +102,14 @@ def cell_text(cell: Cell) -> str:
     return cell if isinstance(cell, str) else cell.text
 
 
-class SectionFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A section in a JSON file; a number has all its digits, null where it does not exist."""
-
-    title: str
-    columns: list[str]
-    rows: list[list[str | float | None]]
-    lines: list[str]
-    warnings: list[str]
-
-
-class DocumentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A report in a JSON file."""
-
-    title: str
-    sections: list[SectionFile]
-
-
 class ResultFile(msgspec.Struct, frozen=True, kw_only=True):
-    """What every JSON file has: the version of its format, and the report that the terminal shows.
-
-    Files of earlier versions have no report.
-    """
+    """What every JSON file has: the version of its format."""
 
     format: int = FORMAT
-    report: DocumentFile | UnsetType = UNSET
-
-
-def document_json(document: Document) -> DocumentFile:
-    """The report for a JSON file."""
-    return DocumentFile(title=document.title, sections=[_section_json(section) for section in document.sections])
-
-
-def _section_json(section: Section) -> SectionFile:
-    table = section.table
-    return SectionFile(
-        title=section.title,
-        columns=[column.heading.replace("\n", " ") for column in table.columns] if table else [],
-        rows=[[x if isinstance(x, str) else x.exact for x in row] for row in table.rows] if table else [],
-        lines=list(section.lines),
-        warnings=list(section.warnings),
-    )
 
 
 def write_json(path: Path, content: ResultFile) -> None:
-    """Write a result as a JSON file, whole or not at all."""
-    text = json.dumps(msgspec.to_builtins(content), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    """Write a result as a JSON file, whole or not at all; a number that is not finite is null."""
+    plain = json.loads(msgspec.json.encode(content, enc_hook=lambda number: number.item()))  # numpy's as Python's
     with atomic_write(path) as partial:
-        partial.write_text(text, encoding="utf-8")
+        partial.write_text(json.dumps(plain, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")

@@ -11,8 +11,9 @@ from acquisition.errors import AcquisitionError
 
 from ..data import RecordingFile, Recordings, versions
 from ..errors import IdentificationError
-from ..methods import Fit, Method, fitted_parameters, identify
+from ..methods import Fit, fitted_parameters, identify
 from ..regression import Overrides
+from ..report import Method
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
-from ..report import Document, Number, ResultFile, Row, Section, Table, columns, document_json, value_form
+from ..report import Document, Number, ResultFile, Row, Section, Table, columns, value_form
 from .draws import Study
 from .study import Run
 from .summary import FALSE_ERROR, FALSE_TRUST, INSIDE, Summary, false_trust, study_json, summaries
@@ -56,13 +56,12 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
         robot=robot.name,
         joint_names=[joint.name for joint in robot.joints],
         parameters=parameters,
-        report=document_json(base_document(base, robot, true)),
     )
 
 
-def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array, report: Document) -> StudyFile:
-    """A study as it goes into its JSON file, with its `report`; `true` (b,) are the values of the parameters `base`."""
-    return StudyFile(**study_json(study, runs, base.names, true), report=document_json(report))
+def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
+    """A study as it goes into its JSON file, `true` (b,) are the values of the parameters `base`."""
+    return StudyFile(**study_json(study, runs, base.names, true))
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:

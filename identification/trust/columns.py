@@ -17,11 +17,11 @@ from ..arrays import Array
 from ..estimation import deviations_of_sums
 from ..model import JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
-from .evidence import Evidence, Part
+from .evidence import Evidence, RecordingData
 from .lag import simulated_rates
 from .lines import TrustLine
 
-BEYOND = 5.0  # deviations that chance does not explain
+MIN_T = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
 SPRING_TAKEN_PERCENT = 10.0  # the same for a spring: slow errors of any origin follow a slow position a little
 SLOW = 0.2  # of a joint's peak speed: Stribeck friction has fallen to Coulomb friction about there
@@ -29,12 +29,12 @@ STRIBECK, ASYMMETRIC, OFFSET, SPRING = "Stribeck friction", "asymmetric friction
 ROOT, LOAD, TILT, LAG, DRIFT = "root friction", "load friction", "tilt of gravity", "lag", "drift"
 SELECT = "run `robot-identify friction`"
 ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot be told apart
-TOLD_APART = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
+MIN_INDEPENDENT_NORM = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class _Column:
-    """A torque (T, n) that the model lacks, per unit of its coefficient, and the joint or axis it belongs to."""
+    """A torque (T, n) that the model lacks, per unit of its coefficient, the joint or axis it belongs to, and what to do."""
 
     kind: str
     where: str
@@ -43,58 +43,52 @@ class _Column:
     advice: str
 
 
-@dataclass(frozen=True, kw_only=True)
-class Lack:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MissingTerm:
     """What the model may lack.
 
     Attributes:
-        kind, where: what it is, and of which joint or axis.
-        value, unit, t: its coefficient, and that in deviations.
+        column: what it is.
+        value, t: its coefficient, and that in deviations.
         taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
         moves: half-widths by which it moves the essential parameter that it moves most.
-        advice: what to do.
     """
 
-    kind: str
-    where: str
+    column: _Column
     value: float
-    unit: str
     t: float
     taken_percent: float
     together_percent: float
     moves: float
-    advice: str
 
     @property
     def found(self) -> bool:
         """Whether chance does not explain it, and it matters."""
-        if self.kind == LAG:  # it hardly shows in the residual
-            return abs(self.t) > BEYOND and self.moves > 1
-        least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
-        return abs(self.t) > BEYOND and self.taken_percent > least
+        if self.column.kind == LAG:  # it hardly shows in the residual
+            return abs(self.t) > MIN_T and self.moves > 1
+        least = SPRING_TAKEN_PERCENT if self.column.kind == SPRING else TAKEN_PERCENT
+        return abs(self.t) > MIN_T and self.taken_percent > least
 
 
 def added_columns_test(evidence: Evidence) -> TrustLine:
     """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
     evidence = evidence.with_rows
-    lacks = lacks_of(evidence)
-    if not lacks:
-        return TrustLine(test=name, level="not made", value=None, text="not made: the model contains all that is tried")
-    found = [lack for lack in lacks if lack.found]
-    first = max(found or lacks, key=_rank)
-    told = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
-    told += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
+    terms = missing_terms(evidence)
+    if not terms:
+        return TrustLine(name, "not made", "not made: the model contains all that is tried")
+    found = [term for term in terms if term.found]
+    first = max(found or terms, key=_rank)
+    column = first.column
+    strongest = f"{column.kind} {column.where} {first.value:.3g} {column.unit}".rstrip()
+    strongest += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
     if not found:
         return TrustLine(
-            test=name,
-            level="ok",
-            value=first.t,
-            text=f"none of {len(lacks)} matters; the first, {told}{_untried(evidence)}",
+            name, "ok", f"none of {len(terms)} matters; the first, {strongest}{_untried(evidence)}", first.t
         )
-    more = f"; {len(found) - 1} more beyond t = {BEYOND:g}" if len(found) > 1 else ""
-    finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
-    return TrustLine(test=name, level="caution", value=first.t, text=f"{told}{more}: {first.advice}", finding=finding)
+    more = f"; {len(found) - 1} more beyond t = {MIN_T:g}" if len(found) > 1 else ""
+    finding = f"{column.kind} {column.where}{'' if column.kind in (TILT, LAG, DRIFT) else ' missing'}"
+    return TrustLine(name, "caution", f"{strongest}{more}: {column.advice}", first.t, finding=finding)
 
 
 def _untried(evidence: Evidence) -> str:
@@ -105,18 +99,18 @@ def _untried(evidence: Evidence) -> str:
     return "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
 
 
-def _rank(lack: Lack) -> tuple[float, float]:
+def _rank(term: MissingTerm) -> tuple[float, float]:
     """What comes first. Several joints may lack the same: kinds count as a whole, or one that acts on all joints would lead.
 
     Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both. A tilt
     of gravity follows the position, as springs do.
     """
-    ahead = ALIKE_PERCENT if lack.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if lack.kind == SPRING else 1.0
-    return behind * lack.together_percent + ahead, lack.taken_percent
+    ahead = ALIKE_PERCENT if term.column.kind in (ASYMMETRIC, TILT) else 0.0
+    behind = 0.5 if term.column.kind == SPRING else 1.0
+    return behind * term.together_percent + ahead, term.taken_percent
 
 
-def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
+def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
     """All columns that can be told apart from W, not of reduced rows.
 
     Stribeck friction below zero is none: near standstill filters and elasticity round off the sign of the speed.
@@ -128,7 +122,7 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
     n = evidence.observed.tau.shape[1]
     C = np.stack([column.torque.T.reshape(-1) for column in columns], axis=1) * rows.weight[:, None]  # (r, k)
     z = C - Q @ (bread.T @ (rows.W.T @ C))  # zᵀW = 0
-    seen = np.linalg.norm(z, axis=0) > TOLD_APART * np.linalg.norm(C, axis=0)
+    seen = np.linalg.norm(z, axis=0) > MIN_INDEPENDENT_NORM * np.linalg.norm(C, axis=0)
     seen &= np.linalg.norm(C, axis=0) > 0
     C, z, columns = C[:, seen], z[:, seen], [column for column, s in zip(columns, seen, strict=True) if s]
     size = np.einsum("rk,rk->k", z, C)
@@ -148,23 +142,20 @@ def lacks_of(evidence: Evidence) -> tuple[Lack, ...]:
         left = rows.rho - apart @ np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rows.rho, rcond=1e-6)[0]
         together[kind] = 100 * (1 - float(left @ left) / whole)
     return tuple(
-        Lack(
-            kind=column.kind,
-            where=column.where,
+        MissingTerm(
+            column=column,
             value=float(value),
-            unit=column.unit,
             t=float(value / s) if s > 0 else 0.0,
             taken_percent=float(percent),
             together_percent=together[column.kind],
             moves=float(moves),
-            advice=column.advice,
         )
         for column, value, s, percent, moves in zip(columns, g, sigma, taken, moved.max(axis=0), strict=True)
         if column.kind != STRIBECK or value > 0
     )
 
 
-def _motion(part: Part, method: str) -> tuple[Motion, Decimation]:
+def _motion(part: RecordingData, method: str) -> tuple[Motion, Decimation]:
     """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
     settings = part.problem.settings
     if method == "iv" and part.simulated is not None and part.decimation is not None:
@@ -176,7 +167,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
     problem = evidence.problem
     robot, idm, base = problem.signals.robot, problem.model, problem.base
     chi = np.zeros(idm.p)
-    chi[base.columns] = evidence.estimate.among(evidence.parts[0].parameters)
+    chi[base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
     n, T = robot.n, len(evidence.observed.tau)
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
     speed, slow, position = (np.concatenate(x) for x in zip(*_speeds(evidence), strict=True))
@@ -187,40 +178,44 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
         if resists and not joint.one_sided and "asymmetric" not in joint.terms:
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
             yield _Column(
-                kind=ASYMMETRIC,
-                where=where,
-                torque=0.01 * np.outer(resisting, only),
-                unit="% of it",
-                advice=_to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
+                ASYMMETRIC,
+                where,
+                0.01 * np.outer(resisting, only),
+                "% of it",
+                _to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
             )
         if "offset" not in joint.terms:
             advice = _to_describe(joint, "offset", "offset = true")
-            yield _Column(kind=OFFSET, where=where, torque=np.tile(only, (T, 1)), unit=effort, advice=advice)
+            yield _Column(OFFSET, where, np.tile(only, (T, 1)), effort, advice)
         yield _Column(
-            kind=DRIFT,
-            where=where,
-            torque=np.outer(time, only),
-            unit=f"{effort} over the recording",
-            advice="warm the robot up, or record a shorter motion",
+            DRIFT,
+            where,
+            np.outer(time, only),
+            f"{effort} over the recording",
+            "warm the robot up, or record a shorter motion",
         )
         yield _Column(
-            kind=SPRING,
-            where=where,
-            torque=np.outer(position[:, j], only),
-            unit=f"{effort}/{joint.position_unit}",
-            advice="record its torque, of a spring, a hose or a weight, as known_torque",
+            SPRING,
+            where,
+            np.outer(position[:, j], only),
+            f"{effort}/{joint.position_unit}",
+            "record its torque, of a spring, a hose or a weight, as known_torque",
         )
         if "stribeck" not in joint.terms:
             yield _Column(
-                kind=STRIBECK,
-                where=where,
-                torque=np.outer(slow[:, j], only),
-                unit=effort,
-                advice="leave out slow rows by a larger --low-speed-percent",
+                STRIBECK,
+                where,
+                np.outer(slow[:, j], only),
+                effort,
+                "leave out slow rows by a larger --low-speed-percent",
             )
     yield from _tilts(evidence, chi, position)
     yield from _frictions(evidence, chi)
-    if n > 1 and evidence.method == "iv" and all(x.simulated and x.reference == "recorded" for x in evidence.parts):
+    if (
+        n > 1
+        and evidence.method == "iv"
+        and all(x.simulated and x.reference == "recorded" for x in evidence.recordings)
+    ):
         yield from _lags(evidence)
     if n > 1 and robot.gain_known:
         yield from _gains(evidence)
@@ -228,7 +223,7 @@ def _columns(evidence: Evidence) -> Iterator[_Column]:
 
 def _speeds(evidence: Evidence) -> Iterator[tuple[Array, Array, Array]]:
     """Of each recording |dq|, what Stribeck friction has more at low speed, and positions: decimated, (rows, n)."""
-    motions = [_motion(part, evidence.method) for part in evidence.parts]
+    motions = [_motion(part, evidence.method) for part in evidence.recordings]
     fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
     for motion, decimation in motions:
         slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
@@ -251,13 +246,7 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
         if not turned.any():
             continue
         torque = direct_model(idm, links).gravity(q, along=turned)
-        yield _Column(
-            kind=TILT,
-            where=f"about {about}",
-            torque=torque,
-            unit="rad",
-            advice="level the base, or set gravity_m_s2",
-        )
+        yield _Column(TILT, f"about {about}", torque, "rad", "level the base, or set gravity_m_s2")
 
 
 def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
@@ -265,7 +254,7 @@ def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
     robot, idm = evidence.problem.signals.robot, evidence.problem.model
     links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
     roots, loads = list[Array](), list[Array]()
-    for part in evidence.parts:
+    for part in evidence.recordings:
         motion, decimation = _motion(part, evidence.method)
         slip = motion.dq @ idm.coulomb_directions.T
         rigid = links.torque(motion.q, motion.dq, motion.ddq)
@@ -277,35 +266,35 @@ def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
         where = f"of joint {joint.name}" if np.count_nonzero(along) == 1 else f"of the motor of joint {joint.name}"
         if "root" not in joint.terms:
             unit = f"{robot.effort_units[int(np.flatnonzero(along)[-1])]} ({joint.position_unit}/s)^-½"
-            yield _Column(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT)
+            yield _Column(ROOT, where, np.outer(column, along), unit, SELECT)
     for j, joint in enumerate(robot.joints):
         if "load" not in joint.terms:
             torque = np.outer(load[:, j], np.eye(robot.n)[j])
-            yield _Column(kind=LOAD, where=f"of joint {joint.name}", torque=torque, unit="", advice=SELECT)
+            yield _Column(LOAD, f"of joint {joint.name}", torque, "", SELECT)
 
 
 def _lags(evidence: Evidence) -> Iterator[_Column]:
     """The torque's rate of each joint, in fast rows: beside reversals friction that rises smoothly looks like a lag."""
     rates, robot = list[Array](), evidence.problem.signals.robot
-    for part in evidence.parts:
+    for part in evidence.recordings:
         rate, fast = simulated_rates(part)
         rates.append((-1e-3 * rate * fast).T)
     for j, joint in enumerate(robot.joints):
         torque = np.outer(np.concatenate(rates)[:, j], np.eye(robot.n)[j])
         advice = "look at how its effort is filtered or stamped"
-        yield _Column(kind=LAG, where=f"of joint {joint.name}", torque=torque, unit="ms", advice=advice)
+        yield _Column(LAG, f"of joint {joint.name}", torque, "ms", advice)
 
 
 def _gains(evidence: Evidence) -> Iterator[_Column]:
     """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
     observed, names = evidence.observed, evidence.observed.system.names
     predicted = observed.predicted(evidence.estimate.among(names))
-    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.parts])
+    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
     for j, joint in enumerate(evidence.problem.signals.robot.joints):
         yield _Column(
-            kind="relative gain",
-            where=f"of joint {joint.name}",
-            torque=0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
-            unit="%",
-            advice="check its drive_gain and ratio against those of the other joints",
+            "relative gain",
+            f"of joint {joint.name}",
+            0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
+            "%",
+            "check its drive_gain and ratio against those of the other joints",
         )

@@ -10,41 +10,52 @@ import numpy as np
 from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
-from ..regression import Decimation, KnownLag, Motion, Problem, Regression, RowStates
-from .lines import Assumed, TrustLine
+from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
+from ..report import Assumed
+from .lines import TrustLine
 
 LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
-SUMS_HOLD = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
+MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Part:
-    """What one recording brings to the evidence.
+class RecordingData:
+    """A recording as a fit and its tests see it.
 
     Attributes:
-        problem: recording, settings, model. The samples of long recordings may be left out.
-        parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
-        slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
+        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
+        regression: its W and Y.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
         steps: of its positions, which tell of missing rows.
+        t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
+        parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
         simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
             `decimation` to the rows; None where there is none.
         reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
     """
 
     problem: Problem
-    parameters: tuple[str, ...]
-    slip_noise: Array
+    regression: Regression
     poses: Array
     replay: TrustLine
+    replay_lag: KnownLag | None
     steps: PositionSteps
-    replay_lag: KnownLag | None = None
-    states: RowStates | None = None
+    t_s: Array
+    states: RowStates | None
+    parameters: tuple[str, ...] = ()
     simulated: Motion | None = None
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
+
+    @property
+    def known_lag(self) -> KnownLag:
+        """What is known of its torque's lag without an estimate."""
+        known, replayed = self.problem.settings.known_lag, self.replay_lag
+        if known.stated or replayed is None:
+            return known
+        return replayed if known.source == NOTHING else known.with_other(replayed)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,7 +93,7 @@ class Evidence:
     """An estimate and what it rests on.
 
     Attributes:
-        parts: the recordings, in the order of the rows.
+        recordings: in the order of the rows.
         observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
         method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
@@ -102,7 +113,7 @@ class Evidence:
         essential: names of the parameters that the recordings determine well.
     """
 
-    parts: tuple[Part, ...]
+    recordings: tuple[RecordingData, ...]
     observed: Regression
     method: Literal["ols", "wls", "iv"]
     fixed_point: bool
@@ -124,7 +135,7 @@ class Evidence:
     @property
     def problem(self) -> Problem:
         """That of the first recording: robot, model and base parameters are those of all."""
-        return self.parts[0].problem
+        return self.recordings[0].problem
 
     @property
     def with_rows(self) -> "Evidence":
@@ -181,13 +192,13 @@ class Evidence:
         return slice(first, last)
 
     @property
-    def sums_hold(self) -> bool:
+    def sums_accurate(self) -> bool:
         """Whether sums over blocks, of squares, still have the digits that tests need: Q'Q = 1 and Q'W bread = 1."""
         if not self.blocks:
             return True
         QQ, QW = (sum(getattr(own, name).sum(axis=0) for own in self.blocks) for name in ("QQ", "QW"))
         one = np.eye(len(self.estimate.beta))
-        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < SUMS_HOLD)
+        return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < MAX_SUMS_ERROR)
 
     def _within(self, part: slice) -> list[tuple[int, int]]:
         """What a part of the time has of each recording: first and last instant, counted from the recording's start."""
@@ -263,41 +274,38 @@ def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assu
     if robot.gain_known:
         gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None]
         yield Assumed(
-            what="drive gains",
-            value=", ".join(gains)
-            or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
-            why="a wrong one scales all parameters, and fits as well"
+            "drive gains",
+            ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
+            "a wrong one scales all parameters, and fits as well"
             + (", where it is that of all joints" if several else ""),
         )
     ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed(what="ratios", value=ratios, why="positions and torques at the joints are made with them")
+    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
     if several:
         yield Assumed(
-            what="lengths",
-            value="urdf" if robot.urdf is not None else "dh",
-            why="the parameters of the links absorb an error of a length",
+            "lengths",
+            "urdf" if robot.urdf is not None else "dh",
+            "the parameters of the links absorb an error of a length",
         )
-    yield Assumed(
-        what="sample rate", value=f"{signals.sample_rate_hz:g} Hz", why="speeds and accelerations scale with it"
-    )
+    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
     if evidence.method == "iv" and lines["replay"].level == "not made":
         yield Assumed(
-            what="control law",
-            value=robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
-            why=lines["replay"].text.removeprefix("not made: "),
+            "control law",
+            robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
+            lines["replay"].text.removeprefix("not made: "),
         )
     if evidence.lags and evidence.lags[0].prior.stated:
-        yield Assumed(what="lag", value=f"{evidence.lags[0].value_s:g} s", why="stated by torque_lag_s")
+        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
     duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / signals.sample_rate_hz
     if duration_s > LONG_S:
         yield Assumed(
-            what="filters",
-            value=f"{duration_s:.0f} s of motion",
-            why="intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
+            "filters",
+            f"{duration_s:.0f} s of motion",
+            "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
         )
     if evidence.method != "iv":
         yield Assumed(
-            what="encoder noise",
-            value="below the low-pass as above",
-            why="least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
+            "encoder noise",
+            "below the low-pass as above",
+            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
         )

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import slices, undetermined_parameters
 from .evidence import Evidence, part_of
-from .lines import ILL_CONDITIONED, Figure, TrustLine, not_made
+from .lines import ILL_CONDITIONED, Figure, TrustLine
 
 BLOCKS = 5
 FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
@@ -44,15 +44,17 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     Several recordings are themselves the blocks.
     """
     name = "held-out blocks"
-    if len(evidence.parts) > 1:
+    if len(evidence.recordings) > 1:
         return _recordings_line(evidence, held_out_recordings(evidence))
-    if not evidence.sums_hold:
-        return not_made(name, ILL_CONDITIONED)
+    if not evidence.sums_accurate:
+        return TrustLine(name, "not made", ILL_CONDITIONED)
     sums, estimate = [evidence.sums(part) for part in _blocks(len(evidence.observed.tau), BLOCKS)], evidence.estimate
     rows, b = [one.rows for one in sums], len(estimate.beta)
     if sum(rows) - max(rows) <= b:
-        return not_made(
-            name, f"not made: {sum(rows) - max(rows)} rows outside a block for {b} parameters; record longer"
+        return TrustLine(
+            name,
+            "not made",
+            f"not made: {sum(rows) - max(rows)} rows outside a block for {b} parameters; record longer",
         )
     A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
     d = np.linalg.norm(A, axis=0)
@@ -65,14 +67,10 @@ def held_out_test(evidence: Evidence) -> TrustLine:
             percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
             figures.append(Figure(name=f"block {number}", value=float(percents[0]), expected=float(percents[1])))
     if not size > 0:
-        return not_made(name, "not made: no torque")
+        return TrustLine(name, "not made", "not made: no torque")
     error, training = 100 * float(np.sqrt(held / size)), 100 * float(np.sqrt(trained / size))
-    told = f"error {error:.3g} % held out, {training:.3g} % trained"
-    if error > HELD_OUT_FACTOR * training:
-        text = f"{told}: the fit does not carry over: record longer, with more varied motion, or fit with --essential"
-        text += _cure(evidence)
-        return _doubtful(error, training, text, figures)
-    return TrustLine(test=name, level="ok", value=error, text=told, figures=tuple(figures), unit="%")
+    text = f"error {error:.3g} % held out, {training:.3g} % trained"
+    return _line(evidence, text, (error, training), "record longer", figures)
 
 
 def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
@@ -80,14 +78,14 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
 
     Parameters that it has for itself are fitted to the recording: the others know nothing of them.
     """
-    if len(evidence.parts) == 1:
+    if len(evidence.recordings) == 1:
         return (None,)
     names, weights = evidence.estimate.names, evidence.estimate.weights
-    rows = [_rows_of(evidence, k) for k in range(len(evidence.parts))]
+    rows = [_rows_of(evidence, k) for k in range(len(evidence.recordings))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
     for k, (_, W, Y, _) in enumerate(rows):
-        own = np.array(["@" in name and name in evidence.parts[k].parameters for name in names])
+        own = np.array(["@" in name and name in evidence.recordings[k].parameters for name in names])
         kept, others = ~np.r_[own, own, False], [R for i, R in enumerate(factors) if i != k]
         beta, undetermined = _solved(
             np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
@@ -148,7 +146,7 @@ def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
 def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> TrustLine:
     """The line of several recordings: their errors held out, and those that the others cannot predict."""
     test, held, trained, figures, without = "held-out blocks", 0.0, 0.0, [], []
-    for part, one in zip(evidence.parts, found, strict=True):
+    for part, one in zip(evidence.recordings, found, strict=True):
         assert one is not None
         name = part.problem.signals.recording
         if one.error_percent is None or one.trained_percent is None:
@@ -160,34 +158,31 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
         )
         figures.append(Figure(name=name, value=one.error_percent, expected=one.trained_percent))
     if not figures:
-        return TrustLine(test=test, level="cannot tell", value=None, text="; ".join(without))
+        return TrustLine(test, "cannot tell", "; ".join(without))
     torque = sum(one.torque**2 for one in found if one is not None and one.error_percent is not None)
     error, training = float(np.sqrt(held / torque)), float(np.sqrt(trained / torque))
     text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
-    if error > HELD_OUT_FACTOR * training:
-        text += ": the fit does not carry over: record more, with more varied motion, or fit with --essential"
-        text += _cure(evidence)
-        return _doubtful(error, training, text, figures)
-    return TrustLine(test=test, level="ok", value=error, text=text, figures=tuple(figures), unit="%")
+    return _line(evidence, text, (error, training), "record more", figures)
 
 
-def _doubtful(error: float, training: float, text: str, figures: list[Figure]) -> TrustLine:
+def _line(evidence: Evidence, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
+    """The line of errors in percent, held out and trained."""
+    shown = tuple(figures)
+    if errors[0] <= HELD_OUT_FACTOR * errors[1]:
+        return TrustLine("held-out blocks", "ok", text, errors[0], figures=shown, unit="%")
+    text += f": the fit does not carry over: {cure}, with more varied motion, or fit with --essential"
+    if evidence.problem.signals.robot.gain_known:
+        text += ", or take the parameters of --consistent, which carry over better"
     return TrustLine(
-        test="held-out blocks",
-        level="caution",
-        value=error,
-        text=text,
+        "held-out blocks",
+        "caution",
+        text,
+        errors[0],
         finding="does not carry over",
-        figures=tuple(figures),
+        figures=shown,
         unit="%",
-        far_off=error > FAR_FACTOR * training,
+        far_off=errors[0] > FAR_FACTOR * errors[1],
     )
-
-
-def _cure(evidence: Evidence) -> str:
-    """More advice where the drive gains are known."""
-    known = evidence.problem.signals.robot.gain_known
-    return ", or take the parameters of --consistent, which carry over better" if known else ""
 
 
 def _blocks(T: int, count: int) -> list[slice]:

@@ -18,8 +18,9 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
-from .evidence import Evidence, Lag, Part
-from .lines import Figure, Level, TrustLine
+from ..report import Level
+from .evidence import Evidence, Lag, RecordingData
+from .lines import Figure, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
@@ -30,14 +31,14 @@ ORDER = 6  # of the autoregression that whitens: shorter, model error passes for
 Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one lag
 
 
-def lag_columns(parts: Sequence[Part], groups: Groups, estimate: Estimate) -> Array:
+def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
     """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, rows as those of the system."""
     rates = [torque_rate(part.problem, estimate.among(part.parameters)).T for part in parts]
     return _by_group(rates, groups)
 
 
 def lags_in(
-    parts: Sequence[Part], groups: Groups, system: System, Z: Array, estimate: Estimate
+    parts: Sequence[RecordingData], groups: Groups, system: System, Z: Array, estimate: Estimate
 ) -> tuple[Array, Array, float]:
     """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
 
@@ -82,7 +83,7 @@ def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
     return np.stack(columns, axis=1)
 
 
-def simulated_rates(part: Part) -> tuple[Array, NDArray[np.bool_]]:
+def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
     """Of a recording d/dt of the simulated torque, per second, and which rows are fast, (n, rows) each."""
     problem, simulated, decimation = part.problem, part.simulated, part.decimation
     assert simulated is not None
@@ -91,7 +92,7 @@ def simulated_rates(part: Part) -> tuple[Array, NDArray[np.bool_]]:
     directions = problem.model.coulomb_directions
     percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
-    return rate, _well_before_slow(fast_rows(slip, part.slip_noise, directions, percent).T)
+    return rate, _well_before_slow(fast_rows(slip, part.regression.slip_noise, directions, percent).T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -165,4 +166,4 @@ def _line(evidence: Evidence, lag: Lag) -> TrustLine:
             text += f"; it acts {delay:.2f} ± {off:.2f} samples after the command"
             if delay < -NEGATIVE - off:
                 level, text = "caution", f"{text}: before it: check sample_rate_hz of [controller] and time stamps"
-    return TrustLine(test="lag", level=level, value=late, text=text, figures=figures, unit="samples")
+    return TrustLine("lag", level, text, late, figures=figures, unit="samples")

@@ -1,14 +1,13 @@
 """The lines of the trust block and the verdict that they add up to."""
 
 from dataclasses import dataclass
-from typing import Literal
 
-Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
+from ..report import Assumed, Level, Verdict
+
 LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
 ILL_CONDITIONED = (
     "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
 )
-Verdict = Literal["trust", "caution", "do not use"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,15 +20,15 @@ class Figure:
     expected: float = 0.0
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class TrustLine:
     """One test of a fit.
 
     Attributes:
         test: its name, such as `lag`.
         level: `not made` where the test could not be made, `cannot tell` where it says nothing either way.
-        value: its figure, None where there is none.
         text: one sentence with the figure, and what to do.
+        value: its figure, None where there is none.
         finding: the same in a few words, for the first line of a report.
         figures: its figures one by one, to be drawn, in `unit`.
         far_off: whether held-out errors are so far above the trained ones that other doubts weigh more.
@@ -37,26 +36,12 @@ class TrustLine:
 
     test: str
     level: Level
-    value: float | None
     text: str
+    value: float | None = None
     finding: str = ""
     figures: tuple[Figure, ...] = ()
     unit: str = ""
     far_off: bool = False
-
-
-def not_made(test: str, text: str) -> TrustLine:
-    """The line of a test that could not be made, `text` saying why."""
-    return TrustLine(test=test, level="not made", value=None, text=text)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Assumed:
-    """What was given and not tested: its value, and why no test sees it."""
-
-    what: str
-    value: str
-    why: str
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,8 +10,6 @@ friction that would drive a joint at a recorded speed is no friction. A stricter
 links have positive density as well. Both, `fit --consistent` and `export` ask for the same.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,8 +27,9 @@ from ..estimation import (
 )
 from ..model import InverseModel, friction_power, nearest_consistent, requirements
 from ..regression import Problem, base_name, friction_states, recorded_power
+from ..report import Level
 from .evidence import Evidence, covariance_of_all
-from .lines import LEVELS, Level, TrustLine
+from .lines import LEVELS, TrustLine
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width
@@ -39,10 +38,7 @@ LIGHTER = 0.9  # of the residual: a model without gravity that leaves less is to
 FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives an estimate this far off
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Finding:
-    level: Level
-    text: str
+Finding = tuple[Level, str]
 
 
 def physical_test(evidence: Evidence) -> TrustLine:
@@ -53,21 +49,15 @@ def physical_test(evidence: Evidence) -> TrustLine:
     """
     found, lowest = _findings(evidence, evidence.estimate, evidence.intervals)
     found += _gravity_findings(evidence)
-    if evidence.method == "ols" and all(finding.level != "do not use" for finding in found):
+    if evidence.method == "ols" and all(level != "do not use" for level, _ in found):
         weighted = weighted_least_squares(evidence.observed.system)
         severe, _ = _findings(evidence, weighted, _intervals(evidence, weighted))
-        found += [
-            _Finding(level=finding.level, text=f"by weighted least squares {finding.text}")
-            for finding in severe
-            if finding.level == "do not use"
-        ]
+        found += [(level, f"by weighted least squares {text}") for level, text in severe if level == "do not use"]
     if not found:
         text = f"M is positive on the trajectory (lowest eigenvalue {lowest:.3g}), no friction or rotor inertia is below zero"
-        return TrustLine(test="physical", level="ok", value=lowest, text=text)
-    found.sort(key=lambda finding: LEVELS.index(finding.level))
-    return TrustLine(
-        test="physical", level=found[0].level, value=lowest, text="; ".join(finding.text for finding in found)
-    )
+        return TrustLine("physical", "ok", text, lowest)
+    found.sort(key=lambda finding: LEVELS.index(finding[0]))
+    return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
 
 
 def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
@@ -79,17 +69,17 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
     return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1], observed.parts)
 
 
-def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[_Finding], float]:
+def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
     among = np.array([base.names.index(base_name(name)) for name in estimate.names])
-    poses = np.concatenate([part.poses for part in evidence.parts])
+    poses = np.concatenate([part.poses for part in evidence.recordings])
     findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
     findings += _driving_findings(evidence, estimate, found)
     own = any("@" in name for name in estimate.names)
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
-    for part in evidence.parts if own else evidence.parts[:1]:
+    for part in evidence.recordings if own else evidence.recordings[:1]:
         of_part = np.array([name in part.parameters for name in estimate.names])
         for asked in requirements(idm, shaped=False):
             G = asked.matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
@@ -109,7 +99,7 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
         severe = len(kinds) > 1 or any(far > SEVERE for far, _ in kinds.values())
         text = f"below zero: {', '.join(text for _, text in kinds.values())}: {_question(idm.robot.joints[joint].name)}"
-        findings.append(_Finding(level="do not use" if severe else "caution", text=text))
+        findings.append(("do not use" if severe else "caution", text))
     return findings, lowest
 
 
@@ -118,7 +108,7 @@ def _half(g: Array, found: Intervals) -> Array:
     return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
 
 
-def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> list[_Finding]:
+def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> list[Finding]:
     """Whether friction of further terms would drive a joint moving alone, or joints that share motors, at recorded speeds.
 
     No single term tells that: the root of speed may be below zero where viscous friction makes up for it. Constant offsets are
@@ -127,7 +117,7 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
     idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.model.robot
     columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
-    for part in evidence.parts:
+    for part in evidence.recordings:
         of_part = np.array([name in part.parameters for name in estimate.names])
         if part.states is None:
             continue
@@ -137,13 +127,13 @@ def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) 
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
             one = (power / max(half, TINY), v[j], power, half)
             worst[j] = min(one, worst.get(j, one))
-    findings = []
+    findings = list[Finding]()
     for j, (beyond, speed, power, half) in sorted(worst.items()):
         if beyond < -1:
             joint, unit = robot.joints[j], robot.effort_units[j]
             text = f"friction would drive joint {joint.name} at {speed:.3g} {joint.position_unit}/s: {power:.3g} ± {half:.2g} "
             text += f"{unit} against its motion: {_question(joint.name)}, or leave terms out"
-            findings.append(_Finding(level="do not use" if beyond < -SEVERE else "caution", text=text))
+            findings.append(("do not use" if beyond < -SEVERE else "caution", text))
     return findings
 
 
@@ -153,7 +143,7 @@ def _question(name: str) -> str:
 
 def _inertia_findings(
     idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
-) -> tuple[list[_Finding], float]:
+) -> tuple[list[Finding], float]:
     """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
     P, n = q.shape
     zero = np.zeros_like(q)
@@ -176,13 +166,11 @@ def _inertia_findings(
     told = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
     told += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
     if (lowest < -SEVERE * half).any():
-        return [_Finding(level="do not use", text=f"{told}: {_question(joint)}")], least
-    return [
-        _Finding(level="caution", text=f"{told}, which chance may explain: a consistent set is needed to simulate it")
-    ], least
+        return [("do not use", f"{told}: {_question(joint)}")], least
+    return [("caution", f"{told}, which chance may explain: a consistent set is needed to simulate it")], least
 
 
-def _gravity_findings(evidence: Evidence) -> list[_Finding]:
+def _gravity_findings(evidence: Evidence) -> list[Finding]:
     """Whether torques of a robot whose axes are not all vertical are fitted better by a model without gravity.
 
     Torques from which the controller has taken the robot's weight do that. Not made of reduced rows.
@@ -190,7 +178,7 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
-    q = np.concatenate([_positions(part.problem) for part in evidence.parts])
+    q = np.concatenate([_positions(part.problem) for part in evidence.recordings])
     of_links = np.array([idm.is_link_parameter(c) for c in columns])
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
@@ -212,7 +200,7 @@ def _gravity_findings(evidence: Evidence) -> list[_Finding]:
         return []
     text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
     text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
-    return [_Finding(level="caution", text=text)]
+    return [("caution", text)]
 
 
 def _positions(problem: Problem) -> Array:
@@ -226,21 +214,21 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
         text = "links cannot be compared: the drive gains are not known: state drive_gain"
-        return TrustLine(test="consistent", level="not made", value=None, text=text)
-    all_names, names = evidence.observed.system.names, evidence.parts[0].parameters
+        return TrustLine("consistent", "not made", text)
+    all_names, names = evidence.observed.system.names, evidence.recordings[0].parameters
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
-    moved = [(part.problem, part.states) for part in evidence.parts if part.parameters == names]
+    moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters == names]
     beta = estimate.among(names)
     try:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)
     except IdentificationError as error:
-        return TrustLine(test="consistent", level="cannot tell", value=None, text=str(error))
+        return TrustLine("consistent", "cannot tell", str(error))
     moves, bound = np.abs(nearest.deviations) / evidence.intervals.reach, chi_squared_quantile(FAR_LEVEL, len(names))
     text = f"the nearest physical robot is at chi² = {nearest.chi_squared:.3g} of {len(names)} parameters, "
     text += f"{names[int(moves.argmax())]} moved by {moves.max():.2g} half-widths of its interval"
     if nearest.chi_squared > bound:
         text += f", more than {bound:.3g} by chance: look at the signs and units of efforts and positions, and at the frames"
-        return TrustLine(test="consistent", level="caution", value=nearest.chi_squared, text=text)
-    return TrustLine(test="consistent", level="ok", value=nearest.chi_squared, text=text)
+        return TrustLine("consistent", "caution", text, nearest.chi_squared)
+    return TrustLine("consistent", "ok", text, nearest.chi_squared)

@@ -49,8 +49,8 @@ class Replay:
 
 def replay_test(evidence: Evidence) -> TrustLine:
     """Whether the recorded efforts are what the described controllers give: the line of the worst recording."""
-    worst = min(evidence.parts, key=lambda part: _rank(part.replay))
-    if len(evidence.parts) == 1:
+    worst = min(evidence.recordings, key=lambda part: _rank(part.replay))
+    if len(evidence.recordings) == 1:
         return worst.replay
     name, text = worst.problem.signals.recording, worst.replay.text
     reason = text.removeprefix("not made: ")
@@ -75,7 +75,7 @@ def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     reason = _not_made(problem, loop)
     if reason is not None or loop is None:
         text = f"not made: {reason}"
-        return TrustLine(test="replay", level="not made", value=None, text=text), None
+        return TrustLine("replay", "not made", text), None
     found = replay(problem, loop)
     line = _line([joint.name for joint in problem.signals.robot.joints], found)
     alike = np.nan_to_num(found.left_percent, nan=np.inf) <= ERROR_PERCENT
@@ -185,7 +185,7 @@ def _line(names: list[str], found: Replay) -> TrustLine:
         if np.isfinite(gain)
     )
     if not figures:
-        return TrustLine(test="replay", level="cannot tell", value=None, text="the described law gives nothing")
+        return TrustLine("replay", "cannot tell", "the described law gives nothing")
     off, error = np.nan_to_num(np.abs(found.gain - 1)), np.nan_to_num(found.error_percent)
     mirrored = (found.gain < 0) & (found.left_percent < MIRRORED_PERCENT)
     worst = int(np.argmax(np.maximum(np.maximum(off / GAIN_OFF, error / ERROR_PERCENT), 1e9 * mirrored)))
@@ -193,14 +193,8 @@ def _line(names: list[str], found: Replay) -> TrustLine:
     text = f"joint {names[worst]}: recorded effort = {gain:.4g} x what the described controller gives"
     text += f", {error[worst]:.2g} % off it, {found.lag[worst]:.2f} samples late"
     if mirrored.any():
-        return TrustLine(
-            test="replay",
-            level="do not use",
-            value=gain,
-            text=f"{text}: look at the sign of its effort",
-            figures=figures,
-        )
+        return TrustLine("replay", "do not use", f"{text}: look at the sign of its effort", gain, figures=figures)
     if off[worst] > GAIN_OFF or error[worst] > ERROR_PERCENT:
         text += ": check rated value, ratio, sample rate, structure and gains of [controller]"
-        return TrustLine(test="replay", level="caution", value=gain, text=text, figures=figures)
-    return TrustLine(test="replay", level="ok", value=gain, text=text, figures=figures)
+        return TrustLine("replay", "caution", text, gain, figures=figures)
+    return TrustLine("replay", "ok", text, gain, figures=figures)

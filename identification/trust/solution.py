@@ -16,10 +16,10 @@ from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, inst
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from .columns import added_columns_test
-from .evidence import Evidence, Part, assumed
+from .evidence import Evidence, RecordingData, assumed
 from .held_out import held_out_test
 from .lag import lag_test
-from .lines import ILL_CONDITIONED, Trust, TrustLine, not_made, worst_first
+from .lines import ILL_CONDITIONED, Trust, TrustLine, worst_first
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
@@ -42,54 +42,52 @@ def fixed_point_test(evidence: Evidence) -> TrustLine:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
     if not evidence.fixed_point:
         text = f"{evidence.unconfirmed or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
-        return TrustLine(test="fixed point", level="do not use", value=None, text=text)
+        return TrustLine("fixed point", "do not use", text)
     if evidence.unconfirmed is not None:
         text = f"{evidence.unconfirmed}: check [controller]; compare with least squares"
-        return TrustLine(test="fixed point", level="caution", value=None, text=text)
+        return TrustLine("fixed point", "caution", text)
     text = (
         "settled, and the simulated robot confirms it" if evidence.method == "iv" else "least squares has one solution"
     )
-    return TrustLine(test="fixed point", level="ok", value=None, text=text)
+    return TrustLine("fixed point", "ok", text)
 
 
-def instruments_test(evidence: Evidence) -> TrustLine:
+def instruments_test(evidence: Evidence) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     F = evidence.first_stage_F
     if F is None:
-        return not_made("instruments", "not made: there are none")
+        return None
     if F < WEAK_F:
         text = f"weak: first-stage F = {F:.2g}, below {WEAK_F:g}: record faster motion, check [controller]"
-        return TrustLine(test="instruments", level="caution", value=F, text=text)
+        return TrustLine("instruments", "caution", text, F)
     if F > SAME_F:
         text = "the instruments are W itself: this is least squares, and noise of the position biases it alike"
-        return TrustLine(test="instruments", level="cannot tell", value=F, text=text)
-    return TrustLine(test="instruments", level="ok", value=F, text=f"strong: first-stage F = {F:.3g}")
+        return TrustLine("instruments", "cannot tell", text, F)
+    return TrustLine("instruments", "ok", f"strong: first-stage F = {F:.3g}", F)
 
 
 def units_test(evidence: Evidence) -> TrustLine:
     """Whether joints share parameters although their drive gains are not known: then the torques are in different units."""
     name, robot = "units", evidence.problem.signals.robot
     if robot.gain_known or robot.n == 1:
-        return TrustLine(test=name, level="ok", value=None, text="torques of all joints are in known units")
+        return TrustLine(name, "ok", "torques of all joints are in known units")
     rows = evidence.observed.system
     by_joint = np.stack([np.linalg.norm(rows.W[rows.joint_of_row == j], axis=0) for j in range(robot.n)])
     acts = by_joint > SHARED * np.linalg.norm(by_joint, axis=0)
     shared = [name for name, own in zip(rows.names, acts.T, strict=True) if own.sum() > 1]
     if not shared:
-        return TrustLine(
-            test=name, level="ok", value=None, text="drive gains are not known, but no joints share a parameter"
-        )
+        return TrustLine(name, "ok", "drive gains are not known, but no joints share a parameter")
     text = f"{', '.join(shared[:5])} act at several joints, and the drive gains are not known: state drive_gain"
-    return TrustLine(test=name, level="do not use", value=None, text=text, finding="drive gains not known")
+    return TrustLine(name, "do not use", text, finding="drive gains not known")
 
 
 def essential_test(evidence: Evidence) -> TrustLine:
     """Whether some inertia is known to better than its own size."""
     name, of = "essential", len(evidence.estimate.names)
     if any(_is_inertia(evidence, base_name(one)) for one in evidence.essential):
-        return TrustLine(test=name, level="ok", value=None, text=f"{len(evidence.essential)} of {of}")
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {of}")
     text = "no inertia has an interval narrower than itself: record faster, longer motion"
-    return TrustLine(test=name, level="caution", value=None, text=text, finding="no inertia is determined")
+    return TrustLine(name, "caution", text, finding="no inertia is determined")
 
 
 def _is_inertia(evidence: Evidence, name: str) -> bool:
@@ -117,8 +115,8 @@ def ends_test(evidence: Evidence) -> TrustLine:
         text = (
             f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         )
-        return TrustLine(test="ends", level="caution", value=value, text=text)
-    return TrustLine(test="ends", level="ok", value=value, text=told)
+        return TrustLine("ends", "caution", text, value)
+    return TrustLine("ends", "ok", told, value)
 
 
 def halves_test(evidence: Evidence) -> TrustLine:
@@ -126,8 +124,8 @@ def halves_test(evidence: Evidence) -> TrustLine:
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
-    if not evidence.sums_hold:
-        return not_made("halves", ILL_CONDITIONED)
+    if not evidence.sums_accurate:
+        return TrustLine("halves", "not made", ILL_CONDITIONED)
     T, parts = len(evidence.observed.tau), evidence.observed.parts
     if len(parts) > 1:  # cut between recordings
         edges = np.cumsum(parts)[:-1]
@@ -136,12 +134,14 @@ def halves_test(evidence: Evidence) -> TrustLine:
         cut = round(T / 2)
     solved = [_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T))]
     if any(half is None for half in solved):
-        return not_made("halves", "not made: a half alone does not determine the parameters; record longer")
+        return TrustLine(
+            "halves", "not made", "not made: a half alone does not determine the parameters; record longer"
+        )
     (beta_1, C_1, B_1), (beta_2, C_2, B_2) = (half for half in solved if half is not None)
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
     if not (sigma > 0).all():
-        return not_made("halves", "not made: the fit is exact")
+        return TrustLine("halves", "not made", "not made: the fit is exact")
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
@@ -150,8 +150,8 @@ def halves_test(evidence: Evidence) -> TrustLine:
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
         text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
-        return TrustLine(test="halves", level="caution", value=wald, text=text)
-    return TrustLine(test="halves", level="ok", value=wald, text=told)
+        return TrustLine("halves", "caution", text, wald)
+    return TrustLine("halves", "ok", told, wald)
 
 
 def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
@@ -175,22 +175,22 @@ def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | 
     return beta, C * np.outer(sigma / formula, sigma / formula), freedom
 
 
-def prewhitened_test(evidence: Evidence) -> TrustLine:
+def prewhitened_test(evidence: Evidence) -> TrustLine | None:
     """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
     name, evidence = "prewhitened", evidence.with_rows
     if evidence.Z is None:
-        return not_made(name, "not made: there are no instruments")
+        return None
     estimate = _whitened(evidence)
     if isinstance(estimate, str):
-        return not_made(name, estimate)
+        return TrustLine(name, "not made", estimate)
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
     value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
     if value > PREWHITENED:
         text = f"{told}: the model lacks something: see added columns"
-        return TrustLine(test=name, level="caution", value=value, text=text)
-    return TrustLine(test=name, level="ok", value=value, text=told)
+        return TrustLine(name, "caution", text, value)
+    return TrustLine(name, "ok", told, value)
 
 
 def _whitened(evidence: Evidence) -> Estimate | str:
@@ -209,58 +209,39 @@ def _whitened(evidence: Evidence) -> Estimate | str:
         return f"not made: {error}"
 
 
-OF_ALL: tuple[Callable[[Evidence], TrustLine], ...] = (
-    fixed_point_test,
-    physical_test,
-    units_test,
-    replay_test,
-    added_columns_test,
-    lag_test,
-    held_out_test,
-    halves_test,
-    consistent_test,
-    ends_test,
-    essential_test,
-)
-OF_INSTRUMENTS = (instruments_test, prewhitened_test)
+def position_noise_test(evidence: Evidence) -> TrustLine | None:
+    """Whether noise of the position biases least squares, found where the recording is at hand."""
+    return evidence.position_noise
 
 
-def trust_in(evidence: Evidence) -> Trust:
-    """All tests of an estimate, worst first, and what is assumed."""
-    lines = [test(evidence) for test in (*OF_ALL, *(OF_INSTRUMENTS if evidence.method == "iv" else ()))]
-    lines += [evidence.position_noise] if evidence.position_noise is not None else []
-    lines += [*_standing(evidence), *_rows(evidence)]
-    return worst_first(_judged_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
-
-
-def _standing(e: Evidence) -> list[TrustLine]:
-    """A line for joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
-    speed, joints = np.abs(e.observed.speed).max(axis=0), e.parts[0].problem.signals.robot.joints
+def motion_test(evidence: Evidence) -> TrustLine | None:
+    """Joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
+    speed, joints = np.abs(evidence.observed.speed).max(axis=0), evidence.problem.signals.robot.joints
     if not (names := standing_joints(speed, joints)):
-        return []
+        return None
     text = f"joint {', '.join(names)} does not move: its friction values do not hold for motion: move it, or do not use them"
-    return [
-        TrustLine(test="motion", level="caution", value=None, text=text, finding=f"{', '.join(names)} does not move")
-    ]
+    return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
-def _rows(e: Evidence) -> list[TrustLine]:
-    """A line of the recording that misses or repeats most rows; else one of encoders that are slower than the log."""
-    name = "rows"
-    shares = [100 * np.array([p.steps.lost, p.steps.repeated, p.steps.held]) / max(p.steps.moving, 1) for p in e.parts]
+def rows_test(e: Evidence) -> TrustLine | None:
+    """The recording that misses or repeats most rows; else one of encoders that are slower than the log."""
+    every = [p.steps for p in e.recordings]
+    shares = [100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1) for steps in every]
     surplus = [x[:2] * (x[:2] > max(MISSING_PERCENT, HELD_SHARE * x[2])) for x in shares]
     k = int(np.argmax([x.sum() for x in surplus]))
     if surplus[k].any():
         found = zip(surplus[k], ("missing", "repeated"), strict=True)
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-        text = f"{_place(e, e.parts[k])}{finding}, by steps of the position that are twice their neighbours', or none"
+        text = (
+            f"{_place(e, e.recordings[k])}{finding}, by steps of the position that are twice their neighbours', or none"
+        )
         text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
-        return [TrustLine(test=name, level="caution", value=float(surplus[k].sum()), text=text, finding=finding)]
-    notes = [note for part, x in zip(e.parts, shares, strict=True) if (note := _slow_encoder(e, part, float(x[2])))]
-    return [TrustLine(test=name, level="ok", value=None, text=notes[0])] if notes else []
+        return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
+    notes = [_slow_encoder(e, part, float(x[2])) for part, x in zip(e.recordings, shares, strict=True)]
+    return next((TrustLine("rows", "ok", note) for note in notes if note is not None), None)
 
 
-def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:
+def _slow_encoder(e: Evidence, part: RecordingData, held: float) -> str | None:
     """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
     percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MISSING_PERCENT) & (percent.sum(axis=1) > COARSE_PERCENT)
@@ -272,11 +253,11 @@ def _slow_encoder(e: Evidence, part: Part, held: float) -> str | None:
     return f"{_place(e, part)}the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
 
 
-def _place(e: Evidence, part: Part) -> str:
-    return f"{part.problem.signals.recording}: " if len(e.parts) > 1 else ""
+def _place(e: Evidence, part: RecordingData) -> str:
+    return f"{part.problem.signals.recording}: " if len(e.recordings) > 1 else ""
 
 
-def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
+def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
@@ -285,3 +266,17 @@ def _judged_together(lines: list[TrustLine]) -> list[TrustLine]:
         return lines
     text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
+
+
+# A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
+TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
+    *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
+    *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
+    *(prewhitened_test, position_noise_test, motion_test, rows_test),
+)
+
+
+def trust_in(evidence: Evidence) -> Trust:
+    """All tests of an estimate, worst first, and what is assumed."""
+    lines = [line for test in TESTS if (line := test(evidence)) is not None]
+    return worst_first(_judge_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))

@@ -6,9 +6,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
-from ..methods import Fit, ParameterSet, Pass, differences
+from ..methods import Fit, Pass
+from ..report import Level, ParameterSet, differences
 from ..study import Run, summaries
-from ..trust import Level, Trust
+from ..trust import Trust
 from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Color, Drawing, Scale, Sheet, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
@@ -161,10 +162,10 @@ def passes_drawing(fit: Fit) -> Drawing:
     last = len(passes)
     across = Scale(left=left + 30, right=right - 30, low=0.5, high=last + 0.5)
     strips: list[tuple[str, Callable[[Pass], float | None], bool, Color]] = [
-        ("residual norm, weighted", lambda p: p.residual_norm, False, VERMILLION),
+        ("residual norm, weighted", lambda p: p.estimate.residual_norm, False, VERMILLION),
         ("largest change of a parameter, in its σ", lambda p: p.change_sigma, True, ORANGE),
-        ("condition of Z'W, columns of norm one", lambda p: p.condition, False, LIGHT),
-        ("simulated position off the measured, %", lambda p: p.tracking_percent, False, SKY),
+        ("condition of Z'W, columns of norm one", lambda p: p.estimate.condition_number_scaled, False, LIGHT),
+        ("simulated position off the measured, %", lambda p: p.z.tracking_percent, False, SKY),
     ]
     for s, (title, number, logarithmic, color) in enumerate(strips):
         top, bottom = 40 + each * s, each * (s + 1) - 25
@@ -189,7 +190,7 @@ def passes_drawing(fit: Fit) -> Drawing:
             sheet.dots.append((x, y, color))
             sheet.labels.append((x, y - 26, f"{value:.3g}" if value < 1e4 else f"{value:.1e}", color))
     for k, p in enumerate(passes, 1):
-        label = f"{k}" if p.instruments == "simulated" else f"{k}: {p.instruments}"
+        label = f"{k}" if p.z.kind == "simulated" else f"{k}: {p.z.kind}"
         sheet.labels.append((across(k), each * len(strips) - 10, label, GREEN if p.settled else GREY))
     settled = f"settled in pass {last}" if passes[-1].settled else f"not settled after {last} passes"
     return sheet.drawing(("passes",), f"passes of IV: {fit.status}, {settled}", (width, each * len(strips) + 30))

@@ -16,9 +16,6 @@ from ..design import Excitation
 from ..errors import IdentificationError
 from ..methods import (
     Fit,
-    ParameterSet,
-    comparison_document,
-    comparison_section,
     fit_document,
     fitted_parameters,
     least_squares_parameters,
@@ -27,7 +24,7 @@ from ..methods import (
     trust_document,
 )
 from ..regression import Overrides, Settings, make_settings
-from ..report import Document, to_markdown
+from ..report import Document, ParameterSet, comparison_document, comparison_section, to_markdown
 from ..study import Drift, Run
 from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
 from .curves import column_plots, motion_plots, observed, position_plots, torque_plots

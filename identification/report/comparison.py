@@ -1,0 +1,159 @@
+"""Two sets of parameters side by side: least squares and instrumental variables, a fit and the truth, two fits."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+from ..errors import IdentificationError
+from .document import Document, Number, ResultFile, Row, Section, Table, columns, value_form
+from .fit_file import FitFile, Parameter
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterSet:
+    """Parameters by name under a label such as `IV`, in the order of the robot's parameters."""
+
+    label: str
+    parameters: Mapping[str, Parameter]
+
+    @classmethod
+    def of_file(cls, stored: FitFile, label: str) -> "ParameterSet":
+        """Those of a fit's file."""
+        return cls(label=label, parameters={p.name: p for p in stored.parameters})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Difference:
+    """A parameter of two sets; None where one of them has no such parameter.
+
+    `off` is a - b, `off_percent` in percent of b, `off_sigma` in deviations of the difference, taken as independent: beyond
+    1.96 the intervals say that the two differ.
+    """
+
+    name: str
+    unit: str
+    a: Parameter | None = None
+    b: Parameter | None = None
+    off: float | None = None
+    off_percent: float | None = None
+    off_sigma: float | None = None
+
+
+def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
+    """Two sets of parameters, one by one: those of `a` first, then those that only `b` has.
+
+    Two belong together that stand for the same sum of standard parameters, whatever their names; where one set does not say
+    what its parameters stand for, those of the same name. An `IdentificationError` where the two have nothing in common, or a
+    parameter in different units.
+    """
+    partners = _partners(a, b)
+    if not partners:
+        expected = "two fits of one robot, or of like robots"
+        raise IdentificationError("no parameter in common", place=f"{a.label} and {b.label}", expected=expected)
+    rows = []
+    for name, x in a.parameters.items():
+        if name not in partners:
+            rows.append(Difference(name=name, unit=x.unit, a=x))
+            continue
+        y = b.parameters[partners[name]]
+        if x.unit != y.unit:
+            expected = f"{x.unit}, as in {a.label}"
+            raise IdentificationError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
+        off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
+        rows.append(
+            Difference(
+                name=name,
+                unit=x.unit,
+                a=x,
+                b=y,
+                off=off,
+                off_percent=100 * off / abs(y.value) if y.value else None,
+                off_sigma=off / sigma if sigma > 0 else None,
+            )
+        )
+    for name, y in b.parameters.items():
+        if name not in partners.values():
+            rows.append(Difference(name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y))
+    return rows
+
+
+def _have_expressions(*sets: ParameterSet) -> bool:
+    return all(value.expression is not None for values in sets for value in values.parameters.values())
+
+
+def _partners(a: ParameterSet, b: ParameterSet) -> dict[str, str]:
+    """By name in `a`, the name in `b` of the parameter that stands for the same.
+
+    One that a recording has for itself stands beside the same recording's, or beside the one that recordings share.
+    """
+    if not _have_expressions(a, b):
+        return {name: name for name in a.parameters if name in b.parameters}
+    named = {(value.expression, name.partition("@")[2]): name for name, value in b.parameters.items()}
+    found = {
+        name: named.get((x.expression, name.partition("@")[2]), named.get((x.expression, "")))
+        for name, x in a.parameters.items()
+    }
+    return {name: partner for name, partner in found.items() if partner is not None}
+
+
+def difference_lines(a: ParameterSet, b: ParameterSet, rows: list[Difference]) -> list[str]:
+    """The comparison in words."""
+    lines = []
+    if not _have_expressions(a, b):
+        lines.append("parameters matched by name: a file of an earlier version has no expressions")
+    off = {row.name: abs(row.off_sigma) for row in rows if row.off_sigma is not None}
+    if off:
+        worst = max(off, key=lambda name: off[name])
+        shares = ", ".join(f"{sum(x <= k for x in off.values())} within {k} sigma" for k in (1, 2, 3))
+        lines.append(f"of {len(off)} parameters in both {shares}; furthest apart {worst} by {off[worst]:.2g}")
+    for values, missing in ((a, [r.name for r in rows if r.b is None]), (b, [r.name for r in rows if r.a is None])):
+        if missing:
+            lines.append(f"only in {values.label}: {', '.join(missing)}")
+    return lines
+
+
+def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, ...] = ()) -> Document:
+    """Two sets of parameters side by side, with `warnings` about them.
+
+    Raises `IdentificationError`: as `differences` does.
+    """
+    compared = comparison_section(a, b)
+    return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))
+
+
+def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
+    """Two sets of parameters side by side, as a section, each with half its 95 % interval."""
+    rows = differences(a, b)
+    numbers = (a.label, "±95%", b.label, "±95%", "off by", "%", "in sigma")
+    return Section(
+        title=f"{a.label} and {b.label}",
+        table=Table(columns=columns("name", "unit", numbers=numbers), rows=tuple(_cells(row) for row in rows)),
+        lines=tuple(difference_lines(a, b, rows)),
+    )
+
+
+def _cells(row: Difference) -> Row:
+    known = [x.spread for x in (row.a, row.b) if x is not None and x.spread > 0]
+    form = value_form(min(known, default=0.0))
+    values = [number for x in (row.a, row.b) for number in ((x.value, x.half) if x else (None, None))]
+    return (
+        row.name,
+        row.unit,
+        *(Number(x, form) for x in values),
+        Number(row.off, f"+{form}"),
+        Number(row.off_percent, "+.1f", most=1000),
+        Number(row.off_sigma, "+.2f"),
+    )
+
+
+class ComparisonFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of a comparison: two labels, and parameter by parameter what differs."""
+
+    a: str
+    b: str
+    differences: list[Difference]
+
+
+def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
+    """A comparison as it goes into its JSON file."""
+    return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b))
