@@ -287,13 +287,13 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     """In the frames of the rows they give the torques of the URDF in pinocchio."""
     robot = robot_from_files({"robot.toml": TWO.encode()}, "two.toml")
     idm = InverseModel(robot)
-    expected = expected_links(idm, InverseModel(urdf_prior(robot, CAD, "cad.urdf")))
-    assert expected.sources == ("URDF", "URDF")
+    links, sources = expected_links(idm, InverseModel(urdf_prior(robot, CAD, "cad.urdf")))
+    assert sources == ("URDF", "URDF")
     chi = np.zeros(idm.p)
     physical = physical_parameters(idm, InverseModel(urdf_prior(robot, CAD, "cad.urdf")))
-    chi[physical.links] = expected.links
-    np.testing.assert_allclose(physical.prior, pseudo_inertia(expected.links))
-    np.testing.assert_allclose(link_parameters(pseudo_inertia(expected.links)), expected.links, atol=1e-15)
+    chi[physical.links] = links
+    np.testing.assert_allclose(physical.prior, pseudo_inertia(links))
+    np.testing.assert_allclose(link_parameters(pseudo_inertia(links)), links, atol=1e-15)
     cad = pin.buildModelFromXML(CAD)
     data = cad.createData()
     q, dq, ddq = np.random.default_rng(1).uniform(-2, 2, (3, 20, 2))

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import REPLAY
+from loops import simulate
 from scipy.linalg import expm
 
 from acquisition.robot import load_robot, robot_from_files
 from identification.model import InverseModel, base_parameters, direct_model, inertias, truth
-from identification.simulation import Control, ControlLaw, Reference, recorded_loop, simulate, surrogate_loop
+from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
 TICKS = 400

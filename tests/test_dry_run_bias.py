@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from loops import simulate
 from conftest import REPLAY
 from made_up_buses import bus_of, bus_text, robot_of
 from scipy.interpolate import CubicSpline
@@ -21,7 +22,7 @@ from identification.methods import identify_ls
 from identification.methods.assess import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
-from identification.simulation import Reference, described_robot, recorded_loop, simulate
+from identification.simulation import Reference, described_robot, recorded_loop
 from identification.simulation.plant import drive_loops
 from identification.study import rehearse, study_truth
 

@@ -20,7 +20,9 @@ from identification.estimation import (
 )
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
-from identification.simulation import Counting, make_experiment, simulate_instruments, simulated_motion
+from identification.simulation.experiment import make_experiment
+from identification.simulation.instruments import simulate_instruments
+from identification.simulation.motion import simulate_replica
 
 
 @pytest.mark.parametrize("name", ["scara", "emps"])
@@ -34,14 +36,14 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
     true = truth(dynamics, base_parameters(dynamics))
-    e = make_experiment(make_problem(signals, Overrides()), true)
+    e = make_experiment(make_problem(signals, Overrides()), true, np.zeros(robot.n))
     places, followed = e.layout.places(0, e.layout.instants), e.reference(0, e.layout.instants)
     at = np.rint(places).astype(int)
     np.testing.assert_allclose(places, at, atol=1e-6)
     np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
     inner = slice(1, -1)  # differences are one-sided at the ends
     np.testing.assert_allclose(followed.dq[inner], reference.dq[0, at[inner]], atol=1e-3 * np.abs(reference.dq).max())
-    found = simulated_motion(e, true)
+    found = simulate_replica(e, true)
     assert found.motion is not None
     grid = np.rint(found.motion.t_s * 1000).astype(int)
     for one, other, slope in (
@@ -65,33 +67,35 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     problem = make_problem(signals, Overrides(decimation=5))
     whole = regression_of_recording(problem)
     full = weighted_least_squares(whole.system)
-    spread, noise = 4 * full.covariance, whole.slip_noise
-    rows = Counting(slip_noise=noise, weights=full.weights)
-    one = simulate_instruments(make_experiment(problem, full.beta), full.beta, spread, rows)
-    wanted = instrumental_variables(whole.system.with_rows(one.fast.T.reshape(-1).astype(float)), one.Z, full.weights)
+    spread = 4 * full.covariance
+    e = make_experiment(problem, full.beta, whole.slip_noise)
+    one, moved = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
+    wanted = instrumental_variables(whole.system.with_rows(one.used), one.Z, full.weights)
     rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
-    short = simulate_instruments(make_experiment(problem, full.beta), full.beta, spread, rows)
+    e = make_experiment(problem, full.beta, whole.slip_noise)
+    short, moved_short = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
     np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
-    np.testing.assert_array_equal(short.fast, one.fast)
-    assert short.simulated.torque_percent == pytest.approx(one.simulated.torque_percent, rel=1e-6)
-    np.testing.assert_allclose(short.simulated.motion.q, one.simulated.motion.q, atol=1e-9)
-    e = make_experiment(problem, full.beta, long=True)
-    long = simulate_instruments(e, full.beta, spread, replace(rows, kept=one.fast))
-    assert long.Z is None
-    found = instrumental_variables(long.factors.system, long.factors.Z, full.weights)
+    np.testing.assert_array_equal(short.used, one.used)
+    errors = ([joint.torque_error_percent for joint in x.direct] for x in (moved_short, moved))
+    assert next(errors) == pytest.approx(next(errors), rel=1e-6)
+    np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
+    e = make_experiment(problem, full.beta, whole.slip_noise, long=True)
+    long = simulate_instruments(e, full.beta, spread, full.weights, one.fast[0])
+    assert len(long.Z) < len(one.Z)
+    found = instrumental_variables(long.system, long.Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6
     np.testing.assert_allclose(found.covariance, wanted.covariance, rtol=1e-6, atol=1e-9 * wanted.covariance.max())
     assert (found.rows, found.residual_norm) == (wanted.rows, pytest.approx(wanted.residual_norm, rel=1e-9))
     assert long.tracking_percent == pytest.approx(one.tracking_percent, rel=1e-6)
     # Intervals, of blocks that count as instants.
     parameters, system = (
-        found.Q.T @ (long.factors.Z * full.weights[long.factors.system.joint_of_row, None]),
+        found.Q.T @ (long.Z * full.weights[long.system.joint_of_row, None]),
         whole.system,
     )
-    of_blocks = intervals_of_blocks(found, sums_of_blocks(found, [long.factors.time_blocks], np.linalg.inv(parameters)))
-    used = one.fast.T.reshape(-1)
+    of_blocks = intervals_of_blocks(found, sums_of_blocks(found, long.time_blocks, np.linalg.inv(parameters)))
+    used = one.used
     of_rows = intervals(wanted, rho * used, system.joint_of_row[-1] + 1)
     np.testing.assert_allclose(of_blocks.sigma, of_rows.sigma, rtol=0.15)
     assert of_blocks.freedom == of_rows.freedom

@@ -5,8 +5,9 @@ import pytest
 from scipy import interpolate, signal
 
 from identification.errors import IdentificationError
-from identification.regression import Decimation, differentiate, forward_backward_3db_hz, motion_between, sampled_at
+from identification.regression import Decimation, differentiate, forward_backward_3db_hz, sampled_at
 from identification.regression.filtering import decimate, decimation_passes, decimation_reach, lowpass, lowpass_reach
+from identification.regression.motion import motion_between
 
 FS = 1000.0
 T = np.arange(8000) / FS

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import signals_of
+from loops import simulate
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import robot_from_files
@@ -32,7 +33,7 @@ from identification.regression import (
     system,
 )
 from identification.regression.settled import told_apart
-from identification.simulation import Reference, simulate, surrogate_loop
+from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
 

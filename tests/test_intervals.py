@@ -16,7 +16,6 @@ from identification.data import load_signals
 from identification.estimation import (
     System,
     TimeBlocks,
-    deviations,
     deviations_of_sums,
     instrumental_variables,
     intervals,
@@ -25,7 +24,7 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from identification.estimation.confidence import MOST, cosines
+from identification.estimation.confidence import MOST, cosines, deviations
 from identification.methods import Fit, identify_ls
 from identification.regression import Overrides
 

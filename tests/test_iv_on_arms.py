@@ -21,8 +21,9 @@ from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem
-from identification.simulation import Counting, make_experiment, simulate_instruments
-from identification.simulation.motion import simulated_robot
+from identification.simulation.experiment import make_experiment
+from identification.simulation.instruments import simulate_instruments
+from identification.simulation.motion import simulate_replica
 
 SETTLED = ("converged", "not_confirmed")
 SENSOR_ARM = Path(__file__).with_name("torque_sensor_arm.toml")
@@ -168,18 +169,18 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     problem = make_problem(signals, Overrides())
     dynamics = InverseModel(signals.robot)
     true = truth(dynamics, base_parameters(dynamics))
-    e = make_experiment(problem, true)
+    e = make_experiment(problem, true, np.zeros(2))
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
-    rows = Counting(slip_noise=np.zeros(2), weights=np.ones(2))
-    consistent = simulate_instruments(e, wrong, spread, rows)
+    weights = np.ones(2)
+    consistent = simulate_instruments(e, wrong, spread, weights)
     assert (consistent.kind, consistent.tracking_percent < 5) == ("consistent", True)
     assert "inertia matrix is not positive" in consistent.reason
     np.testing.assert_array_equal(consistent.beta, wrong)
-    plain = simulate_instruments(e, wrong, None, rows)
+    plain = simulate_instruments(e, wrong, None, weights)
     assert (plain.kind, plain.tracking_percent) == ("reference", None)
-    right = simulate_instruments(e, true, spread, rows)
+    right = simulate_instruments(e, true, spread, weights)
     assert (right.kind, right.reason) == ("simulated", None)
-    robot = simulated_robot(e, wrong, spread)
+    robot = simulate_replica(e, wrong, spread)
     assert robot.motion is not None
     assert "inertia matrix is not positive" in robot.reason

@@ -65,7 +65,7 @@ def test_a_fit_of_samples_on_disk_is_that_of_samples_in_memory(request):
 def test_samples_later_are_the_same_block_by_block(monkeypatch, by):
     x = np.random.default_rng(1).normal(size=(1000, 2)).cumsum(axis=0)
     wanted = sampled_at(np.arange(1000) + by, x)
-    monkeypatch.setattr("identification.regression.motion._BLOCK", 300)
+    monkeypatch.setattr("identification.regression.motion.BLOCK_SAMPLES", 300)
     np.testing.assert_allclose(later(x, by), wanted, rtol=0, atol=1e-12)
 
 

@@ -16,9 +16,9 @@ from identification.data import RecordingFile, Recordings, cluster, processes, s
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.regression import (
-    AtHand,
     Linearised,
     Overrides,
+    Place,
     make_problem,
     own_parameters,
     regression_of_recording,
@@ -26,9 +26,9 @@ from identification.regression import (
     row_states,
     settled_least_squares,
     system,
-    torque_of_links,
     torque_of_recording,
 )
+from identification.regression.links import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
 
@@ -276,7 +276,7 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
     linearised = Linearised(
         problem=problems[0],
         each=tuple(regression_of_recording(problem) for problem in problems),
-        places=tuple(AtHand(at_hand=problem) for problem in problems),
+        places=tuple(Place.of(problem) for problem in problems),
         parameters=own_parameters(problems),
     )
     settled = settled_least_squares(linearised)

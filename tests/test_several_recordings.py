@@ -15,7 +15,8 @@ import identification.methods.assess as assess
 import identification.regression.system as regression_system
 from acquisition.robot import robot_from_files
 from identification.commands import main
-from identification.data import Pool, Recordings, Signals, check_one_robot, signals_from_arrays
+from identification.data import Recordings, Signals, check_one_robot, signals_from_arrays
+from identification.data.work import Pool
 from identification.errors import IdentificationError
 from identification.export import model_of_fit
 from identification.methods import (
@@ -260,7 +261,7 @@ def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
         assert one.held_out.error_percent == pytest.approx(other.held_out.error_percent, rel=0.02)
         direct, rows = one.replica.direct, one.rows.stop - one.rows.start
         assert direct[0].torque_error_percent == pytest.approx(other.replica.direct[0].torque_error_percent, rel=0.02)
-        assert len(one.replica.simulated.motion.q) == rows
+        assert len(one.replica.motion.q) == rows
     assert {line.test: line.level for line in found.trust.lines}["lag"] == "ok", (
         "the beginning of the first is looked at"
     )
@@ -564,5 +565,5 @@ def test_each_recording_is_simulated_with_its_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     rows = fit.rows
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
-        model = one.replica.simulated.motion.tau.mean(axis=0) - rows.tau[one.rows].mean(axis=0)
+        model = one.replica.motion.tau.mean(axis=0) - rows.tau[one.rows].mean(axis=0)
         assert abs(model[0]) < 0.3, offset

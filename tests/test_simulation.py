@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import pytest
 from conftest import robot_named
+from loops import simulate
 
 from acquisition.robot import robot_from_files
 from identification.errors import IdentificationError
@@ -13,15 +14,7 @@ from identification.methods import Iteration, identify_iv, regular_start
 from identification.model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
 from identification.model.base import known_parameters
 from identification.regression import Overrides
-from identification.simulation import (
-    ClosedLoop,
-    Control,
-    ControlLaw,
-    Reference,
-    recorded_loop,
-    simulate,
-    surrogate_loop,
-)
+from identification.simulation import ClosedLoop, Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference
 
 RATE = 1000.0

@@ -15,8 +15,9 @@ from acquisition.robot import robot_from_files
 from identification.data import Signals
 from identification.methods import Iteration, Rows, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters
-from identification.regression import Motion, Overrides, differentiate, motion_between, predicted_torque
+from identification.regression import Motion, Overrides, differentiate, predicted_torque
 from identification.regression.filtering import decimate, lowpass
+from identification.regression.motion import motion_between
 from identification.study import Noise, closed_loop, random_reference
 from identification.view import curves, viewer, write_fit_rrd
 from identification.view.curves import BUCKETS, extremes, readable_unit

@@ -12,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from identification.data import Pool, Serial, cluster, processes
+from identification.data import Serial, cluster, processes
 from identification.data import cluster as cluster_face
+from identification.data.work import Pool
 from identification.errors import IdentificationError
 
 cluster_module = sys.modules[cluster_face.__module__]

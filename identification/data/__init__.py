@@ -6,4 +6,4 @@ from .in_memory import OptionalColumns, signals_from_arrays
 from .row_steps import PositionSteps, position_steps
 from .signals import ON_GRID, Signals, load_signals
 from .sources import RecordingFile, Recordings
-from .work import Pool, Serial, Work, WorkersNotStartedError, processes
+from .work import Serial, Work, WorkersNotStartedError, processes

@@ -181,9 +181,9 @@ class Trials:
         if beta is None:
             beta = solve(self.plain, np.setdiff1d(columns, linearised.load_places(load))).among(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
-        passes = load_passes(linearised, solve, without_others, load)
-        self._starts[start] = passes.estimate.among(self._names)
-        return passes.observed, passes.estimate, passes.unsettled
+        _, observed, estimate, unsettled = load_passes(linearised, solve, without_others, load)
+        self._starts[start] = estimate.among(self._names)
+        return observed, estimate, unsettled
 
 
 def usual_columns(linearised: Linearised) -> Mask:

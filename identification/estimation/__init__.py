@@ -3,7 +3,6 @@
 from .confidence import (
     Intervals,
     Scores,
-    deviations,
     deviations_of_sums,
     estimate_deviations,
     intervals,

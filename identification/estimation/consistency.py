@@ -230,10 +230,7 @@ class _Objective:
 
 
 def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Array, float, int]:
-    """Minima of problems with ever harder covariances, each from the one before: the last, its decrement, all steps.
-
-    A problem that is not solved from the one before is put off: another, closer one comes between.
-    """
+    """Minima of problems with ever harder covariances, each from the one before: the last, its decrement, all steps."""
     chi, decrement, steps = _minimum(problem(SOFTEST), chi)
     softer, factor = SOFTEST, FACTOR
     while decrement <= CERTIFIED and softer > 1.0:
@@ -242,7 +239,7 @@ def _along_path(problem: Callable[[float], _Objective], chi: Array) -> tuple[Arr
         steps += more
         if reached <= CERTIFIED:
             chi, decrement, softer, factor = found, reached, harder, min(FACTOR, factor**1.5)
-        elif factor > LEAST_FACTOR:
+        elif factor > LEAST_FACTOR:  # a closer problem comes between
             factor **= 0.5
         else:
             decrement = reached

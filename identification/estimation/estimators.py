@@ -146,8 +146,9 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
     R = r_factor(np.c_[W, Y])
     b, r, independent = W.shape[1], full.rows, independent_share(correlation)
 
-    def solved(kept: NDArray[np.intp]) -> _Solution:
-        return _solution(_factors(R[:, kept], R[:, kept]), R[:, kept], R[:, -1])
+    def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float]:
+        some = R[:, kept]
+        return _solve(orthonormal(some / _norms(some)), some, R[:, -1])[:3]
 
     def test(kept: NDArray[np.intp], rho_norm: float) -> tuple[float, float, float, float]:
         dropped = b - len(kept)
@@ -159,13 +160,13 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
 
     kept, tested = np.arange(b), (float("nan"),) * 4
     while len(kept) > 1:
-        solution = solved(kept)
+        beta, bread, norm = solved(kept)
         with np.errstate(divide="ignore", invalid="ignore"):
-            percent = np.sqrt(np.diag(solution.covariance(r))) / np.abs(solution.beta)
+            percent = np.sqrt(np.diag(_covariance(bread, norm, r))) / np.abs(beta)
         if percent.max() < ratio * percent.min():
             break
         fewer = np.delete(kept, percent.argmax())
-        outcome = test(fewer, solved(fewer).residual_norm)
+        outcome = test(fewer, solved(fewer)[2])
         if outcome[3] < F_TEST_LEVEL:
             break
         kept, tested = fewer, outcome
@@ -194,8 +195,8 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
     W, Y = system.weighted(weights)
     Z = Z * (weights[system.joint_of_row] * system.used)[:, None]
     refuse_rank_deficiency(Z, system.names)
-    factors = _factors(Z, W)
-    condition = float(np.linalg.cond(factors.A))
+    Q = orthonormal(Z / _norms(Z))
+    beta, bread, norm, condition = _solve(Q, W, Y)
     if not condition < 1 / RANK_TOLERANCE:
         raise IdentificationError(
             "instruments and regressor have too little in common",
@@ -203,67 +204,47 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
             value=condition,
             shown=f"{condition:.2g}",
         )
-    return _estimate(system, weights, _solution(factors, W, Y), condition)
+    return _estimate(system, weights, Q, (beta, bread, norm), condition)
 
 
 def _least_squares(system: System, weights: Array) -> Estimate:
     _refuse_few_rows(system)
     W, Y = system.weighted(weights)
     singular = refuse_rank_deficiency(W, system.names)
-    return _estimate(system, weights, _solution(_factors(W, W), W, Y), float(singular[0] / singular[-1]))
+    Q = orthonormal(W / _norms(W))
+    return _estimate(system, weights, Q, _solve(Q, W, Y)[:3], float(singular[0] / singular[-1]))
 
 
-@dataclass(frozen=True, eq=False)
-class _Factors:
-    """Q of Z = Q R; A = QᵀW/d with columns scaled by d = |W_i|: for Z = W, A is upper triangular."""
-
-    Q: Array
-    A: Array
-    d: Array
-
-
-@dataclass(frozen=True, eq=False)
-class _Solution:
-    """beta (b,) of A (d beta) = QᵀY; beta - beta_true = bread Qᵀ rho."""
-
-    beta: Array
-    Q: Array
-    bread: Array
-    residual_norm: float
-
-    def covariance(self, rows: int) -> Array:
-        """C (b, b) = s² bread breadᵀ; so many samples stand behind the rows."""
-        return np.asarray(self.residual_norm**2 / (rows - 1) * (self.bread @ self.bread.T))
-
-
-def _factors(Z: Array, W: Array) -> _Factors:
+def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
+    """beta (b,) of (QᵀW) beta = QᵀY; bread of beta - beta_true = bread Qᵀ rho; |Y - W beta|; cond(QᵀW), columns scaled."""
     d = _norms(W)
-    Q = orthonormal(Z / _norms(Z))
-    return _Factors(Q, Q.T @ (W / d), d)
-
-
-def _solution(factors: _Factors, W: Array, Y: Array) -> _Solution:
-    """Solve for beta, with bread = (A d)⁻¹ from the QR factors of A."""
-    Q, A, d = factors.Q, factors.A, factors.d
+    A = Q.T @ (W / d)  # upper triangular where Q spans W
     q, R = np.linalg.qr(A)
     bread = np.linalg.solve(R, q.T) / d[:, None]
     beta = np.linalg.solve(R, q.T @ (Q.T @ Y)) / d
-    return _Solution(beta, Q, bread, float(np.linalg.norm(Y - W @ beta)))
+    return beta, bread, float(np.linalg.norm(Y - W @ beta)), float(np.linalg.cond(A))
 
 
-def _estimate(system: System, weights: Array, solution: _Solution, condition_scaled: float) -> Estimate:
-    r = int(system.rows.sum())
+def _covariance(bread: Array, residual_norm: float, rows: int) -> Array:
+    """C (b, b) = s² bread breadᵀ; so many samples stand behind the rows."""
+    return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
+
+
+def _estimate(
+    system: System, weights: Array, Q: Array, solution: tuple[Array, Array, float], condition_scaled: float
+) -> Estimate:
+    (beta, bread, residual_norm), r = solution, int(system.rows.sum())
     return Estimate(
         names=system.names,
-        beta=solution.beta,
-        covariance=solution.covariance(r),
+        beta=beta,
+        covariance=_covariance(bread, residual_norm, r),
         weights=weights,
-        residual_norm=solution.residual_norm,
-        condition_number=_condition(system.weighted(np.ones(len(weights)))[0]),
+        residual_norm=residual_norm,
+        condition_number=float(np.linalg.cond(r_factor(system.weighted(np.ones(len(weights)))[0]))),
         condition_number_scaled=condition_scaled,
         rows=r,
-        Q=solution.Q,
-        bread=solution.bread,
+        Q=Q,
+        bread=bread,
     )
 
 
@@ -271,11 +252,6 @@ def _refuse_few_rows(system: System) -> None:
     r, b = int(system.rows.sum()), len(system.names)
     if r <= b:
         raise IdentificationError(key="decimated rows", value=r, expected=f"more than the {b} parameters")
-
-
-def _condition(W: Array) -> float:
-    """cond(W), that of its R factor."""
-    return float(np.linalg.cond(r_factor(W)))
 
 
 def _norms(W: Array) -> Array:

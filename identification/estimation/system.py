@@ -134,14 +134,12 @@ def r_factor(A: Array) -> Array:
 
 
 def orthonormal(A: Array) -> Array:
-    """Orthonormal columns (r, c) that span those of A (r, c), which are of norm one and can be told apart: A R⁻¹.
-
-    Once more where R is not well conditioned: then they are orthonormal but for rounding.
-    """
+    """Orthonormal columns (r, c) that span those of A (r, c), which are of norm one and can be told apart: A R⁻¹."""
     if len(A) < 2 * _ROWS:
         return np.asarray(np.linalg.qr(A)[0])
     R = r_factor(A)
     Q = np.asarray(A @ np.linalg.inv(R))
+    # Once more where R is not well conditioned: then they are orthonormal but for rounding.
     return Q if np.linalg.cond(R) < _WELL else np.asarray(Q @ np.linalg.inv(r_factor(Q)))
 
 

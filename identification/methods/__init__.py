@@ -4,7 +4,7 @@ The path of a fit, stage by stage::
 
     Signals, Settings, Problem   a recording, what is done with it, with its robot's model
     RecordingData, Observed      W and Y of one recording, and of all together
-    PassInstruments, Pass        Z along the simulated robot, the estimate that it gives, how far that moved
+    Instruments, Pass            Z along the simulated robot, the estimate that it gives, how far that moved
     Along                        the estimate along the last instruments, with the torques in time
     Evidence, Trust              all that the tests look at, and what they say
     Fit                          the result; `report.FitFile` is its JSON file

@@ -23,7 +23,7 @@ from ..estimation import (
 )
 from ..regression import Regression, base_name
 from ..report import Method, OwnTest
-from ..simulation import PassInstruments, Replica
+from ..simulation import Instruments, Replica
 from ..trust import Evidence, Lag, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, LeastSquares, Rows, essential_names
 from .observation import position_noise_line
@@ -134,23 +134,21 @@ def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, use
     return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
 
 
-def intervals_along(observed: Observed, z: PassInstruments, estimate: Estimate) -> Intervals:
+def intervals_along(observed: Observed, z: Instruments, estimate: Estimate) -> Intervals:
     """Intervals of an estimate by instruments, from the rows that count or from the blocks of long recordings."""
-    if z.factors is None:
+    if z.system is None:
         about = observed.about(z)
         return intervals_of(about.regression, estimate, about.predicted(estimate), z.used)
     return intervals_of_blocks(estimate, sums_along(z, estimate))
 
 
-def sums_along(z: PassInstruments, estimate: Estimate) -> tuple[BlockSums, ...]:
+def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     """Sums over the blocks of long recordings of an estimate by instruments; none where rows are held."""
-    if z.factors is None:
+    if z.system is None:
         return ()
-    system, Z = z.factors
-    among = np.array([system.names.index(name) for name in estimate.names])
-    R = estimate.Q.T @ (Z[:, among] * estimate.weights[system.joint_of_row, None])  # of the weighted Z = Q R
-    blocks = [one.factors.time_blocks for one in z.each if one.factors is not None]
-    return sums_of_blocks(estimate, blocks, np.asarray(np.linalg.inv(R)))
+    among = np.array([z.system.names.index(name) for name in estimate.names])
+    R = estimate.Q.T @ (z.Z[:, among] * estimate.weights[z.system.joint_of_row, None])  # of the weighted Z = Q R
+    return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
 
 
 def _warnings(observed: Observed) -> tuple[str, ...]:

@@ -107,7 +107,7 @@ def consistent_set(
         beta=found.beta,
         base_half=known.reach * of_beta.sigma,
         base_from_prior=of_beta.share > FROM_PRIOR,
-        prior=f"{prior.name}: {_in_words(expected_links(model, expected).sources)}",
+        prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
         chi_squared=found.chi_squared,
         deviations=found.deviations,
         reach=known.reach,

@@ -12,7 +12,7 @@ from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, Torque
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
 from ..report import Method, OwnTest, Status
-from ..simulation import DirectModelError, PassInstruments, Replica
+from ..simulation import DirectModelError, Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
 
 
@@ -34,7 +34,7 @@ class Pass:
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
     """
 
-    z: PassInstruments
+    z: Instruments
     estimate: Estimate
     asked: Array | None
     covariance: Array
@@ -250,9 +250,7 @@ class Fit:
         """The fit as one of its recordings shows it: rows, errors and simulated motion of that one."""
         iv = self.iv
         if iv is not None and one.replica is not None:
-            iv = replace(
-                iv, simulated=one.replica.simulated.motion, q=one.replica.simulated.q, direct=one.replica.direct
-            )
+            iv = replace(iv, simulated=one.replica.motion, q=one.replica.q, direct=one.replica.direct)
         rows = Rows(**{name: x[one.rows] for name, x in vars(self.rows).items()})
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(self, recordings=(replace(one, rows=here),), rows=rows, errors=one.errors, iv=iv)

@@ -26,7 +26,7 @@ from ..estimation import (
 from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..report import Method
-from ..simulation import PassInstruments
+from ..simulation import Instruments
 from ..trust import covariance_of_all
 from .assess import evidence_of_ls, fit_of, intervals_along, intervals_of
 from .fit import Fit, LeastSquares, Pass
@@ -154,7 +154,7 @@ def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool
     prior = inertia_prior(observed, ls)
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
-    def solve(z: PassInstruments, observed: Observed = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: Instruments, observed: Observed = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
         system, Z = observed.along(z)
         return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)

@@ -11,7 +11,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
-from ..simulation import Lab, PassInstruments, Replica, has_controller
+from ..simulation import Instruments, Lab, Replica, has_controller
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass
@@ -70,7 +70,7 @@ def kept_rows(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
 def assess_pass(
-    z: PassInstruments,
+    z: Instruments,
     estimate: Estimate,
     system: System,
     covariances: tuple[Array | None, Array],
@@ -109,7 +109,7 @@ def assess_pass(
 
 
 def conclude(
-    lab: Lab, passes: Sequence[Pass], failure: str | None, solve: Callable[[PassInstruments], Estimate]
+    lab: Lab, passes: Sequence[Pass], failure: str | None, solve: Callable[[Instruments], Estimate]
 ) -> tuple[int, Pass, tuple[Replica, ...]]:
     """The last pass where it settled; otherwise the one whose simulated robot tracks best at its worst joint.
 
@@ -135,7 +135,7 @@ def _best_pass(lab: Lab, passes: Sequence[Pass]) -> tuple[int, tuple[Replica, ..
     """The place of the pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
     found = []
     for place, one in enumerate(passes):
-        replicas = lab.plain_replicas(one.estimate.among(lab.parameters.names))
+        replicas = lab.replicas(one.estimate.among(lab.parameters.names), None)
         if all(replica.direct for replica in replicas):
             joints = [d.position_error_percent for replica in replicas for d in replica.direct]
             found.append((max((x for x in joints if x is not None), default=0.0), place, replicas))

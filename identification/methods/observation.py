@@ -15,6 +15,7 @@ from ..regression import (
     HELD,
     FilteredMotion,
     Overrides,
+    Place,
     Problem,
     Regression,
     Settings,
@@ -28,7 +29,6 @@ from ..regression import (
     torque_of_recording,
 )
 from ..report import Method
-from ..simulation import Place
 from ..trust import RecordingData, TrustLine, replay_line
 from .fit import LeastSquares
 

@@ -18,6 +18,7 @@ from ..regression import (
     Linearised,
     Overrides,
     OwnParameters,
+    Place,
     Problem,
     Regression,
     make_problem,
@@ -27,7 +28,7 @@ from ..regression import (
     settled_least_squares,
     without_terms,
 )
-from ..simulation import Bench, Lab, PassInstruments, Place
+from ..simulation import Instruments, Lab, Simulation
 from ..trust import RecordingData
 from .observation import SPAN_S, Say, observation_of, observe, predict, regression_at, retimed_at
 
@@ -75,8 +76,8 @@ class Observed:
     def lab(self, prior: Array, *, gain_update: bool) -> Lab:
         """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
         return Lab(
-            benches=tuple(
-                Bench(
+            simulations=tuple(
+                Simulation(
                     place=place,
                     prior=prior[self.parameters.places(k)],
                     slip_noise=one.regression.slip_noise,
@@ -103,15 +104,14 @@ class Observed:
         observations = (replace(one, regression=own) for one, own in zip(self.observations, each, strict=True))
         return replace(self, observations=tuple(observations), regression=whole)
 
-    def about(self, z: PassInstruments) -> "Observed":
+    def about(self, z: Instruments) -> "Observed":
         """The same with W and Y about the parameters of a pass; of long recordings its factors have them."""
-        return self if z.factors is not None else self.at(z.beta)
+        return self if z.system is not None else self.at(z.beta)
 
-    def along(self, z: PassInstruments) -> tuple[System, Array]:
+    def along(self, z: Instruments) -> tuple[System, Array]:
         """W, Y and Z with the rows that count in a pass, about its parameters; of long recordings QR factors."""
-        if z.factors is not None:
-            return z.factors
-        assert z.Z is not None
+        if z.system is not None:
+            return z.system, z.Z
         return self.about(z).regression.system.with_rows(z.used), z.Z
 
     def settled(self, method: Literal["ols", "wls"] = "wls") -> tuple["Observed", Estimate]:

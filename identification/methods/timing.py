@@ -9,7 +9,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
 from ..regression import KnownLag
-from ..simulation import Lab, PassInstruments, Replica
+from ..simulation import Instruments, Lab, Replica
 from ..trust import Lag, RecordingData, combined_lag, lag_columns, lag_moves, lags_in
 from .fit import Pass
 from .recordings import Observed
@@ -19,7 +19,7 @@ LAG_PASSES = 4
 NEAR = 0.25  # samples that the last of them may find
 MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
 
-Solve = Callable[[PassInstruments, Observed], Estimate]
+Solve = Callable[[Instruments, Observed], Estimate]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,7 +31,7 @@ class Along:
     """
 
     observed: Observed
-    z: PassInstruments
+    z: Instruments
     estimate: Estimate
     replicas: tuple[Replica, ...]
     lags: tuple[Lag, ...] = ()
@@ -43,8 +43,8 @@ class Along:
         return tuple(
             replace(
                 part,
-                simulated=one.simulated.motion,
-                decimation=one.simulated.decimation,
+                simulated=one.motion,
+                decimation=one.decimation,
                 reference=one.reference_kind,
             )
             for part, one in zip(self.observed.observations, self.replicas, strict=True)
@@ -131,7 +131,7 @@ def _not_looked_at(along: Along) -> str | None:
     """Why the lag is not found along the instruments, None where it is."""
     if any(one.problem.signals.q_ref is None for one in along.observed.observations):
         return "the reference is not recorded"
-    if any(one.simulated.motion is None for one in along.replicas):
+    if any(one.motion is None for one in along.replicas):
         return "the robot cannot be simulated with the estimate"
     return None
 

@@ -27,8 +27,8 @@ def assess_iv(
     evidence, (system, _) = _evidence_along(found, ls), observed.along(z)
     tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
     direct, names = _direct_errors(replicas), [one.problem.signals.recording for one in observed.observations]
-    final_reason = told([one.simulated.reason for one in replicas], names)
-    tracking_percent = worst([one.simulated.tracking_percent for one in replicas])
+    final_reason = told([one.reason for one in replicas], names)
+    tracking_percent = worst([one.tracking_percent for one in replicas])
     status, reason = _status(passes, final_reason, tracking_percent, failure, direct, tests)
     if reason is not None and returned != len(passes):
         reason += f"; pass {returned} is returned, which tracks best"
@@ -48,17 +48,16 @@ def assess_iv(
         rows_used_percent=float(100 * z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=direct,
-        simulated=first.simulated.motion,
-        q=first.simulated.q,
+        simulated=first.motion,
+        q=first.q,
     )
-    factors = [(one.factors.system, one.factors.Z) for one in z.each if one.factors is not None]
     evidence = replace(
         evidence,
         Z=None if observed.regression.reduced else evidence.Z,
         fixed_point=status in ("converged", "not_confirmed"),
         first_stage_F=tests.first_stage_F,
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
-        factors=tuple(factors) if len(factors) > 1 else (),
+        factors=z.factors if len(z.factors) > 1 else (),
         blocks=sums_along(z, estimate),
         looked_at=None if found.beginning is None else _evidence_along(replace(found.beginning, lags=found.lags), ls),
     )

@@ -2,13 +2,12 @@
 
 from .base import BaseParameters, base_parameters, load_parameters, truth
 from .derivatives import regressor_gradient, sliding_apart, torque_of_links
-from .direct import DirectModel, Shapes, direct_model, inertias, not_positive, pose_step, poses_of
+from .direct import DirectModel, direct_model, inertias, not_positive, pose_step, poses_of
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of
 from .physical import (
     RESISTING,
-    ExpectedLinks,
     expected_links,
     friction_alone,
     friction_power,

@@ -137,10 +137,7 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 
 def known_parameters(dynamics: InverseModel) -> Array:
-    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent.
-
-    Raises `IdentificationError` for a name that the robot does not have, or a description without values.
-    """
+    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent."""
     values, names = dynamics.robot.parameters, dynamics.names
     if not values:
         raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")

@@ -8,34 +8,45 @@ import pinocchio as pin
 
 from ..arrays import Array
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
-from .joint_terms import JointTerm
+from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is looked at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shapes:
-    """Friction along c directions beside Coulomb's, each (c,); it resists where it is positive.
+    """Friction along c directions beside Coulomb's, which resists where factors are positive.
 
-    Attributes:
-        root: factor of sqrt(abs(u)) at the speed u.
-        stribeck: friction at rest that falls by exp(-(u/speed)²); `speed` infinite where there is none.
-        load: factor of the links' torque along the direction; of joints' own directions only.
+    `terms` has, by kind, the factors (c,) and the speeds (c,) of Stribeck friction.
     """
 
-    root: Array
-    stribeck: Array
-    speed: Array
-    load: Array
+    terms: dict[Kind, tuple[Array, Array]]
 
     def any(self) -> bool:
         """Whether there is any."""
-        return bool(self.root.any() or self.stribeck.any() or self.load.any())
+        return any(factor.any() for factor, _ in self.terms.values())
 
     def friction(self, u: Array, rigid: Array) -> Array:
         """Magnitude (..., c) at the speeds u (..., c), where the links' torques along the directions are `rigid` (..., c)."""
-        falling = self.stribeck * np.exp(-((u / self.speed) ** 2))
-        return np.asarray(self.root * np.sqrt(np.abs(u)) + falling + self.load * np.abs(rigid))
+        load = np.abs(rigid)
+        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.terms.items()), np.zeros_like(u))
+
+    def steepness(self, u: Array) -> Array:
+        """What a unit of speed adds (c,) to terms that grow with speed, at the speeds u (c,), not zero."""
+        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.terms.items())
+        return sum(slopes, np.zeros_like(u))
+
+    def largest(self, u: Array) -> Array:
+        """The most (c,) that terms which resist may have up to the speeds u (c,), load friction apart."""
+        found = np.zeros_like(u)
+        for kind, (factor, u_s) in self.terms.items():
+            size = FRICTION[kind].size
+            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
+        return found
+
+    def by_load(self, directions: Array) -> Array:
+        """Load friction (n,) of the joints per torque of their links, from the directions (c, n)."""
+        return np.asarray(self.terms["load"][0] @ directions if "load" in self.terms else 0.0 * directions.sum(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -136,7 +147,9 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
     rotor, viscous, viscous_up, viscous_down = np.zeros((4, n, n))
-    offset, sliding = np.zeros(n), dict[tuple[float, ...], Array]()
+    directions, offset = dynamics.coulomb_directions, np.zeros(n)
+    up, down = np.zeros((2, len(directions)))
+    shapes = dict[Kind, tuple[Array, Array]]()
     for source, value in zip(dynamics.sources, chi, strict=True):
         if not isinstance(source, JointTerm):
             values[source[0], FROM_PINOCCHIO[source[1]]] = value
@@ -151,20 +164,18 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
             viscous_up += value * np.diag(source.direction)
             viscous_down -= value * np.diag(source.direction)
         else:
-            levels = sliding.setdefault(tuple(source.direction), np.array([0.0, 0.0, 0.0, 0.0, np.inf, 0.0]))
+            at = int((directions == source.direction).all(axis=1).argmax())
             if source.kind == "coulomb":
-                levels[:2] += value * np.array([source.side >= 0, source.side <= 0])
-            elif source.kind == "root":
-                levels[2] = value
-            elif source.kind == "stribeck":
-                levels[3:5] = value, source.speed
+                up[at] += value * (source.side >= 0)
+                down[at] += value * (source.side <= 0)
             else:
-                levels[5] = value
+                none = np.zeros(len(directions)), np.full(len(directions), np.inf)
+                factor, speed = shapes.setdefault(source.kind, none)
+                factor[at], speed[at] = value, source.speed
     mass = FROM_PINOCCHIO[LINK.index("M")]
     values[values[:, mass] == 0.0, mass] = 1e-6
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
-    levels = np.array(list(sliding.values())).reshape(-1, 6).T
     return DirectModel(
         rigid=rigid,
         data=rigid.createData(),
@@ -172,10 +183,10 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         viscous=viscous,
         viscous_up=viscous_up,
         viscous_down=viscous_down,
-        directions=np.array(list(sliding)).reshape(-1, n),
-        up=levels[0],
-        down=levels[1],
-        shapes=Shapes(root=levels[2], stribeck=levels[3], speed=levels[4], load=levels[5]),
+        directions=directions,
+        up=up,
+        down=down,
+        shapes=Shapes(terms={kind: shapes[kind] for kind in SHAPES if kind in shapes}),
         offset=offset,
     )
 

@@ -199,12 +199,9 @@ class InverseModel:
 
 
 def _link_torques(twist: Array, places: list[int]) -> Array:
-    """Torques (P * joints, N) of the joints that carry a link, for its parameters at `places` (P,) in LINK, each 1.
-
-    A joint feels v·f + w·n: the velocity v, w that it gives the link at unit speed, and the force and the moment about the
-    origin of the link's frame that the link needs, f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002).
-    """
+    """Torques (P * joints, N) of the joints that carry a link, for its parameters at `places` (P,) in LINK, each 1."""
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
+    # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); a joint feels v·f + w·n, its own v and w.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
     N, pushed = of.shape[1], [k for k, place in enumerate(places) if place >= 6]
     n = (_MOMENTS[places].reshape(-1, 12) @ of).reshape(-1, 3, N)

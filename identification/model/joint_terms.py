@@ -12,46 +12,87 @@ With v the speed of a joint, u = r·dq that along a direction r of Coulomb frict
 | stribeck | exp(-(u/u_s)²) sign(u), u_s a stated speed | direction | Fs, Fsm |
 | load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
 
-Load friction depends on the parameters of the links: its column is made where these are known (`regression.load`).
-
 Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
 and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist where a motor turns with several joints. As is
 the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alone belongs to that joint's own Ia and Fv: on
 the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import Robot
+from acquisition.robot import FrictionTerm, Robot
 
 from ..arrays import Array
 
-Kind = Literal["rotor", "viscous", "coulomb", "offset", "asymmetric", "root", "stribeck", "load"]
-SLIDING: tuple[Kind, ...] = (
-    "coulomb",
-    "root",
-    "stribeck",
-    "load",
-)  # have the sign of a speed, and jump or are steep at 0
-
+Kind = Literal["rotor"] | FrictionTerm
 STEEPEST = 1e-3  # rad/s or m/s beside the speed under a rounded root
-SHAPES: tuple[Kind, ...] = ("asymmetric", "root", "stribeck", "load")  # what friction has beside the usual terms
+
+
+@dataclass(frozen=True, kw_only=True)
+class Friction:
+    """A friction term of the description, by the speed u along its direction; a further one is a row of `FRICTION`.
+
+    Attributes:
+        name: of its parameter; `motor_name` where a motor turns with several joints, "" where such a motor has none.
+        unit: of the parameter, of {effort} and {length}.
+        size: of u, of the speed that the description states, and of the size of the links' torque: per unit of the parameter.
+        slope: its derivative by u, of u and the stated speed.
+        has_sign: whether it is sign(u) size, and so jumps or is steep at 0; else it is the size.
+        is_steep: whether the slope is infinite at 0.
+    """
+
+    name: str
+    motor_name: str = ""
+    unit: str = "{effort}"
+    size: Callable[[Array, float | Array, float | Array], Array]
+    slope: Callable[[Array, float | Array], Array] = lambda u, u_s: 0.0 * u
+    has_sign: bool = True
+    is_steep: bool = False
+
+
+FRICTION: dict[Kind, Friction] = {
+    "coulomb": Friction(name="Fc", motor_name="Fcm", size=lambda u, u_s, load: np.ones_like(u)),
+    "asymmetric": Friction(
+        name="Fa",
+        unit="{effort} s/{length}",
+        size=lambda u, u_s, load: np.abs(u),
+        slope=lambda u, u_s: np.sign(u),
+        has_sign=False,
+    ),
+    "root": Friction(
+        name="Fr",
+        motor_name="Frm",
+        unit="{effort} (s/{length})^½",
+        size=lambda u, u_s, load: np.sqrt(np.abs(u)),
+        slope=lambda u, u_s: 0.5 * np.sign(u) / np.sqrt(np.abs(u)),
+        is_steep=True,
+    ),
+    "stribeck": Friction(
+        name="Fs",
+        motor_name="Fsm",
+        size=lambda u, u_s, load: np.exp(-((u / u_s) ** 2)),
+        slope=lambda u, u_s: -2 * u / u_s**2 * np.exp(-((u / u_s) ** 2)),
+    ),
+    "load": Friction(name="mu", unit="", size=lambda u, u_s, load: load + 0.0 * u),
+}
+SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")  # what friction has beside the usual terms
+SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
-    rotor: matrix ddq; viscous: matrix dq; those with a sign act along r = `direction`, at the speed u = r·dq; offset and
-    asymmetric: `direction`. A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is
-    what a motor adds to the diagonal of joints whose own parameter counts it, so that `matrix` lacks it. `speed` is that at
-    which Stribeck friction has fallen to 37 %; `joint` the one whose number the name carries, from 0.
+    rotor: matrix ddq; viscous: matrix dq; offset: `direction`; those of `FRICTION` act along r = `direction`, at u = r·dq.
+    A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is what a motor adds to the
+    diagonal of joints whose own parameter counts it, so that `matrix` lacks it; `speed` is that at which Stribeck friction
+    has fallen to 37 %; `joint` the one whose number the name carries, from 0.
     """
 
     name: str
@@ -62,7 +103,7 @@ class JointTerm:
     direction: Array
     given_away: Array
     side: int = 0
-    speed: float = field(default=float("nan"))
+    speed: float = np.inf
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -79,33 +120,21 @@ class JointTerm:
             return self.direction
         return np.asarray(self.matrix[self.joint] + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint])
 
-    def entry(self, j: int, dq: Array, ddq: Array) -> Array | float:
-        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,); zero for load friction, which is not linear."""
+    def entry(self, j: int, dq: Array, ddq: Array, load: Array | float = 0.0) -> Array | float:
+        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the size of the links' torque."""
         if self.kind == "rotor":
             return np.asarray(ddq @ self.matrix[j])
-        if self.kind == "offset":
-            return float(self.direction[j])
         if self.kind == "viscous":
             if self.side:
                 dq = np.maximum(dq, 0.0) if self.side > 0 else np.minimum(dq, 0.0)
             return np.asarray(dq @ self.matrix[j])
-        if self.kind == "load":
-            return 0.0
-        u = dq @ self.direction
-        return np.asarray(self.direction[j] * self._along(u))
-
-    def _along(self, u: Array) -> Array:
-        """Friction (N,) along the direction at the speeds u (N,) there."""
-        if self.kind == "asymmetric":
-            return np.abs(u)
+        if self.kind == "offset":
+            return float(self.direction[j])
+        u, friction = dq @ self.direction, FRICTION[self.kind]
+        sign: Array | float = np.sign(u) if friction.has_sign else 1.0
         if self.side:
-            return np.asarray(self.side * (self.side * u > 0), dtype=float)
-        sign = np.sign(u)
-        if self.kind == "root":
-            sign *= np.sqrt(np.abs(u))
-        elif self.kind == "stribeck":
-            sign *= np.exp(-((u / self.speed) ** 2))
-        return sign
+            sign = np.asarray(self.side * (self.side * u > 0), dtype=float)
+        return np.asarray(self.direction[j] * (sign * friction.size(u, self.speed, load)))
 
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
         """Derivatives of `entry` by speed (N, n) and by acceleration (n,).
@@ -118,27 +147,25 @@ class JointTerm:
         elif self.kind == "viscous":
             acts = dq * self.side > 0 if self.side else np.ones(dq.shape)
             by_speed = acts * self.matrix[j]
-        elif self.kind == "asymmetric":
-            by_speed = self.direction[j] * np.outer(np.sign(dq @ self.direction), self.direction)
+        elif self.kind in SHAPES and self.kind not in SLIDING:
+            slope = FRICTION[self.kind].slope(dq @ self.direction, self.speed)
+            by_speed = self.direction[j] * np.outer(slope, self.direction)
         return by_speed, by_acceleration
 
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
-        """Coulomb, root or Stribeck friction along the direction at speeds dq (N, n), without jumps, and its slope, (N,) each.
+        """Friction with a sign along the direction at speeds dq (N, n), without jumps, and its slope, (N,) each.
 
         The sign of a speed u is x / sqrt(1 + x²), x in units of the creep speed, of joints (n,), along the direction; the root
         is sqrt(abs(u) + STEEPEST). The slope is the derivative by u.
         """
+        friction = FRICTION[self.kind]
         u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))
         x = u / slow
         sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
-        if self.kind == "root":
-            size = np.sqrt(np.abs(u) + STEEPEST)
-            return size * sign, 0.5 * np.sign(u) / size * sign + size * steepness
-        if self.kind == "stribeck":
-            size = np.exp(-((u / self.speed) ** 2))
-            return size * sign, size * (steepness - 2 * u / self.speed**2 * sign)
+        at = np.abs(u) + STEEPEST * friction.is_steep
+        size, slope = friction.size(at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed)
         share = 0.5 if self.side else 1.0  # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
-        return share * (sign + self.side), share * steepness
+        return share * (sign + self.side) * size, share * (size * steepness + slope * sign)
 
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
@@ -164,9 +191,9 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
             blank, name=f"{name}{j + 1}", unit=unit, kind=kind, matrix=matrix, given_away=given_away, side=side
         )
 
-    def along(name: str, kind: Kind, direction: Array, side: int = 0) -> JointTerm:
-        unit = {"asymmetric": viscous_unit, "root": f"{effort} (s/{length})^½", "load": ""}.get(kind, effort)
-        speed = joint.si("stribeck_speed") if kind == "stribeck" else float("nan")
+    def along(kind: Kind, name: str, direction: Array, side: int = 0) -> JointTerm:
+        unit = FRICTION[kind].unit.format(effort=effort, length=length)
+        speed = joint.si("stribeck_speed") or np.inf
         return replace(blank, name=f"{name}{j + 1}", unit=unit, kind=kind, direction=direction, side=side, speed=speed)
 
     terms: list[JointTerm] = []
@@ -177,16 +204,15 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
         if "viscous" in joint.terms:
             terms.append(through_matrix(f"Fv{mark}", viscous_unit, "viscous", np.outer(own, own), side=side))
         if "coulomb" in joint.terms:
-            terms.append(along(f"Fc{mark}", "coulomb", own, side))
+            terms.append(along("coulomb", f"Fc{mark}", own, side))
     if "offset" in joint.terms:
-        terms.append(along("Off", "offset", own))
-    shapes: tuple[tuple[str, Kind], ...] = (("Fa", "asymmetric"), ("Fr", "root"), ("Fs", "stribeck"), ("mu", "load"))
-    terms += [along(name, kind, own) for name, kind in shapes if kind in joint.terms]
+        terms.append(replace(blank, name=f"Off{j + 1}", unit=effort, direction=own))
+    terms += [along(kind, FRICTION[kind].name, own) for kind in SHAPES if kind in joint.terms]
     if coupled and "viscous" in joint.terms:
         taken = [i for i, other in enumerate(robot.joints) if "viscous" in other.terms and not other.one_sided]
         terms.append(through_matrix("Fvm", viscous_unit, "viscous", np.outer(r, r), taken))
-    motor: tuple[tuple[str, Kind], ...] = (("Fcm", "coulomb"), ("Frm", "root"), ("Fsm", "stribeck"))
-    terms += [along(name, kind, r) for name, kind in motor if coupled and kind in joint.terms]
+    of_motors = [(kind, friction.motor_name) for kind, friction in FRICTION.items() if coupled and friction.motor_name]
+    terms += [along(kind, name, r) for kind, name in of_motors if kind in joint.terms]
     return terms
 
 

@@ -49,25 +49,14 @@ class Requirement:
     matrix: Array
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ExpectedLinks:
-    """What is expected of the links before anything is measured.
+def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tuple[Array, tuple[str, ...]]:
+    """The links of `prior`, another description of the robot, or of the model's own, before anything is measured.
 
-    Attributes:
-        links: (n, 10) XX XY XZ YY YZ ZZ MX MY MZ M in the frames of the model's links.
-        sources: by link, where they are from: `[parameters]`, `URDF` or `plausible`.
-    """
+    Their parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the frames of the model's links, and of each where it is from.
 
-    links: Array
-    sources: tuple[str, ...]
-
-
-def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> ExpectedLinks:
-    """The links of `prior`, another description of the robot, or of the model's own.
-
-    A link is that of the description's `[parameters]`, else of its URDF, else a plausible one: a rod from its joint to the
-    next. The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it
-    has other joints, or its links do not move as those of the model.
+    A link is that of the description's `[parameters]`, else of its `URDF`, else `plausible`: a rod from its joint to the next.
+    The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it has
+    other joints, or its links do not move as those of the model.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
@@ -76,7 +65,7 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> Expe
     if prior is not None:
         T = _frames_of(idm, prior)
         links = link_parameters(T @ pseudo_inertia(links) @ T.transpose(0, 2, 1))
-    return ExpectedLinks(links=links, sources=tuple(source for _, source in found))
+    return links, tuple(source for _, source in found)
 
 
 def link_columns(idm: InverseModel) -> NDArray[np.intp]:
@@ -95,8 +84,7 @@ def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load
         term = idm.sources[column]
         if isinstance(term, JointTerm) and term.kind in DISSIPATING:
             for j in term.rows:
-                torque = np.sign(dq[:, j]) * load[:, j] if term.kind == "load" else term.entry(j, dq, still)
-                G[:, i] += dq[:, j] * torque
+                G[:, i] += dq[:, j] * term.entry(j, dq, still, load[:, j])
     return np.asarray(G / np.abs(dq).sum(axis=1)[:, None])
 
 
@@ -163,7 +151,7 @@ def physical_parameters(
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
     links, start = link_columns(idm), np.zeros(idm.p)
-    start[links] = expected_links(idm, prior).links
+    start[links] = expected_links(idm, prior)[0]
     rows, A = own_shares(idm)
     first = A @ values
     for i, c in enumerate(rows):
@@ -201,16 +189,14 @@ def _columns(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...])
 
 
 def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
-    """Joints that share motors; those whose friction has further terms than viscous and Coulomb ones, or the others.
-
-    One-sided terms count as further ones where joints share motors.
-    """
+    """Joints that share motors: those whose friction has further terms than viscous and Coulomb ones, or the others."""
     everywhere = tuple(range(idm.robot.n))
     joined = np.eye(idm.robot.n)
     for c in _columns(idm, DISSIPATING, everywhere):
         joined[np.ix_(_term(idm, c).rows, _term(idm, c).rows)] = 1.0
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
+    # One-sided terms count as further ones where joints share motors.
     one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
     further = {g for g in groups if _columns(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
     return [joints for joints in groups if (joints in further) == shaped]

@@ -1,12 +1,13 @@
 """From signals to W and Y: settings, filters, regressor, the rows that count; load friction and its passes."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .linearised import AtHand, Linearised, without_terms
-from .links import RowStates, friction_states, links_at_rows, recorded_power, row_states, torque_of_links
+from .linearised import Linearised, without_terms
+from .links import RowStates, friction_states, links_at_rows, recorded_power, row_states
 from .load import LoadFriction, load_friction
-from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, measured_slip, refuse_slow_joints
-from .motion import FilteredMotion, Motion, differentiate, motion_between, sampled_at
+from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, refuse_slow_joints
+from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at
 from .own import OwnParameters, base_name, own_parameters
+from .place import Place
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .settings import (
     CUTOFF_PER_BANDWIDTH,

@@ -23,11 +23,7 @@ NOTHING = 1e-14  # of an input: less than rounding leaves of it
 
 
 def lowpass(x: Array, cutoff_hz: float, sample_rate_hz: float) -> Array:
-    """Butterworth of order 4, forward and backward, along axis 0 (time).
-
-    `cutoff_hz` is the -3 dB frequency of the filter in one direction, as in `butter` and `filtfilt` of MATLAB and in the
-    papers; forward and backward together it is -6 dB there, and -3 dB at `forward_backward_3db_hz`.
-    """
+    """Butterworth of order 4, forward and backward, along axis 0 (time); `cutoff_hz` is that of one direction, as in papers."""
     if not 0 < cutoff_hz < sample_rate_hz / 2:
         raise IdentificationError(
             key="cut-off",
@@ -198,14 +194,11 @@ def lowpass_reach(cutoff_hz: float, sample_rate_hz: float) -> int:
 
 @dataclass(frozen=True, eq=False)
 class _Filter:
-    """A low-pass in discrete time: an analogue one with cut-off 1 and these poles (n,), its frequencies warped.
-
-    `cutoff` is a share of half the rate, `dc` the gain at frequency 0.
-    """
+    """A low-pass in discrete time: an analogue one with cut-off 1 and these poles (n,), its frequencies warped."""
 
     poles: NDArray[np.complexfloating]
-    cutoff: float
-    dc: float = 1.0
+    cutoff: float  # share of half the rate
+    dc: float = 1.0  # gain at frequency 0
 
     @property
     def warp(self) -> float:

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,26 +13,9 @@ from ..estimation import one_thread
 from ..model import BaseParameters
 from .load import LinkSeries, LoadFriction, load_friction
 from .own import OwnParameters, own_parameters
+from .place import Place
 from .problem import Problem, motion_blocks
 from .system import ALL_REDUCED, Regression, regression_of_recording, stacked
-
-
-class Place(Protocol):
-    """Where a task finds a recording."""
-
-    def problem(self) -> Problem:
-        """Its problem, in the process that runs the task."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class AtHand:
-    """A recording whose problem is in this process."""
-
-    at_hand: Problem
-
-    def problem(self) -> Problem:
-        """The problem."""
-        return self.at_hand
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -60,8 +42,7 @@ class Linearised:
     @classmethod
     def of_one(cls, problem: Problem, plain: Regression) -> "Linearised":
         """Of one recording; `plain` is its regression, columns of load friction zero."""
-        places, parameters = (AtHand(at_hand=problem),), own_parameters([problem])
-        return cls(problem=problem, each=(plain,), places=places, parameters=parameters)
+        return cls(problem=problem, each=(plain,), places=(Place.of(problem),), parameters=own_parameters([problem]))
 
     @cached_property
     def load(self) -> LoadFriction:
@@ -113,12 +94,8 @@ class Linearised:
         of_each = [beta[self.parameters.places(k)] for k in range(len(self.each))]
         base = self.problem.base
         if self.plain.reduced:
-            each = tuple(
-                self.work.run(
-                    reduced_regression_at,
-                    [(place, base, own) for place, own in zip(self.places, of_each, strict=True)],
-                )
-            )
+            places = zip(self.places, of_each, strict=True)
+            each = tuple(self.work.run(reduced_regression_at, [(place, base, own) for place, own in places]))
         else:
             tasks = [
                 (place, one.links, base, load, own)
@@ -149,14 +126,11 @@ def without_terms(problem: Problem, left_out: dict[str, str]) -> Problem:
 def load_columns(
     place: Place, links: tuple[LinkSeries, ...], base: BaseParameters, load: LoadFriction, beta: Array
 ) -> Array:
-    """Columns of load friction and their derivatives, (2, k, rows), as of `LoadFriction.columns`, about beta (b,).
-
-    `links` are the recording's, where they are at hand; they are made anew otherwise, and never sent to another process.
-    """
+    """`LoadFriction.columns` of a recording."""
     problem, parts = place.problem(), []
+    # What is at hand is never sent to another process: there it is made anew.
     for block in links or _blocks(problem, base, load):
-        rigid = load.torque_of_links(block.entries, block.series, beta)
-        parts.append(load.columns(rigid, block.dq, problem.settings.decimator)[..., block.inside])
+        parts.append(load.columns(block, beta, problem.settings.decimator))
     return np.concatenate(parts, axis=-1)
 
 
@@ -179,11 +153,9 @@ def _blocks(problem: Problem, base: BaseParameters, load: LoadFriction) -> Itera
 def _linearised(plain: Regression, load: LoadFriction, columns: Array, beta: Array) -> Regression:
     """Rows that are not reduced, about beta (b,), from the columns (2, k, rows) of load friction."""
     n, b = plain.tau.shape[1], len(beta)
-    W = plain.system.W.reshape(n, -1, b).transpose(0, 2, 1).copy()
-    Y = plain.system.Y.reshape(n, -1).copy()
-    load.linearise(W, Y, columns, beta)
-    rows = np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(-1, b)
-    return replace(plain, system=replace(plain.system, W=rows, Y=Y.reshape(-1)), links=())
+    W, Y = plain.system.W.copy(), plain.system.Y.copy()
+    load.linearise(W.reshape(n, -1, b).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
+    return replace(plain, system=replace(plain.system, W=W, Y=Y), links=())
 
 
 def _without_columns(regression: Regression, left_out: dict[str, str]) -> Regression:

@@ -23,18 +23,14 @@ from .filtering import Decimation
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkSeries:
-    """The links' part of a block's regressor before decimation, in the rows of joints with load friction.
+    """The links' part of a block's regressor before decimation, in the rows of joints with load friction."""
 
-    Attributes:
-        entries: (E, 2) joint, and place among the base parameters, joints ascending; -1 and 0 for what is of no link or of
-            another joint. `series` (E, N) are their columns.
-        dq: (N, n) speeds; `inside` the decimated rows that count.
-    """
-
-    entries: NDArray[np.intp]
-    series: Array
-    dq: Array
-    inside: slice
+    entries: NDArray[
+        np.intp
+    ]  # (E, 2) joint, ascending, and place among the base parameters; -1 and 0 for what is not of it
+    series: Array  # (E, N)
+    dq: Array  # (N, n)
+    inside: slice  # the decimated rows that count
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -71,14 +67,12 @@ class LoadFriction:
             rigid[i] = np.einsum("e,en->n", values, series[together])  # term by term: zeros in between change no bit
         return rigid
 
-    def columns(self, rigid: Array, dq: Array, decimation: Decimation) -> Array:
-        """abs(tau_rigid) sign(dq), decimated, then s at its rows, (2, k, rows), from tau_rigid (k, N) and dq (N, n).
-
-        s serves as a derivative only: what it lacks of the filter does not move the solution.
-        """
-        sign = np.sign(dq[:, self.joints].T)
+    def columns(self, block: LinkSeries, beta: Array, decimation: Decimation) -> Array:
+        """abs(tau_rigid) sign(dq) about beta (b,), decimated, then s at its rows: (2, k, rows) of those that count."""
+        rigid, sign = self.torque_of_links(block.entries, block.series, beta), np.sign(block.dq[:, self.joints].T)
+        # s serves as a derivative only: what it lacks of the filter does not move the solution.
         s = decimation.kept((np.sign(rigid) * sign).T).T
-        return np.stack([decimation.filtered(np.abs(rigid) * sign), s])
+        return np.stack([decimation.filtered(np.abs(rigid) * sign), s])[..., block.inside]
 
     def linearise(self, W: Array, Y: Array | None, columns: Array, beta: Array) -> None:
         """Fill W (n, b, rows), whose load columns are zero, and Y (n, rows) with those about beta (b,); in place."""

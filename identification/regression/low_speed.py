@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from .motion import BLOCK_SAMPLES
 from .problem import Problem
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
-_BLOCK = 200_000  # samples filtered at a time
 
 
 def fast_rows(
@@ -49,8 +49,8 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     kept = start + settings.decimator.instants(stop - start)
     slip = np.empty((len(kept), len(directions)))
     total, squares = np.zeros((2, signals.robot.n))
-    for a in range(start, stop, _BLOCK):
-        b = min(stop, a + _BLOCK)
+    for a in range(start, stop, BLOCK_SAMPLES):
+        b = min(stop, a + BLOCK_SAMPLES)
         low, high = max(start, a - blur), min(stop, b + blur)
         wide = problem.motion.between(low, high, cutoff_hz).dq
         here = (kept >= a) & (kept < b)

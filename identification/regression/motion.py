@@ -11,8 +11,8 @@ from ..arrays import Array
 from ..data import Signals
 from .filtering import lowpass, lowpass_reach
 
-_BLOCK = 200_000  # samples interpolated at a time
-_SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
+BLOCK_SAMPLES = 200_000  # of a recording that are gone through at a time
+SPLINE_REACH = 40  # samples beyond which a cubic spline does not feel where it is cut off
 _DIFFERENCES = 2  # samples to each side that two central differences reach
 _NUMBERS_KEPT = 4_000_000  # of a filtered position, 32 MB; a longer recording is filtered anew by each pass over it
 
@@ -88,9 +88,9 @@ def _spline_coefficients(x: Array) -> Array:
     """Coefficients (N + 3, n) of the cubic B-splines about the samples -1 to N + 1 that go through x (N, n).
 
     Unser, Aldroubi, Eden, IEEE Trans. Signal Processing 41 (1993): the inverse of the filter (1, 4, 1)/6 falls by 2 - sqrt(3)
-    from sample to sample, to rounding within `_SPLINE`. Beyond the ends x is reflected at its end samples.
+    from sample to sample, to rounding within `SPLINE_REACH`. Beyond the ends x is reflected at its end samples.
     """
-    far, pole = min(_SPLINE, len(x) - 1), np.sqrt(3.0) - 2.0
+    far, pole = min(SPLINE_REACH, len(x) - 1), np.sqrt(3.0) - 2.0
     beyond = far + 2
     whole = (
         np.pad(x, ((beyond, beyond), (0, 0)), mode="reflect", reflect_type="odd") if len(x) > 1 else np.repeat(x, 5, 0)
@@ -104,9 +104,9 @@ def _spline_coefficients(x: Array) -> Array:
 def later(x: Array, by: float) -> Array:
     """Samples x (N, n) `by` samples later, as of `sampled_at`; block by block, those of a long recording on disk."""
     moved = room(x.shape)
-    for first in range(0, len(x), _BLOCK):
-        last = min(len(x), first + _BLOCK)
-        low, high = max(0, math.floor(first + by) - _SPLINE), min(len(x), math.ceil(last + by) + _SPLINE)
+    for first in range(0, len(x), BLOCK_SAMPLES):
+        last = min(len(x), first + BLOCK_SAMPLES)
+        low, high = max(0, math.floor(first + by) - SPLINE_REACH), min(len(x), math.ceil(last + by) + SPLINE_REACH)
         moved[first:last] = sampled_at(np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high])
         let_go(x)
         let_go(moved)

@@ -16,7 +16,7 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import MOVING
 from .filtering import LARGEST_PASS, Decimation, decimation_passes
-from .motion import FilteredMotion
+from .motion import BLOCK_SAMPLES, FilteredMotion
 
 Span = Literal["motion", "all"]
 
@@ -26,7 +26,6 @@ CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and
 STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
 LAG_REACH = 3.0  # deviations that a lag may be off what is known of it
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of the lag of an effort of which nothing is known
-_BLOCK = 200_000  # samples looked through at a time for the span of motion
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -257,8 +256,8 @@ def _span(
     if cutoff_hz is None:  # to tell motion from noise, the rule's filter serves even if the fit goes without
         cutoff_hz = rule_cutoff_hz(signals.robot.bandwidth_hz, fs)
     speed = np.empty(signals.q.shape, dtype=np.float32)
-    for a in range(0, N, _BLOCK):
-        b = min(N, a + _BLOCK)
+    for a in range(0, N, BLOCK_SAMPLES):
+        b = min(N, a + BLOCK_SAMPLES)
         speed[a:b] = np.abs(filtered.between(a, b, cutoff_hz).dq)
     peak = speed.max(axis=0)
     if not peak.any():

@@ -26,13 +26,7 @@ ROUNDING = 1e-10  # of the largest change that counts, beside half a deviation: 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Settled:
-    """Least squares of recordings with the terms that they tell.
-
-    Attributes:
-        linearised: W and Y about any parameters, without the terms that were left out.
-        about: (b,) the parameters that W and Y of the last pass are about.
-        full: least squares of all parameters.
-    """
+    """Least squares of recordings with the terms that they tell: `full`, its W and Y being those about `about` (b,)."""
 
     linearised: Linearised
     about: Array
@@ -44,104 +38,65 @@ def settled_least_squares(linearised: Linearised, method: Literal["ols", "wls"] 
 
     Raises `IdentificationError`: as of the estimators.
     """
+    solve = weighted_least_squares if method == "wls" else ordinary_least_squares
     linearised = leave_out_untold(linearised)
-    while True:
-        settled, unsettled = _settle(linearised, method)
-        if settled is not None:
-            return settled
-        linearised = linearised.without(unsettled)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LoadPasses:
-    """Passes of an estimate, each with the links' torque of the one before.
-
-    Attributes:
-        observed, estimate: of the last pass; `about` (b,) are the parameters that its W and Y are about.
-        settled: whether it changed no parameter by more than half a deviation; `unsettled` are otherwise the parameters of
-            load friction that did, or the one that changed most, with a line that says it.
-    """
-
-    about: Array
-    observed: Regression
-    estimate: Estimate
-    unsettled: dict[str, str]
-
-    @property
-    def settled(self) -> bool:
-        """Whether every parameter has settled."""
-        return not self.unsettled
+    while load := linearised.load:
+        names, places = linearised.parameters.names, linearised.load_places()
+        others = np.setdiff1d(np.arange(len(names)), places)
+        about = solve(condensed(linearised.plain.system.with_columns(others))).among(names)
+        left_out = alike(linearised.problem, linearised.at(about).system, [names[i] for i in places])
+        if not left_out:
+            about, observed, _, left_out = load_passes(linearised, lambda x: solve(condensed(x.system)), about, load)
+        if not left_out:
+            return Settled(linearised=linearised, about=about, full=solve(observed.system))
+        linearised = linearised.without(left_out)
+    about = np.zeros(len(linearised.parameters.names))
+    return Settled(linearised=linearised, about=about, full=solve(linearised.plain.system))
 
 
 def load_passes(
-    linearised: Linearised,
-    solve: Callable[[Regression], Estimate],
-    beta: Array,
-    load: LoadFriction,
-) -> LoadPasses:
+    linearised: Linearised, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction
+) -> tuple[Array, Regression, Estimate, dict[str, str]]:
     """Solve from the parameters `beta` (b,) on, until they settle or there were ten passes.
 
     `solve` gives an estimate, of some parameters or all, from W and Y about the parameters before; of load friction it has
     that of `load`.
+
+    Returns
+    -------
+    Of the last pass the parameters (b,) that its W and Y are about, these, and the estimate. Then, unless no parameter changed
+    by more than half a deviation, the parameters of load friction that did, or the one that changed most, each with a line
+    that says it.
     """
     names, passes, values = linearised.parameters.names, MOST_PASSES if load else 1, list[Array]()
     places, robot = linearised.load_places(load), linearised.problem.signals.robot
     for _ in range(passes):
         about, observed = beta, linearised.at(beta, load)
         estimate = solve(observed)
-        after, sigma = estimate.among(names), np.zeros(len(names))
+        beta, sigma = estimate.among(names), np.zeros(len(names))
         sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
-        off = np.abs(after - about) / np.maximum(sigma / 2, ROUNDING * np.abs(after).max())
-        beta = after
+        off = np.abs(beta - about) / np.maximum(sigma / 2, ROUNDING * np.abs(beta).max())
         values.append(beta)
         if not load or (off < 1).all():
-            return LoadPasses(about=about, observed=observed, estimate=estimate, unsettled={})
+            return about, observed, estimate, {}
     unsettled, own = {}, off[places]
     for j, place, far in zip(load.joints, places, own, strict=True):
         if far >= 1 or far == own.max():
             mu, joint = names[place], robot.joints[j].name
             last = ", ".join(f"{value[place]:.3g}" for value in values[-3:])
             unsettled[mu] = f"load friction of joint {joint} left out: it does not settle ({mu} {last})"
-    return LoadPasses(about=about, observed=observed, estimate=estimate, unsettled=unsettled)
-
-
-def _settle(linearised: Linearised, method: Literal["ols", "wls"]) -> tuple[Settled | None, dict[str, str]]:
-    """Pass by pass; or else which load friction does not settle, or is not told apart, and why."""
-    solve = weighted_least_squares if method == "wls" else ordinary_least_squares
-    load, names, system = linearised.load, linearised.parameters.names, linearised.plain.system
-    about = np.zeros(len(names))
-    if load:
-        places = linearised.load_places()
-        start = solve(condensed(system.with_columns(np.setdiff1d(np.arange(len(names)), places))))
-        about = start.among(names)
-        untold = alike(linearised.problem, linearised.at(about).system, [names[i] for i in places])
-        if untold:
-            return None, untold
-        passes = load_passes(linearised, lambda observed: solve(condensed(observed.system)), about, load)
-        if not passes.settled:
-            return None, passes.unsettled
-        about, system = passes.about, passes.observed.system
-    return Settled(linearised=linearised, about=about, full=solve(system)), {}
+    return about, observed, estimate, unsettled
 
 
 def leave_out_untold(linearised: Linearised) -> Linearised:
     """The recordings' W and Y without the friction terms, load friction apart, that are nearly a sum of other columns."""
-    return linearised.without(untold_terms(linearised.problem, linearised.plain.system))
-
-
-def untold_terms(problem: Problem, system: System) -> dict[str, str]:
-    """The friction terms, load friction apart, that are nearly a sum of other columns of a system, one after the other."""
-    shapes = [
-        name
-        for name, c in zip(problem.base.names, problem.base.columns, strict=True)
-        if isinstance(source := problem.model.sources[c], JointTerm) and source.kind in SHAPES and source.kind != "load"
-    ]
-    untold = dict[str, str]()
-    while left_out := alike(problem, system, shapes):
-        untold |= left_out
-        system = system.with_columns(np.array([i for i, name in enumerate(system.names) if name not in left_out]))
+    model, base = linearised.problem.model, linearised.problem.base
+    kinds = {name: getattr(model.sources[c], "kind", None) for name, c in zip(base.names, base.columns, strict=True)}
+    shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
+    while left_out := alike(linearised.problem, linearised.plain.system, shapes):
+        linearised = linearised.without(left_out)
         shapes = [name for name in shapes if name not in left_out]
-    return untold
+    return linearised
 
 
 def alike(problem: Problem, system: System, among: Collection[str]) -> dict[str, str]:

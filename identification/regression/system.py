@@ -72,37 +72,56 @@ def regression_of_recording(
     `share` is the number of recordings that share the memory for rows that are not reduced. Columns of load friction are
     zero, or W and Y are those about the parameters `beta` (b,), as of `load`.
     """
-    blocks, kept, numbers = list[_Block](), list[LinkSeries](), 0
+    blocks, kept, numbers = list[tuple[Array, ...]](), list[LinkSeries](), 0
     fast, slip_noise = measured_fast_rows(problem)
     if share == 1:  # another recording may move a joint that stands in this one
         names = tuple(joint.name for joint in problem.signals.robot.joints)
         refuse_slow_joints(fast, names, problem.signals.recording)
     (rows, n), base = fast.shape, problem.base
-    long = is_long(rows, problem, share)
-    factors, time_blocks = Factors(n, base.b + 1), TimeBlocks.none_yet(rows if long else 0, n, base.names)
+    factors = Factors(n, base.b + 1) if is_long(rows, problem, share) else None
+    time_blocks = TimeBlocks.none_yet(rows, n, base.names) if factors else None
     for at in row_blocks(problem):
-        block, links = _block(problem, at, beta)
-        numbers += links.series.size
-        kept = [*kept, links] if 0 < numbers <= _LINKS_KEPT // max(1, share) else []
-        if long:
+        (W, Y, tau, speed), links = _block(problem, at, beta)
+        if links is not None:
+            numbers += links.series.size
+            kept = [*kept, links] if numbers <= _LINKS_KEPT // max(1, share) else []
+        if factors and time_blocks:
             counts = fast[at.first : at.last]
-            factors.add_block(np.concatenate([block.W, block.Y[:, None]], axis=1), counts)
-            time_blocks.add(at.first, block.W, block.Y, counts)
-            block = replace(
-                block, W=block.W[..., :0].copy(), Y=block.Y[..., :0].copy()
-            )  # no views: they would hold the whole
-        blocks.append(block)
+            factors.add_block(np.concatenate([W, Y[:, None]], axis=1), counts)
+            time_blocks.add(at.first, W, Y, counts)
+            blocks.append((tau, speed))
+        else:
+            blocks.append((tau, speed, W, Y))
         say(f"regressor: {at.last / rows:.0%}")
-    whole = _stacked(blocks, fast, base, slip_noise)
-    if not long:
-        return replace(whole, links=tuple(kept))
-    return replace(whole, system=factors.system(base.names)[0], time_blocks=(time_blocks,))
+    tau, speed, *held = (np.concatenate(x, axis=-1) for x in zip(*blocks, strict=True))
+    if factors:
+        system = factors.system(base.names)[0]
+    else:
+        W, Y = held
+        system = System(
+            W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
+            Y=Y.reshape(-1),
+            joint_of_row=np.repeat(np.arange(n), rows),
+            names=base.names,
+            used=fast.T.reshape(-1).astype(float),
+            rows=fast.sum(axis=0),
+        )
+    return Regression(
+        system=system,
+        fast=fast,
+        tau=tau.T,
+        speed=np.ascontiguousarray(speed.T),
+        slip_noise=slip_noise,
+        parts=(rows,),
+        links=() if factors else tuple(kept),
+        time_blocks=() if time_blocks is None else (time_blocks,),
+    )
 
 
 def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
     """W (n, b, rows) and Y (n, rows) of a block's rows that count, about the parameters `beta` (b,) as of `load`."""
-    made, _ = _block(problem, block, beta)
-    return made.W, made.Y
+    (W, Y, _, _), _ = _block(problem, block, beta)
+    return W, Y
 
 
 def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
@@ -112,10 +131,7 @@ def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
 
 
 def stacked(regressions: Sequence[Regression]) -> Regression:
-    """The system of several recordings: rows stacked joint by joint, in the order given; reduced if one of them is.
-
-    All must be reduced, or none.
-    """
+    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
     if len(regressions) == 1:
         return regressions[0]
     n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
@@ -208,8 +224,8 @@ def decimated_regressor(
     """
     load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
     if load and beta is not None:
-        rigid = load.torque_of_links(entries, series, beta)
-        load.linearise(W, None, load.columns(rigid, motion.dq, decimation), beta)
+        columns = load.columns(load.series_of_links(entries, series, motion.dq, slice(None)), beta, decimation)
+        load.linearise(W, None, columns, beta)
     return W
 
 
@@ -244,47 +260,21 @@ def _series(
     return entries, [dynamics.series(motion.q[at], motion.dq[at], motion.ddq[at], columns) for at in spans]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Block:
-    """The decimated rows of a block: W (n, b, rows), Y and the torque tau (n, rows), and speed (rows, n)."""
+def _block(
+    problem: Problem, at: RowBlock, beta: Array | None
+) -> tuple[tuple[Array, Array, Array, Array], LinkSeries | None]:
+    """W (n, b, rows), Y and torque tau (n, rows), speed (n, rows) of a block; and what load friction depends on.
 
-    W: Array
-    Y: Array
-    tau: Array
-    speed: Array
-
-
-def _block(problem: Problem, at: RowBlock, beta: Array | None) -> tuple[_Block, LinkSeries]:
-    """A block, about the parameters `beta` (b,) or its columns of load friction zero; and what these depend on."""
+    They are about the parameters `beta` (b,), or columns of load friction are zero.
+    """
     motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base
-    load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)
+    load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)[:, inside]
     stride = 1 if load else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
     W, entries, series = _decimated(motion, model, base, decimation, stride)
-    links, Y = load.series_of_links(entries, series, motion.dq, inside), tau.copy()
-    if load and beta is not None:
-        rigid = load.torque_of_links(links.entries, links.series, beta)
-        load.linearise(W, Y, load.columns(rigid, motion.dq, decimation), beta)
-    block = _Block(W=W[..., inside], Y=Y[:, inside], tau=tau[:, inside], speed=decimation.kept(motion.dq)[inside])
-    return block, links
-
-
-def _stacked(blocks: list[_Block], fast: NDArray[np.bool_], base: BaseParameters, slip_noise: Array) -> Regression:
-    """Blocks as one system, rows joint by joint."""
-    W, Y, tau = (np.concatenate([getattr(block, name) for block in blocks], axis=-1) for name in ("W", "Y", "tau"))
-    n, rows = Y.shape
-    return Regression(
-        system=System(
-            W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
-            Y=Y.reshape(-1),
-            joint_of_row=np.repeat(np.arange(n), rows),
-            names=base.names,
-            used=fast[:rows].T.reshape(-1).astype(float),
-            rows=fast.sum(axis=0),
-        ),
-        fast=fast,
-        tau=tau.T,
-        speed=np.concatenate([block.speed for block in blocks]),
-        slip_noise=slip_noise,
-        parts=(tau.shape[1],),
-    )
+    W, Y, links = W[..., inside], tau.copy(), None
+    if load:
+        links = load.series_of_links(entries, series, motion.dq, inside)
+        if beta is not None:
+            load.linearise(W, Y, load.columns(links, beta, decimation), beta)
+    return (W, Y, tau, decimation.kept(motion.dq)[inside].T), links

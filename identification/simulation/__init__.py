@@ -1,7 +1,6 @@
 """The robot in closed loop: control laws, friction, a recorded experiment simulated again, instruments, dry runs' plant."""
 
-from .bench import Bench, DirectModelError, Place, Replica
-from .closed_loop import ClosedLoop, simulate
+from .closed_loop import ClosedLoop
 from .control_law import (
     SURROGATE_DAMPING,
     Control,
@@ -12,8 +11,7 @@ from .control_law import (
     surrogate_loop,
 )
 from .disturbances import Disturbances
-from .experiment import make_experiment
-from .instruments import Counting, InstrumentKind, simulate_instruments
-from .lab import Lab, PassInstruments, told, worst
-from .motion import simulated_motion
+from .instruments import InstrumentKind, Instruments, told, worst
+from .lab import Lab, Simulation
+from .motion import DirectModelError, Replica
 from .plant import RigidBodyPlant, described_robot, drive_loops

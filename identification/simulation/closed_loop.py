@@ -102,18 +102,3 @@ class ClosedLoop:
     def _lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
         j, t_s = int(np.argmin(np.abs(q - q_ref) < bound)), (self._instants + k) * self._period_s
         return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
-
-
-def simulate(
-    model: DirectModel,
-    loop: ControlLaw,
-    reference: Reference,
-    *,
-    start: tuple[Array, Array],
-    bound: Array,
-    substeps: int = 1,
-) -> Simulated:
-    """A robot in closed loop along a whole reference, as `ClosedLoop.follow`; `start` is position and speed, (n,) each."""
-    fastest = np.abs(reference.dq @ model.directions.T).max(axis=0, initial=0.0)
-    robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=substeps, cell=reference.disturbances)
-    return robot.follow(reference, bound)

@@ -20,6 +20,8 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model, inertias, pose_step
 from ..regression import (
+    BLOCK_SAMPLES,
+    SPLINE_REACH,
     Decimation,
     Motion,
     Problem,
@@ -40,8 +42,6 @@ MIN_TRAVEL = (
     0.01  # of the reference, in that of the joint of the same type which travels most: a joint with less is held
 )
 MIN_SATURATED_PERCENT = 5.0  # share of saturated samples that explains why a robot leaves its reference
-_SPLINE = 40  # samples beyond which a cubic spline does not feel where it is cut off
-_BLOCK = 200_000  # samples looked through at a time for saturation
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -50,15 +50,14 @@ class Experiment:
 
     Attributes:
         blocks: of the rows; `layout` the instants, and `decimation` of the instruments to the rows.
-        reference_kind: `recorded`, or `surrogate`: the measured position low-passed without phase shift.
         start: measured position and speed, filtered, (n,) each, at the first instant.
         bound: (n,) how far a simulation may leave the reference; `held` (n,), which joints the reference holds;
             `fastest` (c,) speeds of its directions of Coulomb friction.
         scatter: (n,) sum of squares of the measured position, filtered, about its mean.
         poses: (P, n) positions at which M is checked.
+        slip_noise: (c,) noise of the speeds of the directions of Coulomb friction.
         loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
-        saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
         gain_update: whether gains follow the inertias of each estimate.
         long: whether rows are QR factors: no whole motion is kept.
     """
@@ -67,20 +66,28 @@ class Experiment:
     blocks: tuple[RowBlock, ...]
     layout: Layout
     decimation: Decimation
-    reference_kind: Literal["recorded", "surrogate"]
     start: tuple[Array, Array]
     bound: Array
     held: NDArray[np.bool_]
     fastest: Array
     scatter: Array
     poses: Array
+    slip_noise: Array
     loop: ControlLaw | None
     J_prior: Array
     J_known: bool
-    bandwidth_hz: float
-    saturated_percent: float | None
     gain_update: bool
     long: bool
+
+    @property
+    def reference_kind(self) -> Literal["recorded", "surrogate"]:
+        """`surrogate` for the measured position low-passed without phase shift."""
+        return "surrogate" if self.problem.signals.q_ref is None else "recorded"
+
+    @property
+    def bandwidth_hz(self) -> float:
+        """Of the position loops."""
+        return self.problem.signals.robot.bandwidth_hz
 
     def reference(self, first: int, last: int) -> Reference:
         """What the controller follows from its instant `first` to before `last`."""
@@ -98,6 +105,7 @@ class Experiment:
 def make_experiment(
     problem: Problem,
     beta_ls: Array,
+    slip_noise: Array,
     *,
     gain_update: bool = True,
     rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
@@ -105,7 +113,8 @@ def make_experiment(
 ) -> Experiment:
     """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
 
-    `rate_per_bandwidth` is the number of simulated steps and of instrument samples per period of the bandwidth, at least.
+    `slip_noise` (c,) is that of the speeds of the directions of Coulomb friction. There are
+    `rate_per_bandwidth` simulated steps and instrument samples, at least, per period of the bandwidth.
 
     Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
     """
@@ -140,18 +149,16 @@ def make_experiment(
         blocks=blocks,
         layout=layout,
         decimation=decimation,
-        reference_kind="surrogate" if signals.q_ref is None else "recorded",
         start=(first.q[0], first.dq[0]),
         bound=LOST * np.maximum(scale, 0.1 * travel.max()),
         held=held,
         fastest=fastest,
         scatter=np.maximum(squares - total**2 / layout.N, 0.0),
         poses=at,
+        slip_noise=slip_noise,
         loop=loop,
         J_prior=J_prior,
         J_known=J_known,
-        bandwidth_hz=bandwidth_hz,
-        saturated_percent=_saturated_percent(problem),
         gain_update=gain_update,
         long=long,
     )
@@ -164,16 +171,14 @@ def _measured(problem: Problem, samples: slice) -> Motion:
 
 
 def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Reference:
-    """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion.
-
-    The measured motion has in it what was fed forward. A surrogate loop's output is torque at the joints.
-    """
+    """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion."""
     signals, settings = problem.signals, problem.settings
-    low = max(settings.start, math.floor(at[0]) - _SPLINE)
-    high = min(settings.stop, math.ceil(at[-1]) + 1 + _SPLINE)
+    low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
+    high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
     at, near = at - low, slice(low, high)
     known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
+        # What was fed forward is in the measured motion already.
         measured = _measured(problem, near)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
@@ -183,15 +188,15 @@ def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Referenc
     ahead = None
     if signals.feedforward is not None:  # held from sample to sample: a cubic would swing beside a step
         ahead = signals.feedforward[near][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
-        ahead = signals.robot.joint_effort(ahead) if loop is None else ahead
+        ahead = (
+            signals.robot.joint_effort(ahead) if loop is None else ahead
+        )  # a surrogate's output is torque at the joints
     return Reference(*paths, known_torque=known, feedforward=ahead)
 
 
 def _scales(travel: Array, joints: Sequence[Joint]) -> tuple[Array, NDArray[np.bool_]]:
-    """(n,) by what position errors are large, from the `travel` (n,) of the reference; and which joints are held.
-
-    Neighbours push a held joint, whose own travel says nothing of that: it goes by the joint of its type that travels most.
-    """
+    """(n,) by what position errors are large, from the `travel` (n,) of the reference; and which joints are held."""
+    # Neighbours push a held joint, whose own travel says nothing of that.
     largest = largest_of_type(travel, joints)
     held = travel < MIN_TRAVEL * largest
     return np.where(held, largest, travel), held
@@ -204,8 +209,8 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         return
     joints, first, N = signals.robot.joints, signals.q_ref[used.start], used.stop - used.start
     total, squares, off = np.zeros((3, len(joints)))
-    for a in range(used.start, used.stop, _BLOCK):
-        some = slice(a, min(used.stop, a + _BLOCK))
+    for a in range(used.start, used.stop, BLOCK_SAMPLES):
+        some = slice(a, min(used.stop, a + BLOCK_SAMPLES))
         x = signals.q_ref[some] - first
         total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
         off = off + ((signals.q_ref[some] - signals.q[some]) ** 2).sum(axis=0)
@@ -217,7 +222,7 @@ def _refuse_foreign_reference(problem: Problem) -> None:
             continue
         place = f"{signals.recording}: reference of joint {joint.name}"
         left = f"{error:.3g} {joint.position_unit} rms off the measured position"
-        saturated = _saturated_percent(problem)
+        saturated = saturated_percent(problem)
         if saturated is not None and saturated > MIN_SATURATED_PERCENT:
             raise IdentificationError(
                 f"{left}: a drive is saturated in {saturated:.0f} % of the samples",
@@ -229,14 +234,15 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         )
 
 
-def _saturated_percent(problem: Problem) -> float | None:
+def saturated_percent(problem: Problem) -> float | None:
+    """Share of recorded samples at the drives' limit, None where no limit is stated."""
     signals, settings = problem.signals, problem.settings
     limits = np.array([np.inf if m.saturation is None else m.saturation for m in signals.robot.motors])
     if not np.isfinite(limits).any():
         return None
     saturated = 0
-    for a in range(settings.start, settings.stop, _BLOCK):
-        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + _BLOCK)])
+    for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
+        effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
         saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
         let_go(signals.effort)
     return 100.0 * saturated / (settings.stop - settings.start)

@@ -58,10 +58,7 @@ class Friction:
         self._creep = (S.T * (self._slope * stuck)) @ S
 
     def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
-        """Speed (n,) after a step from q, v under the torque tau, brakes holding the joints where `held`.
-
-        None where no positive definite matrix is to be solved with.
-        """
+        """Speed (n,) after a step under the torque tau, brakes holding joints where `held`; None where M is not positive."""
         h = self._h
         M, bias = self._model.inertia_and_bias(q, v)
         if self._one_sided:
@@ -102,14 +99,12 @@ class Friction:
         return np.asarray(w)
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
-        """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the root of speed.
-
-        What sticks is held by as much as slips at the creep speed.
-        """
+        """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the speed."""
         shapes, v_s = self._model.shapes, self._v_s
         along = self._S.dot(rigid)
+        # What sticks is held by as much as slips at the creep speed.
         self._hold(self._coulomb + shapes.friction(v_s, along))
         if self._stuck:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
-        return shapes.friction(u, along), 0.5 * shapes.root / np.sqrt(u)
+        return shapes.friction(u, along), shapes.steepness(u)

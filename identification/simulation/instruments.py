@@ -1,22 +1,21 @@
 """Instruments: the regressor along the robot simulated with an estimate in the recorded experiment."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, InstrumentBlocks, System
+from ..estimation import Factors, InstrumentBlocks, System, combined
 from ..model import direct_model, not_positive
-from ..regression import decimated_regressor, fast_rows, lowest_nearby, rows_of_block
+from ..regression import OwnParameters, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
 from .experiment import Experiment
 from .motion import (
-    Followed,
-    MotionBlock,
+    MotionBlocks,
     NotSimulatedError,
-    SimulatedMotion,
+    TrackingError,
     gains_for,
     nearest,
     reference_blocks,
@@ -24,146 +23,174 @@ from .motion import (
 )
 
 InstrumentKind = Literal["simulated", "consistent", "reference"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Counting:
-    """Which rows count, what they weigh, and what else is wanted.
-
-    Attributes:
-        slip_noise: (c,) noise of the speeds of the c directions of Coulomb friction.
-        weights: (n,) of the rows of the joints.
-        kept: (rows, n) rows that count, from a pass before; None where the simulated speeds tell.
-        motion: whether the simulated motion is kept; of a long recording it never is.
-    """
-
-    slip_noise: Array
-    weights: Array
-    kept: NDArray[np.bool_] | None = None
-    motion: bool = True
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FactoredInstruments:
-    """What stands for the rows of a long recording: QR factors of the rows [Z W Y] that count, and their blocks of time.
-
-    `system` has W and Y about the parameters that instruments were asked for, and `Z` (r, b) is in the same rows.
-    """
-
-    system: System
-    Z: Array
-    time_blocks: InstrumentBlocks
+WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instruments:
-    """Instruments of a recording.
+    """Instruments of a recording, or of several one after the other; what is said of them is said of the worst recording.
 
     Attributes:
         beta: (b,) the parameters asked for, to which those simulated are the nearest.
-        Z: (r, b) instruments, rows as those of W; of a long recording there are `factors` in their place.
-        fast: (rows, n) which rows count: those at which the simulated robot is fast enough.
-        simulated: its motion, where it was wanted; None along the reference.
-        reference_kind: that of the experiment.
+        Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
+        system: of a long recording W and Y about beta, as QR factors of the rows [Z W Y] that count; else None.
+        factors, time_blocks: by long recording, `system` and Z, and sums over its blocks of time.
+        fast: by recording, which rows (rows, n) count.
         kind, reason: as in `methods.Pass`.
-        gains: (n,) factors on the controller's gains.
+        gains: factors on the controllers' gains, n for each recording.
         tracking_percent: simulated against measured position, None where nothing was simulated.
         load_unknown: beta, a regular start, has nothing of the links' torque that load friction goes by.
     """
 
     beta: Array
-    Z: Array | None
-    factors: FactoredInstruments | None
-    fast: NDArray[np.bool_]
-    simulated: SimulatedMotion | None
-    reference_kind: Literal["recorded", "surrogate"]
+    Z: Array
+    system: System | None = None
+    factors: tuple[tuple[System, Array], ...] = ()
+    time_blocks: tuple[InstrumentBlocks, ...] = ()
+    fast: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
     tracking_percent: float | None
-    load_unknown: bool = False
+    load_unknown: bool
+
+    @property
+    def used(self) -> Array:
+        """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
+        return np.concatenate(self.fast).T.reshape(-1).astype(float)
+
+    def without_rows(self) -> "Instruments":
+        """The same without what is as long as a recording, but which rows count."""
+        return replace(self, Z=self.Z[:0].copy(), system=None, factors=(), time_blocks=())
 
 
-def simulate_instruments(e: Experiment, beta: Array, covariance: Array | None, counting: Counting) -> Instruments:
+def simulate_instruments(
+    e: Experiment,
+    beta: Array,
+    covariance: Array | None,
+    weights: Array,
+    kept: NDArray[np.bool_] | None = None,
+) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
-    `covariance` (b, b) is that of beta; None takes beta as it is. Nearest parameters follow the estimate smoothly, whereas the
-    estimate itself moves a light wrist wildly long before its inertia matrix is no longer positive: the iteration then has no
-    fixed point. Where the robot leaves its reference all the same, instruments are taken along the reference itself.
+    Nearest parameters follow the estimate smoothly, whereas the estimate itself moves a light wrist wildly long before its
+    inertia matrix is no longer positive: the iteration then has no fixed point. Where the robot leaves its reference all the
+    same, instruments are taken along the reference itself.
+
+    Parameters
+    ----------
+    e : the recorded experiment.
+    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta is taken as it is.
+    weights : (n,) of the joints' rows.
+    kept : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
-    gains, reason, simulated = gains_for(e, near)[0], None, None
+    gains, tracking_percent = gains_for(e, near)[0], None
+    kind: InstrumentKind = "simulated"
     try:
-        rows, followed = _collected(e, simulated_blocks(e, near), near, beta, counting)
-        simulated = followed.motion(gains)
+        found, tracking_percent = _along(e, simulated_blocks(e, near), near, beta, weights, kept)
+        reason = None
         if covariance is not None:
             reason = not_positive(direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.poses)
+        kind = "simulated" if reason is None else "consistent"
     except NotSimulatedError as why:
-        reason = str(why)
-        rows, _ = _collected(e, reference_blocks(e), near, beta, counting)
+        kind, reason = "reference", str(why)
+        found, _ = _along(e, reference_blocks(e), near, beta, weights, kept)
+    Z, fast, system, time_blocks = found
     return Instruments(
         beta=beta,
-        Z=rows.Z,
-        factors=rows.factors,
-        fast=rows.fast,
-        simulated=simulated if counting.motion and not e.long else None,
-        reference_kind=e.reference_kind,
-        kind="reference" if simulated is None else "simulated" if reason is None else "consistent",
+        Z=Z,
+        system=system,
+        factors=() if system is None else ((system, Z),),
+        time_blocks=() if time_blocks is None else (time_blocks,),
+        fast=(fast,),
+        kind=kind,
         reason=reason,
         gains=gains,
-        tracking_percent=None if simulated is None else simulated.tracking_percent,
+        tracking_percent=tracking_percent,
         load_unknown=covariance is None,
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Rows:
-    Z: Array | None
-    factors: FactoredInstruments | None
-    fast: NDArray[np.bool_]
-
-
-def _collected(
-    e: Experiment, blocks: Iterable[MotionBlock], near: Array, beta: Array, counting: Counting
-) -> tuple[_Rows, Followed]:
-    """Z about the parameters `near` (b,) along a motion, and, of a long recording, its factors with W and Y about `beta`."""
-    problem, base, n = e.problem, e.problem.base, e.problem.signals.robot.n
-    followed, directions, rows = (
-        Followed(e, keep=counting.motion and not e.long),
-        problem.model.coulomb_directions,
-        e.blocks[0].rows,
+def stack_instruments(
+    each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
+) -> Instruments:
+    """Those of recordings of these names, in the columns of all parameters, of which beta (b,) are the values."""
+    if len(each) == 1:
+        return replace(each[0], beta=beta)
+    n = each[0].fast[0].shape[1]
+    factors = tuple(pair for one in each for pair in one.factors)
+    if factors:
+        system, Z = combined(factors)
+        assert Z is not None
+    else:
+        wide = [parameters.columns(one.Z, k).reshape(n, -1, len(beta)) for k, one in enumerate(each)]
+        system, Z = None, np.concatenate(wide, axis=1).reshape(-1, len(beta))
+    return Instruments(
+        beta=beta,
+        Z=Z,
+        system=system,
+        factors=factors,
+        time_blocks=tuple(blocks for one in each for blocks in one.time_blocks),
+        fast=tuple(fast for one in each for fast in one.fast),
+        kind=min((one.kind for one in each), key=WORST_FIRST.index),
+        reason=told([one.reason for one in each], names),
+        gains=np.concatenate([one.gains for one in each]),
+        tracking_percent=worst([one.tracking_percent for one in each]),
+        load_unknown=any(one.load_unknown for one in each),
     )
-    factors, time_blocks = Factors(n, 2 * base.b + 1), InstrumentBlocks.none_yet(rows if e.long else 0, base.names)
-    Z, slip, fast = list[Array](), list[Array](), list[NDArray[np.bool_]]()
-    percent = problem.settings.low_speed.iv
-    for block in blocks:
-        at, motion = block.rows, block.motion
-        followed.add(block)
+
+
+def worst(figures: Sequence[float | None]) -> float | None:
+    """The largest, None where one of them is."""
+    known = [x for x in figures if x is not None]
+    return max(known) if len(known) == len(figures) else None
+
+
+def told(reasons: Sequence[str | None], names: Sequence[str]) -> str | None:
+    """Reasons of recordings in one line, with the recordings' names where they are several."""
+    if len(reasons) == 1:
+        return reasons[0]
+    return "; ".join(f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None) or None
+
+
+def _along(
+    e: Experiment,
+    blocks: MotionBlocks,
+    near: Array,
+    beta: Array,
+    weights: Array,
+    kept: NDArray[np.bool_] | None,
+) -> tuple[tuple[Array, NDArray[np.bool_], System | None, InstrumentBlocks | None], float]:
+    """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
+    problem, base = e.problem, e.problem.base
+    directions, percent, rows = problem.model.coulomb_directions, problem.settings.low_speed.iv, e.blocks[0].rows
+    factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
+    time_blocks = InstrumentBlocks.none_yet(rows, base.names) if e.long else None
+    error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
+    for at, motion in blocks:
+        error.add(at, motion)
         own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
         slow = _slip(e, motion.dq @ directions.T)[at.inside]
-        if not e.long:
-            Z.append(own)
+        if factors is None or time_blocks is None:
+            parts.append(own)
             slip.append(slow)
             continue
-        if counting.kept is None:  # of the peak that is known beforehand
-            counts = fast_rows(slow, counting.slip_noise, directions, percent, peak=e.fastest)
-        else:
-            counts = counting.kept[at.first : at.last]
+        known = None if kept is None else kept[at.first : at.last]
+        # The peak of the whole is known beforehand.
+        counts = fast_rows(slow, e.slip_noise, directions, percent, peak=e.fastest) if known is None else known
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
-        time_blocks.add(at.first, columns, counting.weights, counts)
+        time_blocks.add(at.first, columns, weights, counts)
         fast.append(counts)
-    if e.long:
-        system, instruments = factors.system(base.names)
-        assert instruments is not None
-        found = FactoredInstruments(system=system, Z=instruments, time_blocks=time_blocks)
-        return _Rows(Z=None, factors=found, fast=np.concatenate(fast)), followed
-    stacked = np.ascontiguousarray(np.concatenate(Z, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    if counting.kept is not None:
-        return _Rows(Z=stacked, factors=None, fast=counting.kept), followed
-    counts = fast_rows(np.concatenate(slip), counting.slip_noise, directions, percent)
-    return _Rows(Z=stacked, factors=None, fast=counts), followed
+    if factors is not None:
+        system, of_system = factors.system(base.names)
+        assert of_system is not None
+        return (of_system, np.concatenate(fast), system, time_blocks), error.percent
+    Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
+    counts = fast_rows(np.concatenate(slip), e.slip_noise, directions, percent) if kept is None else kept
+    return (Z, counts, None, None), error.percent
 
 
 def _slip(e: Experiment, u: Array) -> Array:

@@ -53,22 +53,16 @@ class Layout:
         return min(first, self.instants - 1), self.instants if at.stop == self.N else min(last, self.instants)
 
     def sampled(self, x: Array, first: int, at: slice, substeps: int) -> Array:
-        """x (rows, c), `substeps` rows to an instant from row `first` on, at samples of the instruments.
-
-        Picked, or linear in between; beyond the last row that one stands.
-        """
+        """x (rows, c), `substeps` rows to an instant from row `first` on, at samples of the instruments."""
         places = np.arange(at.start, at.stop) * (self.spacing_s * substeps / self.period_s) - first
-        picks = np.rint(places).astype(np.intp)
+        picks = np.rint(places).astype(np.intp)  # beyond the last row that one stands
         if np.abs(places - picks).max() < 1e-6:
             return x[np.minimum(picks, len(x) - 1)]
         return np.stack([np.interp(places, np.arange(len(x)), column) for column in x.T], axis=1)
 
 
 def make_layout(problem: Problem, loop: ControlLaw | None, step_hz: float) -> Layout:
-    """Instruments as coarse as `step_hz` allows at instants that the rows have too, and steps as fine as that at least.
-
-    Raises `IdentificationError` for a controller so fast, or so slow, that it cannot be that of the recording.
-    """
+    """Instruments as coarse as `step_hz` allows at instants of the rows; refuses controllers of other recordings."""
     signals, settings = problem.signals, problem.settings
     robot, fs, bandwidth_hz = signals.robot, signals.sample_rate_hz, signals.robot.bandwidth_hz
     m, used = _stride(fs, settings.decimation, step_hz), settings.stop - settings.start

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
@@ -13,7 +14,9 @@ from ..model import direct_model, inertias, nearest_consistent, not_positive
 from ..regression import Decimation, Motion, RowBlock
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
-from .experiment import Experiment
+from .experiment import Experiment, saturated_percent
+
+MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions of the instruments' samples that blocks of rows need
 
 
 class NotSimulatedError(Exception):
@@ -21,35 +24,44 @@ class NotSimulatedError(Exception):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MotionBlock:
-    """The motion of the samples of the instruments that a block of rows needs."""
+class DirectModelError:
+    """A joint of the simulated robot against the recording, in percent of its variation.
 
-    rows: RowBlock
-    motion: Motion
+    Position in percent of |q - mean|, None for a joint that is held; torque in percent of |tau|; both relative norms.
+    """
+
+    name: str
+    position_error_percent: float | None
+    torque_error_percent: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class SimulatedMotion:
-    """The robot simulated with parameters, in the whole of a recording.
+class Replica:
+    """The robot simulated with parameters in the whole of a recorded experiment, and what the experiment was.
 
     Attributes:
         motion: at the instruments' instants, of a long recording at those of the rows; None where it could not be simulated.
         q: measured positions at the same instants, and `decimation` from there to the rows.
         reason: why it could not be simulated; where there is a motion all the same, it is that of the nearest physically
             consistent parameters.
-        gains: (n,) factors on the controller.
-        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `position_percent` by joint, None for one
-            that is held. `torque_percent`: decimated torque in percent of the measured one.
+        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint, empty where nothing
+            could be simulated.
+        reference_kind: as in `Experiment`; `described` says whether the description has the control law.
+        J_known, bandwidth_hz: as in `Experiment`.
+        saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
     """
 
     motion: Motion | None
     q: Array
     decimation: Decimation
     reason: str | None
-    gains: Array
-    tracking_percent: float | None = None
-    position_percent: tuple[float | None, ...] = ()
-    torque_percent: tuple[float | None, ...] = ()
+    tracking_percent: float | None
+    direct: tuple[DirectModelError, ...]
+    reference_kind: Literal["recorded", "surrogate"]
+    described: bool
+    J_known: bool
+    bandwidth_hz: float
+    saturated_percent: float | None
 
 
 def gains_for(e: Experiment, beta: Array) -> tuple[Array, str | None]:
@@ -61,11 +73,8 @@ def gains_for(e: Experiment, beta: Array) -> tuple[Array, str | None]:
     return J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
 
 
-def simulated_blocks(e: Experiment, beta: Array) -> Iterator[MotionBlock]:
-    """The closed loop simulated with `beta` (b,), if M(q, beta) is positive on the trajectory and the loop follows.
-
-    Raises `NotSimulatedError`, maybe after some blocks.
-    """
+def simulated_blocks(e: Experiment, beta: Array) -> MotionBlocks:
+    """The closed loop simulated with `beta` (b,). Raises `NotSimulatedError`, maybe after some blocks."""
     gains, reason = gains_for(e, beta)
     if reason is not None:
         raise NotSimulatedError(reason)
@@ -84,87 +93,98 @@ def simulated_blocks(e: Experiment, beta: Array) -> Iterator[MotionBlock]:
                 raise NotSimulatedError(part.reason)
             rows, done = np.concatenate([rows, np.hstack([part.q, part.dq, part.ddq, part.tau])]), end
         x = np.ascontiguousarray(np.split(layout.sampled(rows, first, at, layout.substeps), 4, axis=1))
-        yield MotionBlock(rows=block, motion=Motion(t_s=layout.t_s(at), q=x[0], dq=x[1], ddq=x[2], tau=x[3]))
+        yield block, Motion(t_s=layout.t_s(at), q=x[0], dq=x[1], ddq=x[2], tau=x[3])
 
 
-def reference_blocks(e: Experiment) -> Iterator[MotionBlock]:
+def reference_blocks(e: Experiment) -> MotionBlocks:
     """The reference itself as the motion, without torque."""
     for block in e.blocks:
         at = e.samples(block)
         begin, end = e.layout.around(at)
         reference = e.reference(begin, end)
         q, dq, ddq = (e.layout.sampled(x, begin, at, 1) for x in (reference.q, reference.dq, reference.ddq))
-        yield MotionBlock(rows=block, motion=Motion(t_s=e.layout.t_s(at), q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q)))
+        yield block, Motion(t_s=e.layout.t_s(at), q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
 
 
-class Followed:
-    """What is kept of a motion that goes by block by block: how far it is off the measured one, and the motion itself."""
+class TrackingError:
+    """How far a motion is off the measured one, block by block."""
 
-    def __init__(self, e: Experiment, *, keep: bool = True) -> None:
-        """`keep`: the motion, of a long recording at the instants of the rows alone."""
-        self._e, self._keep = e, keep
+    def __init__(self, e: Experiment) -> None:
+        self._e = e
         self._off, self._rho, self._tau = np.zeros((3, e.problem.signals.robot.n))
-        self._kept: list[tuple[Array, ...]] = []
 
-    def add(self, block: MotionBlock) -> None:
-        """Take a block in."""
-        e, motion = self._e, block.motion
-        needed, own = e.samples(block.rows), block.rows.own_samples(e.layout.N, e.decimation.factor)
+    def add(self, block: RowBlock, motion: Motion) -> tuple[slice, Array]:
+        """Take a block in; its own samples, which no other block has, and the measured positions there."""
+        e = self._e
+        needed, own = e.samples(block), block.own_samples(e.layout.N, e.decimation.factor)
         inside, q = slice(own.start - needed.start, own.stop - needed.start), e.measured(own)
         self._off += ((motion.q[inside] - q) ** 2).sum(axis=0)
         settings, effort = e.problem.settings, e.problem.signals.effort
-        used = block.rows.samples(settings.stop - settings.start, settings.decimation)
-        measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.rows.inside]
+        used = block.samples(settings.stop - settings.start, settings.decimation)
+        measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.inside]
         let_go(effort)
-        tau = e.decimation.filtered(motion.tau.T)[:, block.rows.inside]
+        tau = e.decimation.filtered(motion.tau.T)[:, block.inside]
         self._rho, self._tau = self._rho + ((measured - tau) ** 2).sum(axis=1), self._tau + (measured**2).sum(axis=1)
-        if self._keep:
-            parts = (motion.t_s[inside], q, *(x[inside] for x in (motion.q, motion.dq, motion.ddq, motion.tau)))
-            self._kept.append(tuple(e.decimation.kept(x) for x in parts) if e.long else parts)
+        return inside, q
 
-    def motion(self, gains: Array) -> SimulatedMotion:
-        """The whole of it."""
+    @property
+    def percent(self) -> float:
+        """Positions of all joints that move, off the measured ones."""
+        moves = ~self._e.held
+        return 100.0 * float(np.sqrt(self._off[moves].sum() / self._e.scatter[moves].sum()))
+
+    @property
+    def by_joint(self) -> tuple[DirectModelError, ...]:
+        """Positions and torques, joint by joint."""
         e = self._e
-        kept, q, moves = None, np.zeros((0, len(gains))), ~e.held
-        scatter = e.scatter * moves
-        if self._kept:
-            t_s, q, *rest = (np.concatenate(x) for x in zip(*self._kept, strict=True))
-            kept = Motion(**dict(zip(("t_s", "q", "dq", "ddq", "tau"), (t_s, *rest), strict=True)))
         position, torque = (
-            tuple(100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(off, of, strict=True))
-            for off, of in ((self._off, scatter), (self._rho, self._tau))
+            [100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(off, of, strict=True)]
+            for off, of in ((self._off, e.scatter * ~e.held), (self._rho, self._tau))
         )
-        return SimulatedMotion(
-            motion=kept,
-            q=q,
-            decimation=replace(e.decimation, factor=1) if e.long else e.decimation,
-            reason=None,
-            gains=gains,
-            tracking_percent=100.0 * float(np.sqrt(self._off[moves].sum() / scatter.sum())),
-            position_percent=position,
-            torque_percent=torque,
+        return tuple(
+            DirectModelError(name=joint.name, position_error_percent=x, torque_error_percent=tau)
+            for joint, x, tau in zip(e.problem.signals.robot.joints, position, torque, strict=True)
         )
 
 
-def simulated_motion(e: Experiment, beta: Array) -> SimulatedMotion:
-    """The closed loop simulated with `beta` (b,), if it can be."""
-    followed, gains = Followed(e), gains_for(e, beta)[0]
-    try:
-        for block in simulated_blocks(e, beta):
-            followed.add(block)
-    except NotSimulatedError as why:
-        nothing = np.zeros((0, len(gains)))
-        return SimulatedMotion(motion=None, q=nothing, decimation=e.decimation, reason=str(why), gains=gains)
-    return followed.motion(gains)
+def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None) -> Replica:
+    """The closed loop simulated with `beta` (b,), if it can be.
 
-
-def simulated_robot(e: Experiment, beta: Array, covariance: Array) -> SimulatedMotion:
-    """The closed loop simulated with `beta` (b,), or else with the nearest consistent parameters; `reason` is that of beta."""
-    free = simulated_motion(e, beta)
-    if free.reason is None:
+    With a covariance (b, b) the nearest consistent parameters stand in for those that cannot; `reason` is that of beta.
+    """
+    free = _replica(e, beta)
+    if free.reason is None or covariance is None:
         return free
-    near = simulated_motion(e, nearest(e, beta, covariance))
+    near = _replica(e, nearest(e, beta, covariance))
     return free if near.motion is None else replace(near, reason=free.reason)
+
+
+def _replica(e: Experiment, beta: Array) -> Replica:
+    error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
+    try:
+        for block, x in simulated_blocks(e, beta):
+            inside, q = error.add(block, x)
+            own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
+            # Of a long recording no more is kept than the instants of the rows.
+            parts.append(tuple(map(e.decimation.kept, own)) if e.long else own)
+    except NotSimulatedError as why:
+        reason, q = str(why), np.zeros((0, e.problem.signals.robot.n))
+    else:
+        t_s, q, *rest = (np.concatenate(x) for x in zip(*parts, strict=True))
+        motion = Motion(t_s=t_s, q=rest[0], dq=rest[1], ddq=rest[2], tau=rest[3])
+    return Replica(
+        motion=motion,
+        q=q,
+        decimation=replace(e.decimation, factor=1) if e.long else e.decimation,
+        reason=reason,
+        tracking_percent=error.percent if reason is None else None,
+        direct=error.by_joint if reason is None else (),
+        reference_kind=e.reference_kind,
+        described=e.loop is not None,
+        J_known=e.J_known,
+        bandwidth_hz=e.bandwidth_hz,
+        saturated_percent=saturated_percent(e.problem),
+    )
 
 
 def nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
