@@ -364,6 +364,15 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
     assert sockets.queue_bytes(sock) == 8 * 2**20
 
 
+def test_a_group_on_loopback_sends_by_no_other_interface():
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    file = BusFile(interface="udp_multicast", channel="239.1.2.3:4321", drive=(drive,), sync_period_s=0.002)
+    with sock:
+        sockets.stay_on_loopback(SimpleNamespace(socket=sock), file)
+        assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
+
+
 # Logs
 
 

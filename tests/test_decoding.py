@@ -78,6 +78,18 @@ def test_missing_duplicate_and_short_pdos():
     assert found.warnings[0] == "2 samples are missing in 2 gaps"
 
 
+@pytest.mark.parametrize("sync_recorded", [True, False])
+def test_syncs_without_a_sample_are_counted(sync_recorded):
+    """Also beside one that was not recorded, but has its sample."""
+    intervals = session()
+    del intervals[10][1]
+    if not sync_recorded:
+        del intervals[30][0]
+    found = decoded(intervals)
+    right(found, lost=(10,))
+    assert found.counters["uncertain"] == 1
+
+
 def test_a_duplicate_after_a_missing_one_is_no_late_one():
     intervals = session()
     del intervals[10][1]
