@@ -293,11 +293,10 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
     from functools import partial
 
-    from acquisition.recorder import process
     from made_up_buses import bus_text, flat, robot_of, session
 
     from acquisition.bus import WallClock
-    from acquisition.session import Recorder
+    from acquisition.session import Recorder, process
 
     before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
