@@ -1,5 +1,7 @@
 """Frames → samples: association with SYNC under every fault, counts, times, the traffic of a third party."""
 
+import struct
+
 import numpy as np
 import pytest
 from conftest import needs_data
@@ -141,6 +143,15 @@ def test_the_reference_is_the_target_in_force_at_sync():
     assert reference[0].tolist() == found.samples["position"][0].tolist()  # no target yet
     expected = [codec.si(np.array(counts(2, k) + 3)) / 50 for k in range(1, 50)]
     assert reference[1:, 1] == pytest.approx(expected)
+
+
+def test_a_target_in_the_first_frame_of_all_is_in_force_at_the_first_sync():
+    intervals = session(targets=True)
+    early = [frame(999_000_000 + node, 0x200 + node, struct.pack("<Hi", 0x0F, 500 * node), SENT) for node in (1, 2)]
+    intervals[0][:0] = early
+    codec = BUS.drives[0].position_codec
+    expected = codec.si(np.array([500, 1000])) / 50
+    assert decoded(intervals).samples["reference"][0] == pytest.approx(expected)
 
 
 def test_a_target_is_held_until_the_next():
