@@ -265,6 +265,17 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
     run.close()
 
 
+def test_jitter_of_another_producer_that_sends_no_sync():
+    robot = robot_of(bus_text(1, extra='sync_producer = "other"'))
+    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    before_ns = run.link.now_ns()
+    with pytest.raises(AcquisitionError) as caught:
+        refuse_jitter(Master(run.link, bus_of(robot)))
+    assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
+    assert run.link.now_ns() - before_ns == 50 * 2_000_000
+    run.close()
+
+
 def test_the_largest_delay():
     assert largest_delay_s(bus_of(robot_of(bus_text(1))).file) == 0.02
     assert largest_delay_s(bus_of(robot_of(bus_text(1, period_s=0.01))).file) == pytest.approx(0.03)

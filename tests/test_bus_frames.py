@@ -18,6 +18,7 @@ from acquisition.bus import (
     kernel_drops,
     open_bus,
     read_log,
+    socket_of,
     sockets,
 )
 from acquisition.errors import AcquisitionError
@@ -362,6 +363,23 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
     sockets.enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20)]
     assert sockets.queue_bytes(sock) == 8 * 2**20
+
+
+def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sock:
+        assert socket_of(SimpleNamespace(socket=sock)) is sock
+        assert socket_of(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock))) is sock
+    assert socket_of(SimpleNamespace(socket="of another kind")) is None
+    assert socket_of(SimpleNamespace()) is None
+
+
+def test_a_group_on_loopback_sends_by_no_other_interface():
+    sock = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
+    file = BusFile(interface="udp_multicast", channel="239.1.2.3:4321", drive=(drive,), sync_period_s=0.002)
+    with sock:
+        sockets.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
+        assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
 
 
 # Logs

@@ -1,5 +1,7 @@
 """Frames → samples: association with SYNC under every fault, counts, times, the traffic of a third party."""
 
+import struct
+
 import numpy as np
 import pytest
 from conftest import needs_data
@@ -78,6 +80,18 @@ def test_missing_duplicate_and_short_pdos():
     assert found.warnings[0] == "2 samples are missing in 2 gaps"
 
 
+@pytest.mark.parametrize("sync_recorded", [True, False])
+def test_syncs_without_a_sample_are_counted(sync_recorded):
+    """Also beside one that was not recorded, but has its sample."""
+    intervals = session()
+    del intervals[10][1]
+    if not sync_recorded:
+        del intervals[30][0]
+    found = decoded(intervals)
+    right(found, lost=(10,))
+    assert found.counters["uncertain"] == 1
+
+
 def test_a_duplicate_after_a_missing_one_is_no_late_one():
     intervals = session()
     del intervals[10][1]
@@ -129,6 +143,15 @@ def test_the_reference_is_the_target_in_force_at_sync():
     assert reference[0].tolist() == found.samples["position"][0].tolist()  # no target yet
     expected = [codec.si(np.array(counts(2, k) + 3)) / 50 for k in range(1, 50)]
     assert reference[1:, 1] == pytest.approx(expected)
+
+
+def test_a_target_in_the_first_frame_of_all_is_in_force_at_the_first_sync():
+    intervals = session(targets=True)
+    early = [frame(999_000_000 + node, 0x200 + node, struct.pack("<Hi", 0x0F, 500 * node), SENT) for node in (1, 2)]
+    intervals[0][:0] = early
+    codec = BUS.drives[0].position_codec
+    expected = codec.si(np.array([500, 1000])) / 50
+    assert decoded(intervals).samples["reference"][0] == pytest.approx(expected)
 
 
 def test_a_target_is_held_until_the_next():

@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from loops import simulate
 from conftest import REPLAY
+from loops import simulate
 from made_up_buses import bus_of, bus_text, robot_of
 from scipy.interpolate import CubicSpline
 

@@ -23,7 +23,7 @@ from identification.methods import Fit, Iteration, identify_iv, identify_ls, val
 from identification.model import InverseModel, truth
 from identification.regression import Overrides, make_problem, torque_rate
 from identification.study import write_signals
-from identification.trust.columns import Lack
+from identification.trust.columns import MissingTerm
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples
@@ -249,7 +249,7 @@ def test_rates_of_torques_are_those_of_the_drives():
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
-    lack = Lack(
+    lack = MissingTerm(
         kind="offset",
         where="",
         value=1.0,

@@ -2,7 +2,7 @@
 
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.protocol import State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.robot import BusFile
-from acquisition.session import InlineLog, Stop, Task, replay
+from acquisition.session import InlineLog, Stop, Task, replay, replaying
 from acquisition.simulated import SimulatedDrives, dry_run, serve
 
 ROBOT = robot_of(bus_text(2))
@@ -142,6 +142,21 @@ def test_replay_on_a_silent_bus_sends_what_drives_sent_and_sync(tracked):
     assert [frame.can_id for frame in found] == expected["can_id"].tolist()
     assert [list(frame.data) for frame in found] == [r["data"][: r["length"]].tolist() for r in expected]
     assert count == len(found)
+
+
+def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, monkeypatch):
+    """Recordings of real drives hold times since 1970."""
+    recording = read_recording(tracked)
+    ((channel, frames),) = recording.frames.items()
+    frames = frames.copy()
+    frames["time_ns"] += 1_700_000_000_000_000_000
+    monkeypatch.setattr(replaying, "read_recording", lambda _: replace(recording, frames={channel: frames}))
+    stop = Stop()
+    timer = threading.Timer(10.0, lambda: setattr(stop, "reason", "not begun"))
+    timer.start()
+    assert replay(tracked, bus_file("replay_since_1970"), stop, speed=1000.0) > 100
+    timer.cancel()
+    assert stop.reason == ""
 
 
 @pytest.mark.parametrize("can_id", [0x701, 0x123])

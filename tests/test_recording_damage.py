@@ -293,11 +293,10 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
     from functools import partial
 
-    from acquisition.recorder import process
     from made_up_buses import bus_text, flat, robot_of, session
 
     from acquisition.bus import WallClock
-    from acquisition.session import Recorder
+    from acquisition.session import Recorder, process
 
     before_ns, further_ns = 1_800_000_000_000, 3_600_000_000_000
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
@@ -335,3 +334,40 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     for event, by in zip(recording.events, ("1.8e+03", "3.6e+03"), strict=True):
         assert event.text == f"the clock was set forward by {by} s: times go on as if it had not been"
         assert true["time_ns"][0] < event.stamp_ns <= true["time_ns"][-1]
+
+
+def test_drops_of_the_recorders_own_socket_stand_in_the_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from functools import partial
+
+    from made_up_buses import bus_text, robot_of
+
+    from acquisition.bus import WallClock
+    from acquisition.recording import FRAME
+    from acquisition.session import Recorder, process
+
+    now, messages, dropping = [0], [], object()
+
+    class Connection:
+        poll = staticmethod(lambda timeout_s: bool(messages))
+        recv = staticmethod(lambda: messages.pop(0))
+        send = staticmethod(lambda message: None)
+
+    class Receiver:
+        error, sock, stopped = None, dropping, False
+        run = staticmethod(lambda: None)
+
+        def take(self) -> Any:
+            now[0] += 600_000_000  # a status each time
+            if now[0] > 1_500_000_000:
+                messages.append(("stop", now[0]))
+            return np.zeros(0, FRAME)
+
+    monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
+    monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)
+    recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
+    process._record(Connection(), recorder, Receiver(), np.zeros(0, np.int64), None)  # type: ignore[arg-type]
+    health = read_recording(tmp_path / "a.mcap").health
+    assert len(health) > 1
+    assert {h.counters["kernel_drops"] for h in health} == {7}

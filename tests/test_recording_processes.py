@@ -338,6 +338,8 @@ def test_passive_records_another_masters_session_and_sends_nothing(folder):
         wait_for(out, lambda r: all(count(frames_of(r), can_id) >= len(said[can_id]) for can_id in said), listener)
         _, errors = end(listener, signal.SIGINT)
     assert listener.returncode == 0, errors
+    sent = (frames_of(ours)["flags"] & SENT) != 0
+    assert set(frames_of(ours)["can_id"][sent].tolist()) == {0, 0x80, 0x201, 0x202, 0x601, 0x602, 0x77F}
     passive = read_recording(out)
     assert not passive.cut
     for can_id, seen in data_by_id(passive, *said).items():

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from dry_sessions import SlowAnswers, Through
+from dry_sessions import SlowAnswers, SyncOfAnother, Through
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
@@ -199,6 +199,35 @@ def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
     steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
     assert steps.max() > 25_000_000
     assert steps.min() >= 1_000_000
+    run.close()
+
+
+def test_a_sync_of_the_stop_that_is_late_by_less_than_a_period_moves_no_later_one():
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
+
+    class Late(Through):
+        late_ns = 1_000_000
+
+        def receive(self, until_ns):
+            frame = super().receive(until_ns)
+            if frame is None and len([1 for _, can_id, _ in sent if can_id == 0x80]) == 20:  # the next SYNC is due
+                self.link._time_ns, self.late_ns = self.now_ns() + self.late_ns, 0
+            return frame
+
+    master.link = Late(link=run.link)
+    assert safe_stop(master) == []
+    steps_ms = np.diff([t for t, can_id, _ in sent if can_id == 0x80]) // 1_000_000
+    assert steps_ms[18:22].tolist() == [2, 3, 1, 2]
+    run.close()
+
+
+def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
+    run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
+    master.link = SyncOfAnother(link=run.link, next_ns=run.link.now_ns() + 2_000_000)
+    assert safe_stop(master) == []
+    words = [can_id for _, can_id, _ in sent if can_id in (0x80, 0x201)]
+    assert len(words) > 100
+    assert words[:100] == [0x201, 0x80] * 50
     run.close()
 
 

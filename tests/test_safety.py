@@ -20,7 +20,7 @@ import acquisition.simulated.lock_step as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.protocol import ObjectDictionary, State, interpolation_period, load_dictionary, write_request
+from acquisition.protocol import Mode, ObjectDictionary, State, interpolation_period, load_dictionary, write_request
 from acquisition.protocol.dictionary import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
@@ -197,6 +197,17 @@ def test_a_second_axis_is_asked_by_its_own_objects():
     mixed = bus_of(robot_of(bus_text(1, drive=axis.replace('status = "6841"', 'status = "6041"'))))
     with pytest.raises(AcquisitionError, match="expected those of one axis"):
         axis_of(mixed.drives[0])
+
+
+def test_the_mode_of_a_second_axis_is_set_and_shown_by_its_own_objects(monkeypatch):
+    """Its period 60C2h, 6060h and 6061h are 800h higher, as all objects of CiA 402."""
+    axis = 'control = "6840"\nstatus = "6841"\nobjects = { "6840" = "U16", "6841" = "U16" }'
+    written, read = [], []
+    monkeypatch.setattr(Master, "write", lambda self, node, index, sub, *_: written.append((index, sub)))
+    monkeypatch.setattr(Master, "read", lambda self, node, index: read.append(index) or 8)
+    Master(Asked(), bus_of(robot_of(bus_text(1, drive=axis)))).choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
+    assert written == [(0x68C2, 1), (0x68C2, 2), (0x6860, 0)]
+    assert read == [0x6861]
 
 
 @dataclass(kw_only=True)
