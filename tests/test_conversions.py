@@ -320,8 +320,7 @@ def test_what_goes_block_by_block_is_the_same(tmp_path, monkeypatch, capsys):
     export_bag(tmp_path / "b.mcap", tmp_path / "bag")
     overview = told(capsys, "info", tmp_path / "b.mcap")
     for name in ("rows._CHECKED", "decoding._AT_ONCE", "traffic._AT_ONCE"):
-        room = "recording" if name.startswith("rows") else "recorder"
-        monkeypatch.setattr(f"acquisition.{room}.{name}", 70 if name.startswith("traffic") else 7)
+        monkeypatch.setattr(f"acquisition.recording.{name}", 70 if name.startswith("traffic") else 7)
     assert told(capsys, "info", tmp_path / "b.mcap") == overview
     decode_recording(tmp_path / "a.mcap", tmp_path / "c.mcap", None, "x")
     assert (
