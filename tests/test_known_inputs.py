@@ -5,6 +5,7 @@ EMPS-like records of the independent simulator: pulses are added to the controll
 
 from dataclasses import dataclass, replace
 from functools import cache
+from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -23,7 +24,7 @@ from identification.methods import Fit, Iteration, identify_iv, identify_ls, val
 from identification.model import InverseModel, truth
 from identification.regression import Overrides, make_problem, torque_rate
 from identification.study import write_signals
-from identification.trust.columns import MissingTerm
+from identification.trust.columns import SPRING, MissingTerm
 
 STIFFNESS, AT_REST = 900.0, 0.03  # N/m, and where the spring gives nothing, m
 PULSE_V, EVERY, WIDTH = 2.0, 700, 60  # and samples
@@ -249,20 +250,13 @@ def test_rates_of_torques_are_those_of_the_drives():
 
 
 def test_a_spring_has_to_take_more_than_other_terms():
-    lack = MissingTerm(
-        kind="offset",
-        where="",
-        value=1.0,
-        unit="N",
-        t=6.0,
-        taken_percent=5.0,
-        together_percent=5.0,
-        moves=0.0,
-        advice="",
-    )
-    assert lack.found
-    assert not replace(lack, kind="spring").found
-    assert replace(lack, kind="spring", taken_percent=11.0).found
+    def found(kind, taken_percent):
+        numbers = {"value": 1.0, "t": 6.0, "taken_percent": taken_percent, "together_percent": 5.0, "moves": 0.0}
+        return MissingTerm(column=SimpleNamespace(kind=kind), **numbers).found
+
+    assert found("offset", 5.0)
+    assert not found(SPRING, 5.0)
+    assert found(SPRING, 11.0)
 
 
 @cache
