@@ -255,6 +255,7 @@ def test_ctrl_c_is_one_line_and_status_130(
     assert sorted(folder.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_a_reader_that_goes_away_and_a_terminal_without_unicode(tmp_path: Path) -> None:
     write(tmp_path / "a.mcap", robot_named("scara"))
     command = [sys.executable, "-m", "acquisition", "info", str(tmp_path / "a.mcap"), "--json"]

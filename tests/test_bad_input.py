@@ -126,6 +126,7 @@ def test_a_full_standard_output_is_one_line(robot_file):
     assert done.stderr == "robot-identify: standard output: cannot be written: No space left on device\n"
 
 
+@pytest.mark.slow
 def test_a_start_of_huge_values_is_told_and_written(capsys, tmp_path):
     fit, out = tmp_path / "fit.json", tmp_path / "iv.json"
     assert run(capsys, "fit", SESSION, "--json", fit)[0] == 0
@@ -174,6 +175,7 @@ def test_a_fixed_joint_needs_none(kind):
     assert inertia == pytest.approx(np.array([[1.0 + 2.0 + 3.0 * 0.5**2, 2.0], [2.0, 2.0]]), abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_bandwidth_that_is_wrong_is_not_told_as_a_foreign_reference():
     """The reference is compared with the position as it was measured, not as the stated bandwidth lets it through."""
     robot = robot_named("scara")

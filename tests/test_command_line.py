@@ -64,6 +64,7 @@ def test_a_reader_that_is_gone_before_the_first_line_costs_nothing(
     assert all((tmp_path / name).stat().st_size > 100 for name in files)
 
 
+@pytest.mark.slow
 def test_head_loses_nothing(tmp_path):
     done = in_shell(f"ID fit {SESSION} --json j --rrd r | head -1", tmp_path)
     assert (done.returncode, done.stderr, done.stdout.count("\n")) == (0, "", 1)
@@ -79,6 +80,7 @@ def test_a_full_disk_under_standard_output_is_told_after_the_files_are_written(t
     assert (tmp_path / "j").stat().st_size > 100
 
 
+@pytest.mark.slow
 def test_closed_streams_are_as_good_as_none(tmp_path):
     """The number of a closed stream is not given to the next file: what is printed would stand in it."""
     write(tmp_path / "a.mcap", load_robot(SCARA))
@@ -100,6 +102,7 @@ def test_closed_streams_are_as_good_as_none(tmp_path):
         assert in_shell("ACQ info none.mcap 2>/dev/full", tmp_path).returncode == 1
 
 
+@pytest.mark.slow
 def test_a_fault_is_told_though_nobody_reads_the_findings(tmp_path):
     """`check | head -1` on a bus on which no drive answers: no go is status 1 however little of it is read."""
     text = (REPLAY / "scara" / "robot.toml").read_text()

@@ -39,6 +39,7 @@ def consistent(tx40):
     return with_consistent(ls_of(tx40), Prior())
 
 
+@pytest.mark.slow
 def test_the_real_arm_becomes_a_physical_one(consistent):
     """Every pseudo-inertia and every own rotor inertia and friction positive; the torque error hardly larger."""
     c, problem = consistent.consistent, consistent.problem
@@ -125,6 +126,7 @@ def observed(consistent):
     return regression_of_recording(consistent.problem)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("expected", ["described", "plausible"])
 def test_held_out_torque_is_predicted_no_worse(consistent, observed, expected):
     """Halves both ways and fifths of the real record, each fitted alone and tried on all the rest."""
@@ -190,6 +192,7 @@ def sdp(beta, covariance, K, physical, gamma, near):
     return solved.obj_val + half, solved.obj_val_dual + half
 
 
+@pytest.mark.slow
 def test_without_its_barrier_the_optimum_is_that_of_an_sdp():
     """With gamma 1e-8 within gamma (4 n + number of x_i), of an arm whose own parameters no robot has."""
     idm, K, chi, _ = described_tx40()
@@ -305,6 +308,7 @@ def test_a_urdf_says_what_the_links_of_a_robot_of_dh_rows_are():
     assert (caught.value.place, caught.value.key, caught.value.value) == ("prior cad.urdf", "joint", "b")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("values", "told"),
     [
@@ -401,6 +405,7 @@ def test_a_fit_in_amperes_is_refused(tmp_path, capsys):
     assert "motor[0].drive_gain is missing" in err
 
 
+@pytest.mark.slow
 def test_validate_judges_the_consistent_set_beside_the_fit(tmp_path, capsys):
     session, out, free = REPLAY / "scara" / "session.mcap", tmp_path / "fit.json", tmp_path / "free.json"
     assert main(["fit", str(session), "--consistent", "--json", str(out)]) == 0

@@ -94,6 +94,7 @@ def disabled_by_the_recorder(recording: Recording) -> bool:
     return confirmed and all(states(recording, k)[-1][1] is State.SWITCH_ON_DISABLED for k in (1, 2))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
 def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
     out = folder / "log.mcap"
@@ -123,6 +124,7 @@ def test_drives_without_supervision_of_their_own_are_stopped(folder, number):
     assert len(recording.samples) > 0
 
 
+@pytest.mark.slow
 def test_drives_left_enabled_are_disabled_by_command(folder):
     with drives(folder, "--unsupervised"):
         link = open_link(bus_at(folder), passive=False)
@@ -151,6 +153,7 @@ def test_drives_left_enabled_are_disabled_by_command(folder):
             link.close()
 
 
+@pytest.mark.slow
 def test_disable_says_first_who_did_not_confirm(folder):
     done = acquire(folder, "disable", str(folder / "robot.toml"))
     output, errors = done.communicate(timeout=60)
@@ -164,6 +167,7 @@ def test_disable_says_first_who_did_not_confirm(folder):
     assert "cannot be opened" in errors.splitlines()[1]
 
 
+@pytest.mark.slow
 def test_a_dead_man_acts_only_when_armed_and_not_ended():
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
@@ -255,6 +259,7 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     run.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["silent", "emergency"])
 def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     """Where a drive does not confirm, the session shows that it runs while it awaits answers; the others raise no 8130h."""
@@ -271,6 +276,7 @@ def test_a_fault_of_slow_drives_is_no_death_either(tmp_path, kind):
     assert len(session.outcome.reports) == (kind == "emergency")
 
 
+@pytest.mark.slow
 def test_six_slow_drives_over_processes(folder, monkeypatch):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)  # this machine may be busy
     channel = bus_at(folder).channel
@@ -316,6 +322,7 @@ def test_silence_is_longer_than_a_few_periods():
     assert silence_s(bus_of(robot_of(bus_text(2, period_s=0.2))).file) == pytest.approx(0.6)
 
 
+@pytest.mark.slow
 def test_a_third_party_drive_is_stopped(folder, npm):
     """It knows no quick stop and goes on moving, so voltage goes off; it says so itself."""
     if not THIRD_PARTY_DRIVE.exists():

@@ -185,6 +185,7 @@ def dry_tx40(tmp_path_factory):
     return robot, out
 
 
+@pytest.mark.slow
 def test_a_dry_run_of_the_arm_without_noise_gives_its_parameters(dry_tx40):
     """Rows faster than a fifth of the peak: nearer to a reversal joints stick, which no model of the fit has."""
     robot, out = dry_tx40

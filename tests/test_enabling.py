@@ -41,6 +41,7 @@ def phase_of(session: DrySession, name: str) -> np.ndarray:
     return samples[(samples["stamp_ns"] >= at) & (samples["stamp_ns"] < then)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 2.0])
 def test_an_arm_under_half_load_is_held_where_it_stood(tmp_path, late_s):
     late = [Fault(kind="slow", node=2, sync=1, count=round(late_s / 0.002))] if late_s else []

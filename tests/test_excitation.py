@@ -95,6 +95,7 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
     assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == SERIES.K  # nothing is left out twice
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("robot", [SCARA, TX40, ASYMMETRIC], ids=["scara", "tx40", "asymmetric"])
 def test_the_gradient_is_that_of_differences(robot):
     """Central differences in random directions, and along single coefficients, to 1e-6 of the largest component."""

@@ -95,6 +95,7 @@ def written(fleet, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_a_row_is_the_fit_of_its_recording(written):
     """The table has what `identify` gives, in the order of the dates, not of the names."""
     table = pyarrow.parquet.read_table(written / "fleet.parquet")
@@ -137,6 +138,7 @@ def test_what_failed_is_a_row_with_its_reason(written):
     assert all(row["sha256"] == copies[0]["sha256"] for row in copies)
 
 
+@pytest.mark.slow
 def test_the_picture_has_the_values_and_their_limits(written, fleet, tmp_path):
     file = Written(written / "fleet.rrd")
     assert file.is_complete()
@@ -372,6 +374,7 @@ def test_charts_are_of_one_folder_and_robot_and_of_fits_that_may_be_used():
     assert found["R, b"].charts[0].limits is None
 
 
+@pytest.mark.slow
 def test_the_command_by_iv_with_its_report(tmp_path, capsys):
     (tmp_path / "arm").mkdir()
     shutil.copy(REPLAY / "scara" / "session.mcap", tmp_path / "arm" / "session.mcap")

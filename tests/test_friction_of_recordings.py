@@ -188,6 +188,7 @@ class Sheet:
         return np.stack([np.interp(xy[:, 0], self._x, self._v), np.interp(-xy[:, 1], -np.array(self._y), self._torque)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [1, 3])
 def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, count):
     files = []

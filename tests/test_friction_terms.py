@@ -229,6 +229,7 @@ def exact(arm):
     return exact_problem(arm, periodic_reference(arm, duration_s=3.0, seed=5).at(t))
 
 
+@pytest.mark.slow
 def test_exact_motion_gives_every_term_back(exact):
     problem, known = exact
     settled = settled_least_squares(Linearised.of_one(problem, regression_of_recording(problem)))
@@ -483,6 +484,7 @@ NONE, ROOT, LOAD = frozenset(), frozenset({"root"}), frozenset({"load"})
 WITHOUT_LAG = Overrides(torque_lag_s="none")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(4))
 def test_the_terms_that_a_robot_has_are_recommended(seed):
     usual = ["viscous", "coulomb"]
@@ -517,6 +519,7 @@ def test_held_out_errors_are_those_of_fits_of_the_other_rows():
         assert trial.held_out_percents[k] == pytest.approx(error, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_iv_settles_on_a_robot_with_these_terms_and_holds_the_truth():
     robot = described("scara", [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]],
                       "Fr1 = 0.6\nmu1 = 0.3\nmu2 = 0.3\n")  # fmt: skip
@@ -548,6 +551,7 @@ def simulated(robot, *seeds: int):
 LINEAR = [["viscous", "coulomb", "offset", "asymmetric", "root"], ["viscous", "coulomb"]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("own", ["", 'own = ["Off"]'])
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_terms_of_several_recordings_hold_the_truth(method, own):
@@ -593,6 +597,7 @@ def test_friction_of_its_own_is_judged_in_its_own_recording():
     assert fit.trust.line("physical").level == "ok", fit.trust.line("physical").text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_terms_that_several_recordings_cannot_tell_are_left_out_of_all(method, tmp_path):
     """Stribeck friction at a speed far beyond the motion is Coulomb friction; tasks in other processes know it too."""
@@ -672,6 +677,7 @@ def splits(signals, terms):
     return Trials(linearised, fifths).held_out_percents(terms, [*halves, *fifths]).mean()
 
 
+@pytest.mark.slow
 def test_the_real_tx40_needs_root_friction_and_load_friction_of_joint_3(tx40):
     signals = signals_of(tx40)
     choice = choose_terms(signals, Overrides())

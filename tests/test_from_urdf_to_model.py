@@ -68,6 +68,7 @@ def relative(error, of):
     return np.linalg.norm(error, axis=0) / np.linalg.norm(of, axis=0)
 
 
+@pytest.mark.slow
 def test_the_exported_description_moves_as_the_robot_that_was_recorded(loop):
     robot, exported = load_robot(loop / "robot.toml"), load_robot(loop / "out.toml")
     assert [joint.name for joint in exported.joints] == [joint.name for joint in robot.joints]
@@ -94,6 +95,7 @@ def test_the_exported_urdf_has_the_rigid_body_of_the_robot(loop):
     assert relative(tau - true, true).max() < 0.05
 
 
+@pytest.mark.slow
 def test_the_exported_description_is_simulated_and_studied(loop, monkeypatch, capsys):
     monkeypatch.chdir(loop)
     short = ["--duration-s", "2", "--rate-hz", "500"]

@@ -80,6 +80,7 @@ def use_map(text: str) -> None:
         parse_toml(text.encode("utf-8", "surrogatepass"), TableMap, "map.toml")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", [use_robot, use_map])
 @FUZZ
 @given(text=changed_toml())
@@ -119,6 +120,7 @@ def as_toml(value: object) -> str:
     return "[]" if value is None else str(value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("use", [use_robot, use_map])
 @FUZZ
 @given(tree=st.dictionaries(st.sampled_from(NAMES), TREES, max_size=8))

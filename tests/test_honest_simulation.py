@@ -55,6 +55,7 @@ def apart(one, other) -> float:
     return max(float((np.std(a - b, axis=0) / np.std(a, axis=0)).max()) for a, b in pairs)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_motion_and_torque_are_those_of_the_other_simulator(name):
     """The command of its tick; the mean over two periods is half a sample late of it."""
@@ -65,6 +66,7 @@ def test_motion_and_torque_are_those_of_the_other_simulator(name):
     np.testing.assert_allclose(mean[1:], 0.5 * (tick[1:] + tick[:-1]), atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_friction_that_nobody_described(name):
     """As in the other simulator, and seen: left out, the difference is several times as large."""
@@ -79,6 +81,7 @@ def test_friction_that_nobody_described(name):
         assert found < share * apart(expected, plain), own
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("own", "theirs"),

@@ -24,6 +24,7 @@ def fit():
     return fit_by_default(replace(sound("emps", np.random.default_rng(1)), duration_s=4.0).recording(1))
 
 
+@pytest.mark.slow
 def test_kinds_are_named_by_tests_that_there_are(fit):
     named = {test for kind in KINDS.values() for test, _ in kind.named} - {
         "rows"

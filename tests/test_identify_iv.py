@@ -37,6 +37,7 @@ def scaled(values: dict[str, float]) -> Iteration:
 # Real recordings
 
 
+@pytest.mark.slow
 def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     starts = (scaled({"M1": 1.0}), scaled({"M1": 1000.0}), Iteration(start="ls"))
     fits = [*(identify_iv(signals_of(emps), Overrides(), iteration) for iteration in starts), iv_of(emps)]
@@ -49,12 +50,14 @@ def test_emps_converges_from_anywhere_to_the_same_answer(emps):
     assert (half < [0.6, 20, 1.5, 0.7]).all()
 
 
+@pytest.mark.slow
 def test_emps_without_a_filter_gives_the_same(emps):
     raw = identify_iv(signals_of(emps), RAW, Iteration())
     assert raw.status == "converged"
     np.testing.assert_allclose(raw.beta, iv_of(emps).beta, rtol=3e-3)
 
 
+@pytest.mark.slow
 def test_tx40_converges_in_three_passes_as_in_the_paper(tx40):
     fit, ls = iv_of(tx40), ls_of(tx40)
     assert (fit.status, len(fit.beta)) == ("converged", 60)
@@ -80,6 +83,7 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
     assert not np.array_equal(fit.iv.simulated.q, updated.iv.simulated.q)
 
 
+@pytest.mark.slow
 def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypatch):
     """All rows are used: which of them are slow turns on single samples, with either rate."""
     signals = signals_of(tx40)
@@ -102,6 +106,7 @@ def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
     return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), truth(dynamics, base_parameters(dynamics))
 
 
+@pytest.mark.slow
 def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
     signals, true = tx40_signals(Noise(encoder_step=1e-5, position=1.7e-5, effort_percent=3.0))
     fit = identify_iv(signals, RAW, Iteration())
@@ -113,6 +118,7 @@ def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
     assert error_percent(fit.beta, true) < 0.5 * error_percent(ls.beta, true)
 
 
+@pytest.mark.slow
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     robot = robot_named("scara")
     dynamics = InverseModel(robot)
@@ -146,6 +152,7 @@ def emps_like(position_noise: float, seed: int) -> Signals:
     return dataclasses.replace(exact, q=exact.q + noise)
 
 
+@pytest.mark.slow
 def test_noise_that_biases_least_squares_does_not_bias_instruments():
     """Figures measured before on this axis: 2 µm, neither filtered nor decimated: M by LS -81 %, by IV +0.3 %; 20 µm at the
     tuned filter: LS -17 %, IV +0.6 %."""
@@ -160,6 +167,7 @@ def test_noise_that_biases_least_squares_does_not_bias_instruments():
         assert abs(100 * (iv.beta[0] / true - 1)) < 1.0
 
 
+@pytest.mark.slow
 def test_low_speed_rows_bias_friction_unless_left_out():
     """20 µm of noise, no filter: with all rows Fv is 20 to 30 % low and Fc as much high; without slow rows neither is."""
     bias = {0.0: [], None: []}
@@ -183,6 +191,7 @@ def with_torque_of_the_wrong_sign() -> Fit:
     return identify_iv(dataclasses.replace(signals, effort=-signals.effort), Overrides(), Iteration())
 
 
+@pytest.mark.slow
 def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_not_called_so():
     signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = InverseModel(signals.robot)
@@ -195,6 +204,7 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     assert all(p.z.kind != "simulated" or p.z.reason is None for p in wrong.iv.passes)
 
 
+@pytest.mark.slow
 def test_too_few_passes_are_called_what_they_are():
     signals = signals_of(SCARA)
     fit = identify_iv(signals, Overrides(), Iteration(max_iterations=1))
@@ -266,6 +276,7 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
     assert (fit.iv.passes[0].z.gains >= 1 / J - 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_saturated_drive_is_reported(emps):
     signals = signals_of(emps)
     motor = msgspec.structs.replace(signals.robot.motors[0], saturation=2.0)
@@ -285,6 +296,7 @@ def refused(capsys, *arguments) -> str:
     return err
 
 
+@pytest.mark.slow
 def test_command_line(capsys, tmp_path):
     session, out = SCARA, tmp_path / "iv.json"
     assert main(["fit", str(session), "--method", "iv", "--json", str(out)]) == 0
@@ -320,6 +332,7 @@ def test_gains_of_the_wrong_length_or_sign_are_refused(capsys, tmp_path):
         assert message in refused(capsys, "fit", session, "--method", "iv", "--robot", robot)
 
 
+@pytest.mark.slow
 def test_study_reports_both_methods(capsys, tmp_path):
     out = tmp_path / "study.json"
     noise = ["--encoder-step", "2e-5", "--effort-noise-percent", "2"]
@@ -359,6 +372,7 @@ def test_study_reports_both_methods(capsys, tmp_path):
         assert run["error_iv"] <= 5 * run["error_tuned_ls"]
 
 
+@pytest.mark.slow
 def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
     out, drawing = tmp_path / "study.json", tmp_path / "s.rrd"
     command = ["study", str(REPLAY / "scara" / "robot.toml"), "--runs", "2", "--duration-s", "2", "--json", str(out)]

@@ -135,6 +135,7 @@ def integrated(body, runs: Runs, ticks: int, delay_s: float = 0.0) -> np.ndarray
     return state
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "closest"), [("emps", 1e-7), ("scara", 1e-6), ("tx40", 1e-5)])
 def test_steps_are_those_of_an_integrator_of_variable_step(name, closest):
     """The commands of a noisy run, once more through DOP853, friction included."""
@@ -200,6 +201,7 @@ def test_the_axis_is_driven_by_the_law_of_its_authors():
     np.testing.assert_allclose(runs.effort[:, 2:, 0], 35.15065188 * np.clip(volts, -3.0, 3.0), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_an_integral_carries_the_arm_and_starts_in_balance():
     body = plant(toml("tx40"))
     pd = designed_pd(body, 10.0, 1000.0)
@@ -217,6 +219,7 @@ def test_an_integral_carries_the_arm_and_starts_in_balance():
         np.testing.assert_allclose(simulate(body, controller, still, NOTHING).q_true, still.q, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_imperfections_are_what_they_are_called():
     plain, late = short_run("scara"), short_run("scara", Imperfections(lag=3))
     np.testing.assert_array_equal(late.effort[:, 3:], plain.effort[:, :-3])
@@ -267,6 +270,7 @@ def test_rows_are_lost_and_rates_are_said():
     assert fast.q is signals.q
 
 
+@pytest.mark.slow
 def test_coloured_encoder_noise_is_fed_back():
     cell = Imperfections(encoder_noise=2e-5, encoder_correlation=0.9)
     runs, duration_s = short_run("emps", cell, duration_s=2.0), 2.0
@@ -308,6 +312,7 @@ def test_cogging_has_a_potential():
     assert np.ptp(energy) < 1e-3 * np.ptp(kinetic)
 
 
+@pytest.mark.slow
 def test_a_payload_is_a_point_mass():
     """The inertia matrix grows by m JᵀJ, J that of the point; gravity by m g at it. From the middle of a run on it is there."""
     before = plant(toml("tx40"))

@@ -168,6 +168,7 @@ def test_what_is_missing_is_named_with_its_joint_and_option(here, capsys, comman
     assert error.startswith(f"arm.urdf: joint {joint}: {key} is missing: expected {option}")
 
 
+@pytest.mark.slow
 def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
     """No range of 1 rad: a continuous joint, one without <limit>, one whose limits are equal."""
     for turn in ("continuous", "revolute"):

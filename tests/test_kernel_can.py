@@ -24,6 +24,7 @@ done
 """
 
 
+@pytest.mark.slow
 def test_a_session_over_the_kernels_can(tmp_path: Path) -> None:
     if not UML.exists() or shutil.which("linux.uml") is None:
         pytest.skip(

@@ -59,6 +59,7 @@ def known(signals: Signals, option: float | str | None = None) -> tuple[float, f
     return found.value_s, found.sd_s, found.source
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 1, 3])
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_lag_is_found_corrected_and_counted(name, lag):
@@ -77,6 +78,7 @@ def test_the_lag_is_found_corrected_and_counted(name, lag):
     assert "corrected, counted in the intervals" in told.text
 
 
+@pytest.mark.slow
 def test_what_a_lag_moves_is_the_difference_of_two_fits():
     signals = recorded("scara")
     fits = [fitted(signals, method="wls", torque_lag_s=lag_s) for lag_s in (-1e-4, 1e-4)]
@@ -86,6 +88,7 @@ def test_what_a_lag_moves_is_the_difference_of_two_fits():
     np.testing.assert_array_less(1e-3 * np.abs(lag.moved / lag.sd_s - moves), np.maximum(0.2 * half, 2e-5 * moves))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lag", [0, 1])
 def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
     (found,) = fitted(recorded("emps", lag=lag, noise=2e-5)).lags
@@ -93,11 +96,13 @@ def test_noise_that_is_fed_back_does_not_pass_for_a_lag(lag):
     assert 1e3 * found.half_width_s < 0.8
 
 
+@pytest.mark.slow
 def test_friction_that_the_model_lacks_does_not_pass_for_a_lag():
     (found,) = fitted(recorded("emps", stribeck=0.5)).lags
     assert 1e3 * found.value_s == pytest.approx(-0.5, abs=1.5e3 * found.half_width_s)
 
 
+@pytest.mark.slow
 def test_data_that_contradict_what_is_known_count_alone():
     """A torque two samples late that is said to be a mean, without a controller to replay."""
     signals = replace(recorded("scara", lag=2), effort_timing="mean")
@@ -134,6 +139,7 @@ def test_without_a_reference_the_lag_is_not_found_but_counted():
     assert identify(bare, Overrides(), method="iv").lags[0].found is None
 
 
+@pytest.mark.slow
 def test_the_delay_behind_the_command_and_a_torque_before_it():
     signals = recorded("scara")
     assert fitted(signals).lags[0].delay_s == pytest.approx((0.0, 0.0), abs=2.5e-4)
@@ -145,6 +151,7 @@ def test_the_delay_behind_the_command_and_a_torque_before_it():
     assert lag_test(early).level == "caution"
 
 
+@pytest.mark.slow
 def test_recordings_alike_have_one_lag_and_others_their_own():
     first, second = recorded("scara"), recorded("scara", lag=2)
     first = replace(first, recording="A", sha256="a")
@@ -179,6 +186,7 @@ def test_what_is_known_of_a_lag(timing, rate_hz, stated, option, expected):
     assert known(replace(signals, robot=replace(signals.robot, identification=own)), option) == expected
 
 
+@pytest.mark.slow
 def test_a_replay_tells_the_lag_of_a_command():
     signals = recorded("emps", lag=3, noise=2e-5)
     (group,) = known_lags(observe_all(signals, Overrides(), lambda text: None))
@@ -220,6 +228,7 @@ def replayed(signals: Signals) -> TrustLine:
     return line(fitted(signals, method="wls"), "replay")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["emps", "scara"])
 def test_the_right_controller_is_confirmed_and_faults_are_named(name):
     signals = recorded(name)
@@ -246,6 +255,7 @@ def test_a_rate_one_percent_wrong_shows_where_a_speed_is_fed_back():
     assert found.level == "caution"
 
 
+@pytest.mark.slow
 def test_an_integral_is_replayed_and_missed_where_it_is_not_described():
     toml = REPLAY / "scara" / "robot.toml"
     body = plant(toml, smooth=0.002)
@@ -295,6 +305,7 @@ def test_a_replay_that_cannot_be_made_says_why_and_the_law_is_assumed():
     assert "describes no control law" in law.why
 
 
+@pytest.mark.slow
 def test_the_real_emps(emps):
     """Controller confirmed. The volts are 0.75 to 0.8 ms early: half a period of hold, and 0.25 ms of the amplifier."""
     fit = identify(load_signals(emps), Overrides())

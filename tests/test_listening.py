@@ -159,6 +159,7 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     assert stop.reason == ""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("can_id", [0x701, 0x123])
 def test_replay_stops_at_the_first_stranger(tracked, can_id):
     """Drives that are switched on while it sends, or anybody else."""

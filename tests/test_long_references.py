@@ -45,6 +45,7 @@ def test_whole_periods_of_about_the_length_asked_for():
     np.testing.assert_allclose(q[:1001], q[2000:], atol=1e-12)
 
 
+@pytest.mark.slow
 def test_five_minutes_by_iv_converge():
     """One period as long as the recording: `diverged`."""
     robot = robot_named("scara")

@@ -18,6 +18,7 @@ from identification.model import InverseModel
 from identification.model.base import known_parameters
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["tx40", "scara"])
 def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     place = REPLAY / name / "robot.toml"

@@ -54,6 +54,7 @@ def masked(line):
     return re.sub(number, "x", line), [float(x) for x in re.findall(number, line)]
 
 
+@pytest.mark.slow
 def test_commands_without_hardware_run_as_they_stand(tmp_path, monkeypatch, capsys):
     for name in ("log.mcap", "other.mcap"):
         shutil.copy(REPLAY / "tx40" / "session.mcap", tmp_path / name)

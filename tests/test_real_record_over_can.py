@@ -58,6 +58,7 @@ def over_can(tx40_at_500_hz: Path, tmp_path_factory: pytest.TempPathFactory) -> 
     return path
 
 
+@pytest.mark.slow
 def test_six_drives_at_500_hz_give_the_table_back(tx40_at_500_hz, over_can):
     table, recording = read_recording(tx40_at_500_hz).samples, read_recording(over_can)
     samples, robot = recording.samples[: len(table)], recording.robot

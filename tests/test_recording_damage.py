@@ -21,6 +21,7 @@ from acquisition.recording import read_recording, recover
 from acquisition.robot import Robot
 
 
+@pytest.mark.slow
 def test_a_cut_at_any_byte_leaves_a_prefix_or_one_line(whole: Path, tmp_path: Path) -> None:
     data, full = whole.read_bytes(), read_recording(whole)
     rng = np.random.default_rng(2)
@@ -77,6 +78,7 @@ time.sleep(60)
     assert recording.samples.tobytes() == some_samples(1000)[:500].tobytes()
 
 
+@pytest.mark.slow
 def test_a_flipped_bit_is_an_error_or_changes_nothing(whole: Path, tmp_path: Path) -> None:
     data, full = bytearray(whole.read_bytes()), read_recording(whole)
     rng = np.random.default_rng(3)

@@ -225,6 +225,7 @@ def texts(recording: Recording, kind: str) -> list[str]:
     return [event.text for event in recording.events if event.kind == kind]
 
 
+@pytest.mark.slow
 def test_simulate_check_record(folder):
     out = folder / "log.mcap"
     with drives(folder):
@@ -251,6 +252,7 @@ def test_simulate_check_record(folder):
     assert recording.health[-2].counters["kernel_drops"] == 0
 
 
+@pytest.mark.slow
 def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder), tracking(folder, out) as session:
@@ -274,6 +276,7 @@ def test_a_killed_recorder_leaves_all_but_the_last_second_and_stops_the_session(
     assert "reference" in samples.dtype.names
 
 
+@pytest.mark.slow
 def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder):
     """No process is left that could stop them: SYNC is lost while they are enabled."""
     out = folder / "log.mcap"
@@ -285,6 +288,7 @@ def test_drives_whose_session_and_recorder_are_killed_stop_by_themselves(folder)
     assert read_recording(out).cut
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_session_in_order(folder, number):
     out = folder / "log.mcap"
@@ -300,6 +304,7 @@ def test_signals_end_a_session_in_order(folder, number):
     assert texts(recording, "phase")[-3:] == ["track", "stop", "disable"]
 
 
+@pytest.mark.slow
 def test_a_file_that_cannot_grow_stops_the_session(folder):
     out = folder / "log.mcap"
     with drives(folder):
@@ -314,6 +319,7 @@ def test_a_file_that_cannot_grow_stops_the_session(folder):
     assert syncs_tracked(recording) > 0
 
 
+@pytest.mark.slow
 def test_passive_records_another_masters_session_and_sends_nothing(folder):
     """The master is our own active session; its targets are the reference.
 
@@ -369,6 +375,7 @@ def test_a_receiver_that_is_told_to_stop_takes_what_has_arrived(folder):
         sender.close()
 
 
+@pytest.mark.slow
 def test_a_recording_is_replayed_with_its_timing(folder):
     out, again = folder / "log.mcap", folder / "again.mcap"
     assert acquire(
@@ -396,6 +403,7 @@ def test_a_recording_is_replayed_with_its_timing(folder):
     assert np.median(spans[0] / spans[1]) == pytest.approx(1.5, rel=0.05)
 
 
+@pytest.mark.slow
 def test_known_errors_are_one_line(folder):
     robot = str(folder / "robot.toml")
     (folder / "there.mcap").write_bytes(b"x")

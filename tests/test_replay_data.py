@@ -14,6 +14,7 @@ from identification.data import load_signals
 from identification.model import InverseModel, base_parameters, truth
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "count"), [("scara", 8), ("emps", 4), ("tx40", 60)])
 def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     folder = REPLAY / name
@@ -55,6 +56,7 @@ def compare_with_readme(out: str) -> None:
         assert a[3] == pytest.approx(b[3], rel=0.05, abs=0.011)  # printed to two decimals
 
 
+@pytest.mark.slow
 def test_demo_goes_from_the_bus_to_the_picture(capsys, tmp_path):
     """Six simulated drives on a bus, recorded, identified by both methods, compared with the truth."""
     assert main(["demo", "--out", str(tmp_path / "out")]) == 0
@@ -99,6 +101,7 @@ def rounded(files: dict[str, bytes]) -> dict[str, str]:
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["scara", "emps"])
 def test_shipped_sessions_are_those_that_their_readmes_make(name, tmp_path):
     made = tmp_path / "session.mcap"

@@ -252,6 +252,7 @@ def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():
     assert master.nodes[0].silent_syncs == 3
 
 
+@pytest.mark.slow
 def test_a_slow_stop_keeps_to_the_acceleration_limit(tmp_path):
     limit = np.radians(60)
     robot = robot_of(bus_text(1).replace("acceleration_deg_s2 = 4000", "acceleration_deg_s2 = 60"))
@@ -418,6 +419,7 @@ def test_a_hangup_that_is_ignored_stays_so():
         signal.signal(signal.SIGHUP, before)
 
 
+@pytest.mark.slow
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "SILENT_S", 1.0)
     log = ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", Role.FED)

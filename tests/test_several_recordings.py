@@ -165,6 +165,7 @@ def bits(fit) -> list[bytes]:
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_the_same_bits_in_any_order(method):
     wanted = bits(fitted(method))
@@ -203,6 +204,7 @@ def same(found: dict, wanted: dict) -> bool:
     return all(found[key] == wanted[key] for key in ("parameters", "covariance", "trust", "iterations", "essential"))
 
 
+@pytest.mark.slow
 def test_the_same_bits_with_two_workers(files, serial, tmp_path):
     found = fit_files(tmp_path, "two", *files[::-1], "--method", "iv", "--workers", "2")
     assert same(found, serial)
@@ -216,6 +218,7 @@ def test_the_same_bits_on_dask(files, serial, tmp_path):
     assert same(found, serial)
 
 
+@pytest.mark.slow
 def test_dask_is_imported_when_asked_for_alone(files):
     import subprocess
     import sys
@@ -246,6 +249,7 @@ def test_reduced_rows_give_the_same(monkeypatch):
     assert not len(found.problem.signals.q)
 
 
+@pytest.mark.slow
 def test_reduced_rows_give_the_same_by_instruments(monkeypatch):
     """The simulated robot's speed is judged by the reference's peak there: a row or two more or less count."""
     wanted = fitted("iv")
@@ -318,6 +322,7 @@ def test_the_lowest_rate_of_rows_and_cutoff_is_common():
     assert rates == {500.0 / make_problem(slow, Overrides()).settings.decimation}
 
 
+@pytest.mark.slow
 def test_validate_and_pictures_of_several(files, tmp_path, capsys):
     pytest.importorskip("rerun")
     fit = tmp_path / "fit.json"
@@ -435,6 +440,7 @@ def with_offsets(kinds: tuple[str, ...], offsets: tuple[float, ...] = (0.2, -0.1
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["wls", "iv"])
 def test_offsets_of_their_own(method):
     def fit(kinds, offsets=(0.2, -0.1, 0.05)):
@@ -561,6 +567,7 @@ def test_the_replay_is_that_of_the_worst_recording():
     assert line.value == pytest.approx(1.2, abs=0.02)
 
 
+@pytest.mark.slow
 def test_each_recording_is_simulated_with_its_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
     rows = fit.rows

@@ -35,6 +35,7 @@ def robot_with(name: str, *, n: int = 2):
     return robot_of(text, {dictionary_label(name): data})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", VENDORS)
 def test_each_vendors_dictionary_is_served_configured_and_tracked(tmp_path, name):
     robot = robot_with(name)

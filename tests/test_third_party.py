@@ -76,6 +76,7 @@ def channel_of(folder: Path) -> tuple[str, str]:
     return group, number
 
 
+@pytest.mark.slow
 def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     """Its motion is known: every sample is what it sent, in number and value."""
     if not THIRD_PARTY_DRIVE.exists():
@@ -119,6 +120,7 @@ def test_a_third_party_drive_is_configured_and_recorded(folder, npm):
     )  # one after the other; a busy machine sends late
 
 
+@pytest.mark.slow
 def test_a_third_party_master_is_recorded_passively(folder, npm):
     """It configures and moves our simulated drives; sent and recorded are equal in number and value."""
     group, master_port = channel_of(folder)
@@ -155,6 +157,7 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
     assert np.ptp(samples["position"][:, 0]) > 0.05  # the drives followed
 
 
+@pytest.mark.slow
 def test_pythons_canopen_is_master_of_the_simulated_drives(monkeypatch):
     """The canopen package, unchanged: boot-up, SDO, PDO mapping, NMT, heartbeat, SYNC."""
     # This master sends SYNC when it has something to say, however long that takes it.

@@ -33,6 +33,7 @@ def off_percent(fit: Fit, signals: Signals) -> float:
 # Ends and rows
 
 
+@pytest.mark.slow
 def test_the_cutoff_alone_does_not_decide_on_the_ends():
     """With raw end samples in the end rows, the default was 5 to 6 times worse than a cut-off that is a little higher."""
     robot, errors = robot_named("scara"), {25.0: [], 25.0025: []}
@@ -95,6 +96,7 @@ def test_least_squares_goes_by_the_lowest_filtered_speed_near_a_row():
     assert np.abs(found - speed[rows]).max() > 0.3  # the lowest near the row is not that at its instant
 
 
+@pytest.mark.slow
 def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     signals = load_signals(TX40)
     ls, iv = identify_ls(signals, Overrides()), identify_iv(signals, Overrides(), Iteration())
@@ -138,6 +140,7 @@ def test_the_rank_counts_in_the_weights():
 # A surrogate at a low rate
 
 
+@pytest.mark.slow
 def test_recordings_at_low_rates_converge_under_a_surrogate_of_10_hz():
     """The same motion, below 1 Hz, at 1 kHz and 100 Hz: within one interval. Held for 20 ms that PD is not stable."""
     robot = robot_named("scara")
@@ -181,6 +184,7 @@ def recorded(request) -> tuple[Signals, int]:
     return load_signals(request.getfixturevalue(request.param)), {"emps": 0, "tx40": 4}[request.param]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["ols", "wls", "iv"])
 def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     signals, joint = recorded
@@ -193,6 +197,7 @@ def test_an_effort_of_the_wrong_sign_is_told_with_its_joint(recorded, method):
     assert fit.status in ("solved", "not_confirmed", "diverged")
 
 
+@pytest.mark.slow
 def test_a_right_sign_is_not_doubted(recorded):
     for method in ("ols", "wls"):
         line = fitted(recorded[0], method).trust.line("physical")
@@ -244,6 +249,7 @@ def test_no_fixed_point_and_too_large_an_error_end_with_status_3(tmp_path, capsy
 # The best pass
 
 
+@pytest.mark.slow
 def test_without_a_fixed_point_the_pass_that_tracks_best_is_returned(monkeypatch):
     """Passes 2 and 3 get a share of the torque as noise: the first one's simulated robot tracks best."""
     import identification.methods.idim as idim
@@ -284,6 +290,7 @@ def test_options_of_iv_are_refused_with_least_squares(capsys, option, method):
     assert "does nothing" in told
 
 
+@pytest.mark.slow
 def test_validate_takes_the_settings_of_the_fit(capsys, tmp_path):
     fit, errors = tmp_path / "fit.json", tmp_path / "errors.json"
     settings = ["--cutoff-hz", "40", "--decimate", "20", "--all-samples"]

@@ -108,6 +108,7 @@ def test_the_worst_line_is_the_verdict():
     assert Trust(lines=(line("caution", "added columns", "offset missing"),)).finding == "offset missing"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_clean_recording_is_trusted(method):
     """Least squares cannot find the lag, and half a millisecond more or less is much of the shoulder's small friction."""
@@ -118,6 +119,7 @@ def test_a_clean_recording_is_trusted(method):
     assert (fit.distrust, fit.trust.verdict) == ((), "trust")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_nobody_checked_is_named(method):
     """Whatever stands under `assumed` may be wrong, and the verdict stays."""
@@ -129,6 +131,7 @@ def test_what_nobody_checked_is_named(method):
     assert all(one.value and one.why for one in assumed.values())
 
 
+@pytest.mark.slow
 def test_shared_parameters_of_joints_in_unknown_units_are_not_to_be_used():
     signals = recorded("scara")
     keys = {"drive_gain": None, "drive_gain_unit": None, "effort_unit": "A"}
@@ -166,6 +169,7 @@ def test_an_inertia_that_is_not_known_to_its_own_size_is_doubted():
     assert replace(fit, intervals=wide).essential_names == ()
 
 
+@pytest.mark.slow
 def test_the_error_is_that_behind_the_rules_filter():
     """Noise of 20 µm makes the prediction of a fit without a filter useless; the model is none the worse."""
     noisy = recorded("emps", COARSE)
@@ -205,6 +209,7 @@ def test_the_ways_an_iteration_ends():
 # Added columns
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_column_is_solved_with_the_others(method):
     """Coefficient, residual and t are those of the system with one column more, with itself as its instrument."""
@@ -228,6 +233,7 @@ def test_a_column_is_solved_with_the_others(method):
     assert lack.t == pytest.approx(estimate.beta[-1] / sigma, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["asymmetric friction", "drift", "Stribeck friction"])
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_what_the_model_lacks_is_named_first(method, fault):
@@ -249,6 +255,7 @@ def test_a_column_has_the_size_of_the_fault():
     np.testing.assert_allclose(found, [20.0, 20.0], atol=5.0)
 
 
+@pytest.mark.slow
 def test_a_tilt_of_gravity_is_named_first():
     told = examined("wls", "tx40", fault="tilt of gravity")[0].trust.line("added columns")
     assert told.text.startswith("tilt of gravity about x ")
@@ -296,6 +303,7 @@ def test_held_out_blocks_are_predicted_by_the_fit_of_the_others(method):
     assert [figure.name for figure in told.figures] == [f"block {k}" for k in range(1, 6)]
 
 
+@pytest.mark.slow
 def test_a_fit_that_does_not_carry_over_is_told():
     """Of 60 parameters, from 2.6 s; physical ones carry over better, where the drive gains let them be found."""
     signals = recorded("tx40", fault="tilt of gravity")
@@ -312,6 +320,7 @@ def test_a_fit_that_does_not_carry_over_is_told():
     assert "--consistent" not in identify_ls(unknown, Overrides()).trust.line("held-out blocks").text
 
 
+@pytest.mark.slow
 def test_halves_differ_where_the_torque_changes_its_scale():
     signals = recorded("scara")
     later = np.where(signals.t_s > signals.t_s[-1] / 2, 1.1, 1.0)[:, None]
@@ -365,6 +374,7 @@ def test_the_noise_of_an_end_sample_is_told():
     assert 'edges = "smooth"' in raw.text
 
 
+@pytest.mark.slow
 def test_noise_of_the_position_biases_least_squares_and_is_told():
     """20 µm on the EMPS, with the controller in the loop: the mass is 20 to 40 % too low."""
     fit, _ = examined("wls", "emps", COARSE)
@@ -384,6 +394,7 @@ def test_noise_of_the_position_biases_least_squares_and_is_told():
     assert (high.level, "350 Hz" in high.text) == ("cannot tell", True)
 
 
+@pytest.mark.slow
 def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     """AR(0.9) from sample to sample: the noise above the low-pass is a small part of the noise below."""
     cell = replace(COARSE, encoder_noise=1e-5, encoder_correlation=0.9)
@@ -391,6 +402,7 @@ def test_noise_that_falls_with_frequency_is_seen_by_its_spectrum():
     assert fit.trust.line("position noise").level == "caution"
 
 
+@pytest.mark.slow
 def test_the_move_that_position_noise_is_told_by_is_the_mean_of_both_signs():
     """It grows with the variance of the noise: what moves the estimate with the noise's sign cancels."""
     told = [
@@ -436,6 +448,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
 # Long recordings
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_long_recording_is_tested_as_its_rows_are(method):
     """Borders of blocks are off by half a block of 128 at most. By instruments a row or two more count: see `fast_rows`."""
@@ -482,6 +495,7 @@ def test_sums_over_blocks_are_those_of_their_rows():
         assert evidence.sums(covered).error(off) == pytest.approx(error, rel=1e-7)
 
 
+@pytest.mark.slow
 def test_a_long_recording_that_changes_is_doubted():
     """Torque of the second half 10 % larger; a raw end sample; 60 parameters from 2.6 s."""
     signals = recorded("scara")
@@ -561,6 +575,7 @@ def test_a_short_recording_has_no_halves():
 # Real recordings
 
 
+@pytest.mark.slow
 def test_the_real_axis_has_asymmetric_friction(emps):
     for fit in (iv_of(emps), ls_of(emps)):
         told = fit.trust.line("added columns")

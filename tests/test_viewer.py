@@ -162,6 +162,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES.values(), ids=CASES)
 def test_every_panel_of_the_layout_has_data_and_all_data_a_panel(case, written):
     signals = made_up(**case)
@@ -199,6 +200,7 @@ IV_CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", IV_CASES.values(), ids=IV_CASES)
 def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written):
     signals = case()
@@ -237,6 +239,7 @@ def test_a_fit_by_instruments_shows_passes_and_the_simulated_robot(case, written
     assert "IV and true" in text
 
 
+@pytest.mark.slow
 def test_a_robot_that_cannot_be_simulated_has_passes_and_no_ghost(written):
     fit = fitted_iv(made_up())
     assert (fit.status, fit.iv.simulated) == ("not_confirmed", None)

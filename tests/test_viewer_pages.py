@@ -488,6 +488,7 @@ def run(capsys, *arguments):
     return status, captured.out, captured.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("place", ["missing/fit.rrd", "folder", "closed/fit.rrd"])
 def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, tmp_path):
     (tmp_path / "folder").mkdir()
@@ -501,6 +502,7 @@ def test_a_picture_that_cannot_be_written_does_not_cost_the_fit(place, capsys, t
     assert json.loads((tmp_path / "fit.json").read_text())["status"] == "converged"
 
 
+@pytest.mark.slow
 def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
     signals, fit = signals_of(tx40), iv_of(tx40)
     start = time.perf_counter()
@@ -511,6 +513,7 @@ def test_the_file_of_the_real_record_is_small_and_soon_written(tx40, tmp_path):
     assert Written(tmp_path / "fit.rrd").is_complete()
 
 
+@pytest.mark.slow
 def test_commands_view_and_compare(capsys, tmp_path):
     status, out, err = run(capsys, "view", SESSION, "-o", tmp_path / "view.rrd")
     assert (status, err) == (0, "")

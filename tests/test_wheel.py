@@ -24,6 +24,7 @@ def installed(tmp_path_factory):
     return folder / "site"
 
 
+@pytest.mark.slow
 def test_programs_and_demo_are_in_it(installed, tmp_path):
     """Without `site` no installation of this checkout is found. The demo reads its robot before it makes its folder."""
     (entries,) = installed.glob("*.dist-info/entry_points.txt")

@@ -53,6 +53,7 @@ def test_one_worker_is_this_process():
         assert [pid for _, pid in work.run(killed_at_first, [("", 1, 0)])] == [os.getpid()]
 
 
+@pytest.mark.slow
 def test_tasks_of_a_killed_worker_run_again(tmp_path):
     tasks = [(str(tmp_path), number, 2) for number in range(6)]
     with processes(2) as work:
@@ -86,6 +87,7 @@ class Overlooking:
         pass
 
 
+@pytest.mark.slow
 def test_a_worker_that_dies_unnoticed_is_noticed(monkeypatch):
     """As the standard library's pool overlooks one that is killed while it starts."""
     monkeypatch.setattr(Overlooking, "opened", 0)

@@ -9,6 +9,7 @@ from identification.commands import main
 from identification.model import InverseModel
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "filters", "solutions"),
     [
