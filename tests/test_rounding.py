@@ -25,4 +25,5 @@ def test_samples_moved_by_one_unit_in_their_last_place_move_no_estimate(name):
         lambda s: identify_iv(s, Overrides(), Iteration()),
     ):
         first, second = fit(signals), fit(other)
-        assert np.abs((first.beta - second.beta) / first.estimate.sigma).max() < 1e-7
+        moved = np.abs((first.beta - second.beta) / first.estimate.sigma).max()
+        assert moved < 3e-8  # 1e-8 where links are computed at a stride: rounding of accelerations folds
