@@ -291,6 +291,22 @@ def test_no_file_a_folder_or_no_description(tmp_path: Path) -> None:
         read_recording(tmp_path / "a.mcap")
 
 
+class Connection:
+    """The session's end of the recorder's pipe: it has these messages, and hears nothing."""
+
+    def __init__(self, messages: list[Any]) -> None:
+        self._messages = messages
+
+    def poll(self, timeout_s: float) -> bool:
+        return bool(self._messages)
+
+    def recv(self) -> Any:
+        return self._messages.pop(0)
+
+    def send(self, message: object) -> None:
+        pass
+
+
 def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """By half an hour before the first frame and an hour later; the recorder goes on with the session's clock."""
     from functools import partial
@@ -304,11 +320,6 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
     true, now, wall = flat(session(syncs=60)), [0], [before_ns]
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0] + wall[0], lambda: now[0]))
     messages: list[Any] = [("clock", 0)]
-
-    class Connection:
-        poll = staticmethod(lambda timeout_s: bool(messages))
-        recv = staticmethod(lambda: messages.pop(0))
-        send = staticmethod(lambda message: None)
 
     class Receiver:
         error, sock, stopped = None, None, False
@@ -329,7 +340,7 @@ def test_rows_are_whole_where_the_clock_is_set_forward(tmp_path: Path, monkeypat
 
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 0)
     recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
-    done = process._record(Connection(), recorder, Receiver(), np.array([0x80]), None)  # type: ignore[arg-type]
+    done = process._record(Connection(messages), recorder, Receiver(), np.array([0x80]), None)  # type: ignore[arg-type]
     assert (done.samples, done.warnings) == (60, ())
     recording = read_recording(tmp_path / "a.mcap")
     assert recording.samples["stamp_ns"].tolist() == true["time_ns"][true["can_id"] == 0x80].tolist()
@@ -351,11 +362,6 @@ def test_drops_of_the_recorders_own_socket_stand_in_the_recording(
 
     now, messages, dropping = [0], [], object()
 
-    class Connection:
-        poll = staticmethod(lambda timeout_s: bool(messages))
-        recv = staticmethod(lambda: messages.pop(0))
-        send = staticmethod(lambda message: None)
-
     class Receiver:
         error, sock, stopped = None, dropping, False
         run = staticmethod(lambda: None)
@@ -369,7 +375,7 @@ def test_drops_of_the_recorders_own_socket_stand_in_the_recording(
     monkeypatch.setattr(process, "WallClock", partial(WallClock, lambda: now[0], lambda: now[0]))
     monkeypatch.setattr(process, "kernel_drops", lambda sock: 7 if sock is dropping else 0)
     recorder = Recorder(tmp_path / "a.mcap", robot_of(bus_text()), source="x", place="robot.toml")
-    process._record(Connection(), recorder, Receiver(), np.zeros(0, np.int64), None)  # type: ignore[arg-type]
+    process._record(Connection(messages), recorder, Receiver(), np.zeros(0, np.int64), None)  # type: ignore[arg-type]
     health = read_recording(tmp_path / "a.mcap").health
     assert len(health) > 1
     assert {h.counters["kernel_drops"] for h in health} == {7}

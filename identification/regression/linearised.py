@@ -12,7 +12,7 @@ from ..data import Serial, Work
 from ..estimation import one_thread
 from ..model import BaseParameters
 from .load import LinkSeries, LoadFriction, load_friction
-from .own import OwnParameters, own_parameters
+from .own import OwnParameters
 from .place import Place
 from .problem import Problem, motion_blocks
 from .system import ALL_REDUCED, Regression, regression_of_recording, stacked
@@ -38,11 +38,6 @@ class Linearised:
     work: Work = field(default_factory=Serial)
     left_out: dict[str, str] = field(default_factory=dict)
     _last: list[tuple[Array, tuple[Regression, ...], Regression]] = field(default_factory=list)
-
-    @classmethod
-    def of_one(cls, problem: Problem, plain: Regression) -> "Linearised":
-        """Of one recording; `plain` is its regression, columns of load friction zero."""
-        return cls(problem=problem, each=(plain,), places=(Place.of(problem),), parameters=own_parameters([problem]))
 
     @cached_property
     def load(self) -> LoadFriction:

@@ -236,7 +236,8 @@ def _decimated(
     entries (E, 2) of joint and place in `base` with their series (E, N).
     """
     N, W = len(motion.q), np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q))))
-    links = base.links & (1 < stride < N / decimation.end_samples) if stride > 1 else np.zeros(base.b, dtype=bool)
+    strided = stride > 1 and stride * decimation.end_samples < N  # else the ends are most of it
+    links = base.links & strided
     if links.any():
         at, end = (N - 1) % stride, decimation.end_samples
         spans = (slice(at, None, stride), slice(0, at + end + 1), slice(N - end - 1, None))
