@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 from fits_of_records import signals_of
+from linearised_recordings import linearised_of
 from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
 from identification.commands import main
@@ -16,11 +17,8 @@ from identification.data import RecordingFile, Recordings, cluster, processes, s
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
 from identification.regression import (
-    Linearised,
     Overrides,
-    Place,
     make_problem,
-    own_parameters,
     regression_of_recording,
     row_blocks,
     row_states,
@@ -279,12 +277,7 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
     """A weight at two speeds that hardly accelerates: root and load friction say no more than the usual terms."""
     robot = axis(["viscous", "coulomb", "root", "load"], vertical=True, Fv=100.0, Fc=20.0, Fr=30.0, mu=0.2)
     problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), others)]
-    linearised = Linearised(
-        problem=problems[0],
-        each=tuple(regression_of_recording(problem) for problem in problems),
-        places=tuple(Place.of(problem) for problem in problems),
-        parameters=own_parameters(problems),
-    )
+    linearised = linearised_of(*problems)
     settled = settled_least_squares(linearised)
     told = settled.linearised.left_out
     assert set(told.values()) <= set(settled.linearised.problem.settings.warnings)
