@@ -71,8 +71,7 @@ class Pool:
         IdentificationError : where workers died with the same task three times.
         WorkersNotStartedError : where they cannot start.
         """
-        futures = [self._executor.submit(function, *task) for task in tasks]
-        self._look_for_workers()
+        futures = [self._submitted(function, task) for task in tasks]
         lost = 0
         for k in range(len(tasks)):
             while not self._is_done(futures[k]):
@@ -98,7 +97,19 @@ class Pool:
             if any(not worker.is_alive() for worker in self._workers):
                 return False
 
+    def _submitted(self, function: Callable[..., Any], task: Task) -> "Future[Any]":
+        """The task's future: one that failed where a worker has died already, while tasks were handed over."""
+        try:
+            future = self._executor.submit(function, *task)
+        except self._lost as error:
+            future = Future()
+            future.set_exception(error)
+        self._workers += [child for child in active_children() if child not in (*self._others, *self._workers)]
+        return future
+
     def _refuse_no_start(self) -> None:
+        for worker in self._workers:
+            worker.join(LOOK_S)  # it closes its pipe, by which its pool knows, before it has an exit code
         codes = {worker.exitcode for worker in self._workers}
         if NO_GUARD in codes:
             raise WorkersNotStartedError("the script starts workers whenever it is imported", expected=GUARD)
@@ -107,21 +118,17 @@ class Pool:
                 "workers end while they start", expected=f"a script that can be imported; {GUARD}"
             )
 
-    def _look_for_workers(self) -> None:
-        self._workers = [child for child in active_children() if child not in self._others]
-
     def _renew(self, function: Callable[..., Any], tasks: Sequence[Task], futures: list["Future[Any]"], k: int) -> None:
         """A pool breaks whole: open a new one and submit what is not done from task k on."""
         for worker in self._workers:
             worker.kill()
         self._executor.shutdown(wait=False, cancel_futures=True)
-        self._others = active_children()
+        self._others, self._workers = active_children(), []
         self._executor = self._open()
         for i in range(k, len(tasks)):
             done = futures[i].done() and not futures[i].cancelled() and futures[i].exception() is None
             if not done:
-                futures[i] = self._executor.submit(function, *tasks[i])
-        self._look_for_workers()
+                futures[i] = self._submitted(function, tasks[i])
 
     def close(self) -> None:
         """End the workers; tasks that have not begun are dropped."""
