@@ -1,10 +1,21 @@
 """A robot in closed loop along a whole reference."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from identification.model import DirectModel
 from identification.simulation import ClosedLoop, ControlLaw, Reference
-from identification.simulation.closed_loop import Simulated
+
+
+class Simulated(NamedTuple):
+    """A simulated motion (N, n), and why it ended early, if it did."""
+
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    tau: np.ndarray
+    reason: str | None
 
 
 def simulate(
@@ -19,4 +30,5 @@ def simulate(
     """As `ClosedLoop.follow`; `start` is position and speed, (n,) each."""
     fastest = np.abs(reference.dq @ model.directions.T).max(axis=0, initial=0.0)
     robot = ClosedLoop(model, loop, start, fastest=fastest, substeps=substeps, cell=reference.disturbances)
-    return robot.follow(reference, bound)
+    motion, reason = robot.follow(reference, bound)
+    return Simulated(*motion, reason)

@@ -20,7 +20,7 @@ from identification.estimation import (
 )
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
-from identification.simulation.experiment import make_experiment
+from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
 from identification.simulation.motion import simulate_replica
 
@@ -37,8 +37,8 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
     true = truth(dynamics, base_parameters(dynamics))
-    e = make_experiment(make_problem(signals, Overrides()), true, np.zeros(robot.n))
-    places, followed = e.layout.places(0, e.layout.instants), e.reference(0, e.layout.instants)
+    e = Experiment(make_problem(signals, Overrides()), true, np.zeros(robot.n))
+    places, followed = e.places(0, e.instants), e.reference(0, e.instants)
     at = np.rint(places).astype(int)
     np.testing.assert_allclose(places, at, atol=1e-6)
     np.testing.assert_allclose(followed.q, reference.q[0, at], atol=1e-12)
@@ -70,20 +70,20 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     whole = regression_of_recording(problem)
     full = weighted_least_squares(whole.system)
     spread = 4 * full.covariance
-    e = make_experiment(problem, full.beta, whole.slip_noise)
+    e = Experiment(problem, full.beta, whole.slip_noise)
     one, moved = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
     wanted = instrumental_variables(whole.system.with_rows(one.used), one.Z, full.weights)
     rho = wanted.weights[whole.system.joint_of_row] * (whole.system.Y - whole.system.W @ wanted.beta)
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 1)
     assert len(row_blocks(problem)) == 3
-    e = make_experiment(problem, full.beta, whole.slip_noise)
+    e = Experiment(problem, full.beta, whole.slip_noise)
     short, moved_short = simulate_instruments(e, full.beta, spread, full.weights), simulate_replica(e, full.beta)
     np.testing.assert_allclose(short.Z, one.Z, atol=1e-9 * np.abs(one.Z).max())
     np.testing.assert_array_equal(short.used, one.used)
     errors = ([joint.torque_error_percent for joint in x.direct] for x in (moved_short, moved))
     assert next(errors) == pytest.approx(next(errors), rel=1e-6)
     np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
-    e = make_experiment(problem, full.beta, whole.slip_noise, long=True)
+    e = Experiment(problem, full.beta, whole.slip_noise, long=True)
     long = simulate_instruments(e, full.beta, spread, full.weights, one.fast[0])
     assert len(long.Z) < len(one.Z)
     found = instrumental_variables(long.system, long.Z, full.weights)

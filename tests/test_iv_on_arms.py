@@ -21,7 +21,7 @@ from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, truth
 from identification.regression import Overrides, make_problem
-from identification.simulation.experiment import make_experiment
+from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
 from identification.simulation.motion import simulate_replica
 
@@ -174,7 +174,7 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     problem = make_problem(signals, Overrides())
     dynamics = InverseModel(signals.robot)
     true = truth(dynamics, base_parameters(dynamics))
-    e = make_experiment(problem, true, np.zeros(2))
+    e = Experiment(problem, true, np.zeros(2))
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)
     weights = np.ones(2)

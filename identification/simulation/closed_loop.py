@@ -1,7 +1,5 @@
 """The simulated robot: the direct dynamic model of any base estimate in closed loop with the robot's own controller."""
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from ..arrays import Array
@@ -11,21 +9,6 @@ from .disturbances import Disturbances
 from .friction import Friction
 
 _LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
-
-
-@dataclass(frozen=True, eq=False)
-class Simulated:
-    """A simulated motion: q, dq, ddq, tau (N, n), each row of one instant, tau held from there on.
-
-    That is the true motion, and the torque that the controller gives: noise of encoders and disturbing torque are not in them.
-    There are `substeps` rows to each controller period. `reason` says why it ended early, if it did.
-    """
-
-    q: Array
-    dq: Array
-    ddq: Array
-    tau: Array
-    reason: str | None
 
 
 class ClosedLoop:
@@ -58,15 +41,18 @@ class ClosedLoop:
         self._instants = 0
 
     @np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
-    def follow(self, reference: Reference, bound: Array) -> Simulated:
+    def follow(self, reference: Reference, bound: Array) -> tuple[Array, str | None]:
         """Follow the next span of a reference given once per controller period.
 
-        Stops with a `reason` where the position leaves the reference by more than `bound` (n,) or the inertia matrix is not
-        positive. The state is never clipped.
+        Returns q, dq, ddq, tau (4, N, n), `substeps` rows to a period, each of one instant, tau held from there on: the true
+        motion and the torque that the controller gives, without noise of encoders and disturbing torque. And the reason why
+        it ended early, if it did: where the position leaves the reference by more than `bound` (n,), or the inertia matrix is
+        not positive. The state is never clipped.
         """
         h, substeps, q_ref, cell = self._h, self._substeps, reference.q, reference.disturbances
         N, n = q_ref.shape
-        q_out, dq_out, tau_out = np.empty((3, N * substeps, n))
+        out = np.empty((4, N * substeps, n))
+        q_out, dq_out, ddq_out, tau_out = out
         q, v, control, friction = self._q, self._v, self._control, self._friction
         control.take(reference)
         look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
@@ -96,8 +82,8 @@ class ClosedLoop:
             k = int(far[0])
             reason, rows = self._lost(q_out[k * substeps], q_ref[k], bound, k), k * substeps
         self._q, self._v, self._instants = q, v, self._instants + N
-        dq = dq_out[:rows]
-        return Simulated(q_out[:rows], dq, np.diff(dq, axis=0, append=v[None]) / h, tau_out[:rows], reason)
+        ddq_out[:rows] = np.diff(dq_out[:rows], axis=0, append=v[None]) / h
+        return out[:, :rows], reason
 
     def _lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
         j, t_s = int(np.argmin(np.abs(q - q_ref) < bound)), (self._instants + k) * self._period_s

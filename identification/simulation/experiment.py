@@ -7,7 +7,7 @@ recording and controller. Everything is made block by block, as the rows are: of
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -18,11 +18,10 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import direct_model, inertias, pose_step
+from ..model import DirectModel, direct_model, inertias, pose_step
 from ..regression import (
     BLOCK_SAMPLES,
     SPLINE_REACH,
-    Decimation,
     Motion,
     Problem,
     RowBlock,
@@ -32,8 +31,7 @@ from ..regression import (
     rule_cutoff_hz,
     sampled_at,
 )
-from .control_law import ControlLaw, Reference, has_controller, recorded_loop
-from .layout import Layout, make_layout
+from .control_law import Reference, has_controller, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
@@ -41,145 +39,176 @@ LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off do
 MIN_TRAVEL = (
     0.01  # of the reference, in that of the joint of the same type which travels most: a joint with less is held
 )
+LEAST_INSTANTS = 30  # of the controller, for a simulation to say anything
+MOST_STEPS = 2e7  # to simulate: what is slower than real time by far is a mistake in the description
 MIN_SATURATED_PERCENT = 5.0  # share of saturated samples that explains why a robot leaves its reference
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """What every simulation of a recording shares.
+    """What every simulation of a recording shares, laid out for one rate of steps.
+
+    Instruments have `N` samples: every `stride`-th of the recording, `spacing_s` apart, from its sample `first` on. The
+    controller has `instants`, `period_s` apart, from the same sample on, each with `substeps` simulated steps.
 
     Attributes:
-        blocks: of the rows; `layout` the instants, and `decimation` of the instruments to the rows.
+        loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
+        reference_kind: `surrogate` for the measured position low-passed without phase shift.
+        blocks: of the rows, to which `decimation` leads from the instruments.
         start: measured position and speed, filtered, (n,) each, at the first instant.
         bound: (n,) how far a simulation may leave the reference; `held` (n,), which joints the reference holds;
-            `fastest` (c,) speeds of its directions of Coulomb friction.
+            `fastest` (c,) its speeds along the `directions` (c, n) of Coulomb friction.
         scatter: (n,) sum of squares of the measured position, filtered, about its mean.
         poses: (P, n) positions at which M is checked.
-        slip_noise: (c,) noise of the speeds of the directions of Coulomb friction.
-        loop: the description's control loop, or None where a PD of the stated bandwidth stands in.
         J_prior: (n,) inertias that the loop's gains were set for; `J_known` says that least squares gave them.
-        gain_update: whether gains follow the inertias of each estimate.
-        long: whether rows are QR factors: no whole motion is kept.
     """
 
-    problem: Problem
-    blocks: tuple[RowBlock, ...]
-    layout: Layout
-    decimation: Decimation
-    start: tuple[Array, Array]
-    bound: Array
-    held: NDArray[np.bool_]
-    fastest: Array
-    scatter: Array
-    poses: Array
-    slip_noise: Array
-    loop: ControlLaw | None
-    J_prior: Array
-    J_known: bool
-    gain_update: bool
-    long: bool
+    def __init__(
+        self,
+        problem: Problem,
+        beta_ls: Array,
+        slip_noise: Array,
+        *,
+        gain_update: bool = True,
+        rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
+        long: bool = False,
+    ) -> None:
+        """`beta_ls` gives the inertias that recorded gains are taken to be set for; with `gain_update` they follow those of
+        each estimate.
 
-    @property
-    def reference_kind(self) -> Literal["recorded", "surrogate"]:
-        """`surrogate` for the measured position low-passed without phase shift."""
-        return "surrogate" if self.problem.signals.q_ref is None else "recorded"
+        `slip_noise` (c,) is that of the speeds of the directions of Coulomb friction. There are `rate_per_bandwidth`
+        simulated steps and instrument samples, at least, per period of the bandwidth. Of a `long` recording no whole motion
+        is kept.
 
-    @property
-    def bandwidth_hz(self) -> float:
-        """Of the position loops."""
-        return self.problem.signals.robot.bandwidth_hz
+        Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
+        """
+        signals, robot = problem.signals, problem.signals.robot
+        self.problem, self.slip_noise, self.gain_update, self.long = problem, slip_noise, gain_update, long
+        self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
+        self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
+        self._cutoff_hz = rule_cutoff_hz(self.bandwidth_hz, signals.sample_rate_hz)
+        self.loop = recorded_loop(robot) if has_controller(robot.controller) else None
+        if self.loop is not None and signals.q_ref is None:
+            self.loop = replace(self.loop, gravity=True)
+        _refuse_foreign_reference(problem)
+        self._set_instants(rate_per_bandwidth * self.bandwidth_hz)
+        self.blocks = tuple(row_blocks(problem))
+        self.decimation = replace(problem.settings.decimator, factor=problem.settings.decimation // self.stride)
+        self._look_along()
+        self.J_prior = inertias(self.model(beta_ls), self.poses)
+        self.J_known = bool((self.J_prior > 0).all())
+        if not self.J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
+            self.J_prior = self.loop.inertias(self.bandwidth_hz) if self.loop else np.ones(len(self.held))
+
+    def _set_instants(self, step_hz: float) -> None:
+        """Instruments as coarse as `step_hz` allows at instants of the rows; refuses controllers of other recordings."""
+        settings, fs, recording = (
+            self.problem.settings,
+            self.problem.signals.sample_rate_hz,
+            self.problem.signals.recording,
+        )
+        divisors = [m for m in range(1, settings.decimation + 1) if settings.decimation % m == 0]
+        self.stride = max((m for m in divisors if fs / m >= step_hz), default=1)
+        used = settings.stop - settings.start
+        self.N, self.spacing_s = -(-used // self.stride), self.stride / fs
+        self.first = (used - 1) % self.stride + settings.start
+        span_s = (self.N - 1) * self.spacing_s
+        self.period_s = self.loop.period_s if self.loop else self.spacing_s
+        self.substeps = max(1, math.ceil(self.period_s * step_hz - 1e-9))
+        if self.loop is None:  # a continuous law: it acts at every step
+            self.period_s, self.substeps = self.period_s / self.substeps, 1
+        steps, self.instants = span_s / self.period_s * self.substeps, math.floor(span_s / self.period_s + 1e-6) + 1
+        what = ""
+        if steps > MOST_STEPS:
+            what = f"{steps:.2g} steps to simulate with bandwidth_hz = {self.bandwidth_hz:g}"
+            expected = f"at most {MOST_STEPS:.2g} steps"
+        elif self.instants < LEAST_INSTANTS:
+            what = f"{self.instants} instants in the {used / fs:.3g} s of {recording}"
+            expected = f"at least {LEAST_INSTANTS} instants"
+        if what:
+            place, rate_hz = f"robot {self.problem.signals.robot.name}", 1 / self.period_s
+            key, shown = "controller.sample_rate_hz", f"{rate_hz:g}"
+            raise IdentificationError(what, place=place, key=key, value=rate_hz, shown=shown, expected=expected)
+
+    def _look_along(self) -> None:
+        """What the whole recording says of start, poses, speeds, travel and scatter, block by block."""
+        joints, every = self.problem.signals.robot.joints, pose_step(self.N)
+        start = self._motion(slice(0, 1))
+        poses, ends, self.fastest = list[Array](), list[Array](), np.zeros(len(self.directions))
+        total, squares = np.zeros((2, len(joints)))
+        for block in self.blocks:
+            own = block.own_samples(self.N, self.decimation.factor)
+            q = self.measured(own)
+            poses.append(q[-own.start % every :: every])
+            total, squares = total + (q - start.q[0]).sum(axis=0), squares + ((q - start.q[0]) ** 2).sum(axis=0)
+            reference = self.reference(*self.around(own))
+            ends += [reference.q.min(axis=0), reference.q.max(axis=0)]
+            self.fastest = np.maximum(self.fastest, np.abs(reference.dq @ self.directions.T).max(axis=0, initial=0.0))
+        travel = np.ptp(ends, axis=0)
+        scale, self.held = _scales(travel, joints)
+        self.start, self.poses = (start.q[0], start.dq[0]), np.concatenate(poses)
+        self.bound = LOST * np.maximum(scale, 0.1 * travel.max())
+        self.scatter = np.maximum(squares - total**2 / self.N, 0.0)
+
+    def model(self, beta: Array) -> DirectModel:
+        """The robot with base parameters (b,)."""
+        return direct_model(self.problem.model, self.problem.base.standard_parameters(beta))
 
     def reference(self, first: int, last: int) -> Reference:
         """What the controller follows from its instant `first` to before `last`."""
-        return _reference(self.problem, self.loop, self.layout.places(first, last))
+        return _reference(self, self.places(first, last))
 
     def samples(self, block: RowBlock) -> slice:
         """The instruments' samples that a block needs."""
-        return block.samples(self.layout.N, self.decimation.factor)
+        return block.samples(self.N, self.decimation.factor)
 
     def measured(self, at: slice) -> Array:
         """(N, n) measured position, filtered, at samples of the instruments."""
-        return _measured(self.problem, self.layout.of_recording(at)).q[:: self.layout.stride]
+        return self._motion(at).q[:: self.stride]
+
+    def _motion(self, at: slice) -> Motion:
+        """The filtered motion of all samples of the recording from the first to the last of some of the instruments."""
+        return self.filtered(self.first + self.stride * at.start, self.first + self.stride * (at.stop - 1) + 1)
+
+    def filtered(self, start: int, stop: int) -> Motion:
+        """The measured motion of samples of the recording, behind the rule's low-pass."""
+        return self.problem.motion.between(start, stop, self._cutoff_hz)
+
+    def t_s(self, at: slice) -> Array:
+        """Seconds of the recording of samples of the instruments."""
+        return np.asarray(
+            (self.first + self.stride * np.arange(at.start, at.stop)) / self.problem.signals.sample_rate_hz
+        )
+
+    def places(self, first: int, last: int) -> Array:
+        """Controller's instants, counted in samples of the recording."""
+        fs = self.problem.signals.sample_rate_hz
+        return np.asarray(self.first + self.period_s * fs * np.arange(first, last))
+
+    def around(self, at: slice) -> tuple[int, int]:
+        """The controller's instants, first and past the last, that samples of the instruments lie between."""
+        ratio = self.spacing_s / self.period_s
+        first, last = math.floor(at.start * ratio + 1e-6), math.ceil((at.stop - 1) * ratio - 1e-6) + 1
+        return min(first, self.instants - 1), self.instants if at.stop == self.N else min(last, self.instants)
+
+    def sampled(self, x: Array, first: int, at: slice, substeps: int) -> Array:
+        """x (rows, c), `substeps` rows to an instant from row `first` on, at samples of the instruments."""
+        places = np.arange(at.start, at.stop) * (self.spacing_s * substeps / self.period_s) - first
+        picks = np.rint(places).astype(np.intp)  # beyond the last row that one stands
+        if np.abs(places - picks).max() < 1e-6:
+            return x[np.minimum(picks, len(x) - 1)]
+        return np.stack([np.interp(places, np.arange(len(x)), column) for column in x.T], axis=1)
 
 
-def make_experiment(
-    problem: Problem,
-    beta_ls: Array,
-    slip_noise: Array,
-    *,
-    gain_update: bool = True,
-    rate_per_bandwidth: float = RATE_PER_BANDWIDTH,
-    long: bool = False,
-) -> Experiment:
-    """Lay out the simulation of a recording; `beta_ls` gives the inertias that recorded gains are taken to be set for.
-
-    `slip_noise` (c,) is that of the speeds of the directions of Coulomb friction. There are
-    `rate_per_bandwidth` simulated steps and instrument samples, at least, per period of the bandwidth.
-
-    Raises `IdentificationError` for a controller described in part, or a reference that is not that of the recording.
-    """
-    signals, robot = problem.signals, problem.signals.robot
-    loop = recorded_loop(robot) if has_controller(robot.controller) else None
-    if loop is not None and signals.q_ref is None:
-        loop = replace(loop, gravity=True)
-    _refuse_foreign_reference(problem)
-    bandwidth_hz = robot.bandwidth_hz
-    layout, blocks = make_layout(problem, loop, rate_per_bandwidth * bandwidth_hz), tuple(row_blocks(problem))
-    decimation = replace(problem.settings.decimator, factor=problem.settings.decimation // layout.stride)
-    directions, every = problem.model.coulomb_directions, pose_step(layout.N)
-    poses, ends, fastest = list[Array](), list[Array](), np.zeros(len(directions))
-    first, total, squares = _measured(problem, layout.of_recording(slice(0, 1))), *np.zeros((2, robot.n))
-    for block in blocks:
-        own = block.own_samples(layout.N, decimation.factor)
-        q = _measured(problem, layout.of_recording(own)).q[:: layout.stride]
-        poses.append(q[-own.start % every :: every])
-        total, squares = total + (q - first.q[0]).sum(axis=0), squares + ((q - first.q[0]) ** 2).sum(axis=0)
-        reference = _reference(problem, loop, layout.places(*layout.around(own)))
-        ends += [reference.q.min(axis=0), reference.q.max(axis=0)]
-        fastest = np.maximum(fastest, np.abs(reference.dq @ directions.T).max(axis=0, initial=0.0))
-    at, travel = np.concatenate(poses), np.ptp(ends, axis=0)
-    scale, held = _scales(travel, robot.joints)
-    prior = direct_model(problem.model, problem.base.standard_parameters(beta_ls))
-    J_prior = inertias(prior, at)
-    J_known = bool((J_prior > 0).all())
-    if not J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
-        J_prior = loop.inertias(bandwidth_hz) if loop else np.ones(robot.n)
-    return Experiment(
-        problem=problem,
-        blocks=blocks,
-        layout=layout,
-        decimation=decimation,
-        start=(first.q[0], first.dq[0]),
-        bound=LOST * np.maximum(scale, 0.1 * travel.max()),
-        held=held,
-        fastest=fastest,
-        scatter=np.maximum(squares - total**2 / layout.N, 0.0),
-        poses=at,
-        slip_noise=slip_noise,
-        loop=loop,
-        J_prior=J_prior,
-        J_known=J_known,
-        gain_update=gain_update,
-        long=long,
-    )
-
-
-def _measured(problem: Problem, samples: slice) -> Motion:
-    """The measured motion of samples of the recording, behind the rule's low-pass."""
-    cutoff_hz = rule_cutoff_hz(problem.signals.robot.bandwidth_hz, problem.signals.sample_rate_hz)
-    return problem.motion.between(samples.start, samples.stop, cutoff_hz)
-
-
-def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Reference:
+def _reference(e: Experiment, at: Array) -> Reference:
     """What the loop is given at places `at` (K,), counted in samples: the recorded reference, or the measured motion."""
-    signals, settings = problem.signals, problem.settings
+    signals, settings = e.problem.signals, e.problem.settings
     low = max(settings.start, math.floor(at[0]) - SPLINE_REACH)
     high = min(settings.stop, math.ceil(at[-1]) + 1 + SPLINE_REACH)
     at, near = at - low, slice(low, high)
     known = None if signals.known_torque is None else sampled_at(at, signals.known_torque[near])
     if signals.q_ref is None:
         # What was fed forward is in the measured motion already.
-        measured = _measured(problem, near)
+        measured = e.filtered(low, high)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
     let_go(signals.q_ref)
@@ -188,9 +217,8 @@ def _reference(problem: Problem, loop: ControlLaw | None, at: Array) -> Referenc
     ahead = None
     if signals.feedforward is not None:  # held from sample to sample: a cubic would swing beside a step
         ahead = signals.feedforward[near][np.floor(np.clip(at, 0, len(q_ref) - 1) + 1e-6).astype(np.intp)]
-        ahead = (
-            signals.robot.joint_effort(ahead) if loop is None else ahead
-        )  # a surrogate's output is torque at the joints
+        if e.loop is None:  # a surrogate's output is torque at the joints
+            ahead = signals.robot.joint_effort(ahead)
     return Reference(*paths, known_torque=known, feedforward=ahead)
 
 

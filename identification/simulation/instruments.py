@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import Factors, InstrumentBlocks, System, combined
-from ..model import direct_model, not_positive
+from ..model import not_positive
 from ..regression import OwnParameters, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
 from .experiment import Experiment
 from .motion import (
@@ -85,14 +85,13 @@ def simulate_instruments(
     kept : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
-    gains, tracking_percent = gains_for(e, near)[0], None
+    model, gains, reason = gains_for(e, near)
     kind: InstrumentKind = "simulated"
+    tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, near), near, beta, weights, kept)
-        reason = None
-        if covariance is not None:
-            reason = not_positive(direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.poses)
-        kind = "simulated" if reason is None else "consistent"
+        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, kept)
+        if covariance is not None and (reason := not_positive(e.model(beta), e.poses)) is not None:
+            kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
         found, _ = _along(e, reference_blocks(e), near, beta, weights, kept)
@@ -164,7 +163,7 @@ def _along(
 ) -> tuple[tuple[Array, NDArray[np.bool_], System | None, InstrumentBlocks | None], float]:
     """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
     problem, base = e.problem, e.problem.base
-    directions, percent, rows = problem.model.coulomb_directions, problem.settings.low_speed.iv, e.blocks[0].rows
+    directions, percent, rows = e.directions, problem.settings.low_speed.iv, e.blocks[0].rows
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
     time_blocks = InstrumentBlocks.none_yet(rows, base.names) if e.long else None
     error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
@@ -195,5 +194,5 @@ def _along(
 
 def _slip(e: Experiment, u: Array) -> Array:
     """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
-    reach = round(0.5 / (e.layout.spacing_s * e.problem.slip_cutoff_hz))
+    reach = round(0.5 / (e.spacing_s * e.problem.slip_cutoff_hz))
     return lowest_nearby(np.abs(u), e.decimation.instants(len(u)), reach)

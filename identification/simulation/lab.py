@@ -10,7 +10,7 @@ from ..arrays import Array
 from ..data import Work
 from ..estimation import one_thread
 from ..regression import OwnParameters, Place
-from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment, make_experiment
+from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .instruments import Instruments, simulate_instruments, stack_instruments
 from .motion import Replica, simulate_replica
 
@@ -32,7 +32,7 @@ class Simulation:
     def at(self, rate_per_bandwidth: float) -> Experiment:
         """The experiment with so many steps and samples per period of the bandwidth."""
         if rate_per_bandwidth not in self._laid_out:
-            self._laid_out[rate_per_bandwidth] = make_experiment(
+            self._laid_out[rate_per_bandwidth] = Experiment(
                 self.place.problem(),
                 self.prior,
                 self.slip_noise,

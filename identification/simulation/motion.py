@@ -10,7 +10,7 @@ from acquisition.files import let_go
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import direct_model, inertias, nearest_consistent, not_positive
+from ..model import DirectModel, inertias, nearest_consistent, not_positive
 from ..regression import Decimation, Motion, RowBlock
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
@@ -64,46 +64,44 @@ class Replica:
     saturated_percent: float | None
 
 
-def gains_for(e: Experiment, beta: Array) -> tuple[Array, str | None]:
-    """Factors (n,) on the controller's gains for the inertias of beta (b,), and why that cannot be simulated, if so."""
-    model = direct_model(e.problem.model, e.problem.base.standard_parameters(beta))
+def gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
+    """The robot with beta (b,), factors (n,) on the controller's gains for its inertias; why it cannot be simulated, if so."""
+    model = e.model(beta)
     J, reason = inertias(model, e.poses), not_positive(model, e.poses)
     # Where nothing tells what its saturation was set for, computed torque keeps it.
     known = e.J_known or e.loop is None or not e.loop.computed_torque
-    return J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
+    return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
 
 
-def simulated_blocks(e: Experiment, beta: Array) -> MotionBlocks:
-    """The closed loop simulated with `beta` (b,). Raises `NotSimulatedError`, maybe after some blocks."""
-    gains, reason = gains_for(e, beta)
+def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: str | None) -> MotionBlocks:
+    """The closed loop simulated with what `gains_for` gives. Raises `NotSimulatedError`, maybe after some blocks."""
     if reason is not None:
         raise NotSimulatedError(reason)
-    model, layout = direct_model(e.problem.model, e.problem.base.standard_parameters(beta)), e.layout
-    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / layout.period_s)
-    robot = ClosedLoop(model, loop, e.start, fastest=e.fastest, substeps=layout.substeps)
-    n, done, first = len(gains), 0, 0
-    rows = np.empty((0, 4 * n))  # simulated, from row `first` on
+    loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / e.period_s)
+    robot = ClosedLoop(model, loop, e.start, fastest=e.fastest, substeps=e.substeps)
+    done, first = 0, 0
+    rows = np.empty((4, 0, len(gains)))  # simulated, from row `first` on
     for block in e.blocks:
         at = e.samples(block)
-        begin, end = layout.around(at)
-        rows, first = rows[begin * layout.substeps - first :], begin * layout.substeps
+        begin, end = e.around(at)
+        rows, first = rows[:, begin * e.substeps - first :], begin * e.substeps
         if end > done:
-            part = robot.follow(e.reference(done, end), e.bound)
-            if part.reason is not None:
-                raise NotSimulatedError(part.reason)
-            rows, done = np.concatenate([rows, np.hstack([part.q, part.dq, part.ddq, part.tau])]), end
-        x = np.ascontiguousarray(np.split(layout.sampled(rows, first, at, layout.substeps), 4, axis=1))
-        yield block, Motion(t_s=layout.t_s(at), q=x[0], dq=x[1], ddq=x[2], tau=x[3])
+            part, reason = robot.follow(e.reference(done, end), e.bound)
+            if reason is not None:
+                raise NotSimulatedError(reason)
+            rows, done = np.concatenate([rows, part], axis=1), end
+        q, dq, ddq, tau = (e.sampled(x, first, at, e.substeps) for x in rows)
+        yield block, Motion(t_s=e.t_s(at), q=q, dq=dq, ddq=ddq, tau=tau)
 
 
 def reference_blocks(e: Experiment) -> MotionBlocks:
     """The reference itself as the motion, without torque."""
     for block in e.blocks:
         at = e.samples(block)
-        begin, end = e.layout.around(at)
+        begin, end = e.around(at)
         reference = e.reference(begin, end)
-        q, dq, ddq = (e.layout.sampled(x, begin, at, 1) for x in (reference.q, reference.dq, reference.ddq))
-        yield block, Motion(t_s=e.layout.t_s(at), q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
+        q, dq, ddq = (e.sampled(x, begin, at, 1) for x in (reference.q, reference.dq, reference.ddq))
+        yield block, Motion(t_s=e.t_s(at), q=q, dq=dq, ddq=ddq, tau=np.zeros_like(q))
 
 
 class TrackingError:
@@ -111,12 +109,12 @@ class TrackingError:
 
     def __init__(self, e: Experiment) -> None:
         self._e = e
-        self._off, self._rho, self._tau = np.zeros((3, e.problem.signals.robot.n))
+        self._off, self._rho, self._tau = np.zeros((3, len(e.held)))
 
     def add(self, block: RowBlock, motion: Motion) -> tuple[slice, Array]:
         """Take a block in; its own samples, which no other block has, and the measured positions there."""
         e = self._e
-        needed, own = e.samples(block), block.own_samples(e.layout.N, e.decimation.factor)
+        needed, own = e.samples(block), block.own_samples(e.N, e.decimation.factor)
         inside, q = slice(own.start - needed.start, own.stop - needed.start), e.measured(own)
         self._off += ((motion.q[inside] - q) ** 2).sum(axis=0)
         settings, effort = e.problem.settings, e.problem.signals.effort
@@ -162,13 +160,13 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
 def _replica(e: Experiment, beta: Array) -> Replica:
     error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
     try:
-        for block, x in simulated_blocks(e, beta):
+        for block, x in simulated_blocks(e, *gains_for(e, beta)):
             inside, q = error.add(block, x)
             own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
             # Of a long recording no more is kept than the instants of the rows.
             parts.append(tuple(map(e.decimation.kept, own)) if e.long else own)
     except NotSimulatedError as why:
-        reason, q = str(why), np.zeros((0, e.problem.signals.robot.n))
+        reason, q = str(why), np.zeros((0, len(e.held)))
     else:
         t_s, q, *rest = (np.concatenate(x) for x in zip(*parts, strict=True))
         motion = Motion(t_s=t_s, q=rest[0], dq=rest[1], ddq=rest[2], tau=rest[3])

@@ -104,10 +104,10 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     for first in range(0, N, SPAN):
         here = slice(first, first + SPAN)
         part = replace(cell, position=cell.position[here], torque=cell.torque[here])
-        done = follower.follow(replace(_span(q_ref, first, sample_rate_hz), disturbances=part), bound)
-        if done.reason:
-            raise IdentificationError(f"robot {robot.name}: cannot be simulated: {done.reason}")
-        q[here], tau[here] = part.recorded(done.q[::SUBSTEPS]), done.tau[::SUBSTEPS]
+        done, reason = follower.follow(replace(_span(q_ref, first, sample_rate_hz), disturbances=part), bound)
+        if reason:
+            raise IdentificationError(f"robot {robot.name}: cannot be simulated: {reason}")
+        q[here], tau[here] = part.recorded(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
         for x in (q, tau, q_ref, cell.position, cell.torque):
             let_go(x)
     return Signals(
