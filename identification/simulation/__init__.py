@@ -11,7 +11,6 @@ from .control_law import (
     surrogate_loop,
 )
 from .disturbances import Disturbances
-from .instruments import InstrumentKind, Instruments, told, worst
-from .lab import Lab, Simulation
+from .instruments import Instruments, Lab, Simulation, told, worst
 from .motion import DirectModelError, Replica
 from .plant import RigidBodyPlant, described_robot, drive_loops

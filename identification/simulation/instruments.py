@@ -1,24 +1,27 @@
-"""Instruments: the regressor along the robot simulated with an estimate in the recorded experiment."""
+"""Instruments: the regressor along the robot simulated with an estimate in the recorded experiments, a task for each."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, InstrumentBlocks, System, combined
+from ..data import Work
+from ..estimation import Factors, InstrumentBlocks, System, combined, one_thread
 from ..model import not_positive
-from ..regression import OwnParameters, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
-from .experiment import Experiment
+from ..regression import OwnParameters, Place, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
+from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
     MotionBlocks,
     NotSimulatedError,
+    Replica,
     TrackingError,
     gains_for,
     nearest,
     reference_blocks,
+    simulate_replica,
     simulated_blocks,
 )
 
@@ -196,3 +199,96 @@ def _slip(e: Experiment, u: Array) -> Array:
     """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
     reach = round(0.5 / (e.spacing_s * e.problem.slip_cutoff_hz))
     return lowest_nearby(np.abs(u), e.decimation.instants(len(u)), reach)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulation:
+    """The closed loop of a recording, gains set for the inertias of `prior` (b,); laid out once per process and rate.
+
+    `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
+    """
+
+    place: Place
+    prior: Array
+    slip_noise: Array
+    long: bool
+    gain_update: bool = True
+    _laid_out: dict[float, Experiment] = field(default_factory=dict)
+
+    def at(self, rate_per_bandwidth: float) -> Experiment:
+        """The experiment with so many steps and samples per period of the bandwidth."""
+        if rate_per_bandwidth not in self._laid_out:
+            self._laid_out[rate_per_bandwidth] = Experiment(
+                self.place.problem(),
+                self.prior,
+                self.slip_noise,
+                rate_per_bandwidth=rate_per_bandwidth,
+                gain_update=self.gain_update,
+                long=self.long,
+            )
+        return self._laid_out[rate_per_bandwidth]
+
+    def __getstate__(self) -> dict[str, object]:
+        return {**self.__dict__, "_laid_out": {}}  # laid out anew where it is needed
+
+    @one_thread
+    def instruments(
+        self,
+        beta: Array,
+        covariance: Array | None,
+        weights: Array,
+        kept: NDArray[np.bool_] | None,
+        rate_per_bandwidth: float,
+    ) -> Instruments:
+        """Those of the recording, as `simulate_instruments`."""
+        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, kept)
+
+    @one_thread
+    def replica(self, beta: Array, covariance: Array | None) -> Replica:
+        """The robot simulated in the recording, as `simulate_replica`."""
+        return simulate_replica(self.at(RATE_PER_BANDWIDTH), beta, covariance)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Lab:
+    """The recordings of a fit in the order of the rows, and where the tasks run.
+
+    `names` are the recordings'; `parameters` those that they share and those of each, in whose order values stand.
+    """
+
+    simulations: tuple[Simulation, ...]
+    names: tuple[str, ...]
+    parameters: OwnParameters
+    work: Work
+
+    def instruments(
+        self,
+        beta: Array,
+        covariance: Array | None,
+        weights: Array,
+        *,
+        kept: Sequence[NDArray[np.bool_]] | None = None,
+        coarse: bool = False,
+    ) -> Instruments:
+        """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
+
+        Joints have the `weights` (n,); `kept` are the rows that count, as of `Instruments.fast`, or None for those at which
+        the simulated robot is fast enough.
+        """
+        rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
+        rows: Sequence[NDArray[np.bool_] | None] = kept or [None] * len(self.simulations)
+        tasks = [(*own, weights, fast, rate) for own, fast in zip(self._own(beta, covariance), rows, strict=True)]
+        each = tuple(self.work.run(Simulation.instruments, tasks))
+        return stack_instruments(each, beta, self.parameters, self.names)
+
+    def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
+        """The robot simulated with beta (b,) in each experiment, as `simulate_replica`."""
+        return tuple(self.work.run(Simulation.replica, self._own(beta, covariance)))
+
+    def _own(self, beta: Array, covariance: Array | None) -> list[tuple[Simulation, Array, Array | None]]:
+        """The recordings, and the values and the covariance of the base parameters of each."""
+        places = [self.parameters.places(k) for k in range(len(self.simulations))]
+        return [
+            (simulation, beta[at], None if covariance is None else covariance[np.ix_(at, at)])
+            for simulation, at in zip(self.simulations, places, strict=True)
+        ]
