@@ -22,8 +22,7 @@ from identification.methods import identify_ls
 from identification.methods.assess import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
-from identification.simulation import Reference, described_robot, recorded_loop
-from identification.simulation.plant import drive_loops
+from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
 from identification.study import rehearse, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0

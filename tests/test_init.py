@@ -14,7 +14,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, load_robot
 from identification.commands import main
 from identification.errors import IdentificationError
-from identification.export import Stated, described_robot, read_chain
+from identification.export import Stated, read_chain, robot_of_chain
 from identification.model import InverseModel
 
 STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
@@ -198,7 +198,7 @@ def test_options_and_limits_of_the_urdf_hold_together(here):
     stated = Stated(
         range=(1.0, 3.0, 0.3), speed=(2.0, 5.0, 0.2), acceleration=(8.0, 9.0, 2.0), bandwidth_hz=(6.0, 5.0, 7.0)
     )
-    robot = described_robot(stated.of(read_chain(Path("arm.urdf"), ARM)), moves=True)
+    robot = robot_of_chain(stated.of(read_chain(Path("arm.urdf"), ARM)), moves=True)
     assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
     assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
     assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
@@ -401,10 +401,10 @@ def test_a_joint_that_is_locked_is_not_asked_for_limits_or_an_axis(here, capsys)
 def test_errors_carry_their_data(here):
     chain = read_chain(Path("arm.urdf"), ARM)
     with pytest.raises(IdentificationError) as error:
-        described_robot(chain, moves=True)
+        robot_of_chain(chain, moves=True)
     found = error.value
     assert (found.place, found.key, found.value) == ("arm.urdf: joint 'turn'", "acceleration", None)
-    robot = described_robot(chain)
+    robot = robot_of_chain(chain)
     with pytest.raises(AcquisitionError) as unstated:
         _ = robot.bandwidth_hz
     assert (unstated.value.place, unstated.value.key) == ("robot made up", "controller.bandwidth_hz")

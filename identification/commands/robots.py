@@ -51,10 +51,10 @@ def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
     """The robot that the options of `add_robot` describe; where it `moves`, a URDF or its options must state the limits."""
     from acquisition.robot import load_robot
 
-    from ..export import described_robot, is_urdf
+    from ..export import is_urdf, robot_of_chain
 
     if is_urdf(options.robot):
-        return described_robot(chain_of(options), moves=moves)
+        return robot_of_chain(chain_of(options), moves=moves)
     for option in ("--joints", *(option for option, _, _ in _STATED)):
         if getattr(options, option.removeprefix("--").replace("-", "_")) is not None:
             expected = "a URDF with it: robot.toml has a key of its own for it"

@@ -1,7 +1,7 @@
 """A fit as a model for simulators, URDF, MJCF and robot.toml, with what each cannot say; a description from a URDF."""
 
 from .chain import Chain, is_urdf, read_chain
-from .description import FILL_IN, describe, described_robot
+from .description import FILL_IN, describe, robot_of_chain
 from .exporting import export_model, write_models
 from .mechanism import mechanism_of
 from .stated import Stated

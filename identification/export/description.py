@@ -23,7 +23,7 @@ _COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m
 _ROUNDING = 1e-14  # kg m² and smaller: what the sums of a lumped link leave of zero
 
 
-def described_robot(chain: Chain, *, moves: bool = False) -> Robot:
+def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
     """The robot of the description that `init` writes, with its URDF and what options state.
 
     Where it `moves` and a limit or the bandwidth is not stated, an `IdentificationError` names the joint and the option.

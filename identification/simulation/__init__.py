@@ -1,16 +1,6 @@
 """The robot in closed loop: control laws, friction, a recorded experiment simulated again, instruments, dry runs' plant."""
 
-from .closed_loop import ClosedLoop
-from .control_law import (
-    SURROGATE_DAMPING,
-    Control,
-    ControlLaw,
-    Reference,
-    has_controller,
-    recorded_loop,
-    surrogate_loop,
-)
-from .disturbances import Disturbances
+from .closed_loop import ClosedLoop, RigidBodyPlant, described_robot, drive_loops
+from .control_law import Control, ControlLaw, Disturbances, Reference, has_controller, recorded_loop, surrogate_loop
 from .instruments import Instruments, Lab, Simulation, told, worst
 from .motion import DirectModelError, Replica
-from .plant import RigidBodyPlant, described_robot, drive_loops

@@ -1,23 +1,131 @@
-"""The simulated robot: the direct dynamic model of any base estimate in closed loop with the robot's own controller."""
+"""The simulated robot: the direct model of any base estimate in closed loop, and as what the simulated drives of dry runs move.
+
+Friction is stepped implicitly with stick phases, so that light joints do not chatter. `described_robot` is the package's entry
+point in the group `robot_idim.plants`, by which a dry run finds it.
+"""
 
 import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.errors import AcquisitionError
+from acquisition.robot import Robot
+from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of_range
 
 from ..arrays import Array
-from ..model import DirectModel
-from .control_law import Control, ControlLaw, Reference
-from .disturbances import Disturbances
-from .friction import Friction
+from ..errors import IdentificationError
+from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
+from .control_law import Control, ControlLaw, Disturbances, Reference, has_controller, recorded_loop
 
-_LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
+STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
+STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
+MODE_PASSES = 8  # of the search for which directions stick; nearly always one or two are needed
+BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
+LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
+POSES = 200  # within the limits of the joints, at which a plant's inertias are looked at
+POSES_RANGE = np.pi  # rad or m to each side, of these poses alone, where a joint states no range
+PLANT_STEP_S = 0.0005  # at most
+
+
+class Friction:
+    """The robot's equation of motion, its smooth part stepped explicitly and its friction implicitly.
+
+    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), viscous friction being that of its middle. f in
+    each direction slips or sticks. A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up
+    to a creep speed `v_s`. The modes of the step before are tried first; a direction that would turn round sticks, one that
+    exceeds v_s slips. Friction by the square root of a speed is linearised, its slope being that at v_s below v_s, and taken
+    in the middle of the step like viscous friction. Friction by load has the links' torque of the step before.
+    """
+
+    def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
+        """`fastest` (c,) are the speeds that the directions reach, `v` (n,) the joints' at the start, `h` the step in s.
+
+        Coulomb friction at rest is (1 + stribeck) of its level.
+        """
+        from scipy.linalg import lapack  # takes as long to import as a fit by least squares
+
+        self._solve = lapack.dposv
+        self._model, self._h, self._S = model, h, model.directions
+        speed = np.maximum(fastest, 1e-9)
+        self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
+        self._shaped = model.shapes.any()
+        self._rigid: Array | None = None  # of the links in the step before
+        self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
+        self._hold(self._coulomb)
+        self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
+        self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
+        self._turn(np.sign(self._S @ v))
+
+    def _hold(self, level: Array) -> None:
+        """Take up the friction at rest `level` (c,), half of the distance between its two directions."""
+        self._resists = level > 0
+        self._slope = np.where(self._resists, level / self._v_s, 0.0)
+
+    def _turn(self, mode: Array) -> None:
+        """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
+        model, S = self._model, self._S
+        self._mode, self._forward = mode, mode[:, None] * S
+        stuck = mode == 0
+        level = np.where(stuck, (model.up - model.down) / 2, np.where(mode > 0, model.up, -model.down))
+        self._stuck, self._level = bool(stuck.any()), level @ S + model.offset
+        if self._stribeck:
+            self._slips = np.where(stuck, 0.0, self._stribeck * level)
+        self._creep = (S.T * (self._slope * stuck)) @ S
+
+    def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
+        """Speed (n,) after a step under the torque tau, brakes holding joints where `held`; None where M is not positive."""
+        h = self._h
+        M, bias = self._model.inertia_and_bias(q, v)
+        if self._one_sided:
+            self._V = self._model.viscous + self._model.viscous_up * (v > 0) + self._model.viscous_down * (v < 0)
+            self._added = self._model.rotor + 0.5 * h * self._V
+        M = M + self._added
+        if held is not None:
+            M = M + np.diag(BRAKE * held)
+        force = tau - bias - self._V.dot(v)
+        near = np.exp(-((self._S.dot(v) / self._falls) ** 2)) if self._stribeck else None
+        if self._shaped:
+            shape, steepness = self._shapes(bias if self._rigid is None else self._rigid, v)
+        added: Array | float = 0.0
+        for _ in range(MODE_PASSES):
+            level = self._level if near is None else self._level + (near * self._slips) @ self._S
+            if self._shaped:
+                level = level + (self._mode * shape) @ self._S
+                added = 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
+            if self._stuck:
+                creep = self._creep
+                _, dv, info = self._solve(M + added + h * creep, h * (force - level - creep.dot(v)))
+            else:
+                _, dv, info = self._solve(M + added, h * (force - level))
+            if info:
+                return None
+            w = v + dv
+            if not self._stuck and min(self._forward.dot(w).tolist(), default=1.0) > 0:
+                break
+            after, mode = self._S.dot(w), self._mode
+            stuck = mode == 0
+            found = np.where(stuck & (np.abs(after) > self._v_s), np.sign(after), mode)
+            found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
+            if (found == mode).all():
+                break
+            self._turn(found)
+        if self._shaped:
+            self._rigid = self._model.of_links(q, v, dv / h)
+        return np.asarray(w)
+
+    def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
+        """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the speed."""
+        shapes, v_s = self._model.shapes, self._v_s
+        along = self._S.dot(rigid)
+        # What sticks is held by as much as slips at the creep speed.
+        self._hold(self._coulomb + shapes.friction(v_s, along))
+        if self._stuck:
+            self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
+        u = np.maximum(np.abs(self._S.dot(v)), v_s)
+        return shapes.friction(u, along), shapes.steepness(u)
 
 
 class ClosedLoop:
-    """A robot in closed loop, simulated span by span: its motion and the controller's memory go on from one to the next.
-
-    The smooth part of the model is stepped explicitly; viscous and Coulomb friction implicitly, Coulomb friction with its
-    stick phases, so that light joints do not chatter: within a step it is found which directions stick (a semi-smooth
-    Newton iteration).
-    """
+    """A robot in closed loop, simulated span by span: its motion and the controller's memory go on from one to the next."""
 
     def __init__(
         self,
@@ -55,7 +163,7 @@ class ClosedLoop:
         q_out, dq_out, ddq_out, tau_out = out
         q, v, control, friction = self._q, self._v, self._control, self._friction
         control.take(reference)
-        look_every, half, reason = max(1, _LOOK_EVERY // substeps), 0.5 * h, None
+        look_every, half, reason = max(1, LOOK_EVERY // substeps), 0.5 * h, None
         rows, known = 0, reference.known_torque
         for k in range(N):
             if cell is None:
@@ -88,3 +196,88 @@ class ClosedLoop:
     def _lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
         j, t_s = int(np.argmin(np.abs(q - q_ref) < bound)), (self._instants + k) * self._period_s
         return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
+
+
+class RigidBodyPlant:
+    """The direct model stepped under given efforts, with white disturbance torque of `disturbance` (n,) rms.
+
+    Satisfies the plant protocol of the simulated drives: quantities at the joints, SI. The same seed gives the same run.
+    """
+
+    def __init__(
+        self, model: DirectModel, q: Array, *, speed_scale: Array, step_s: float, disturbance: Array, seed: int
+    ) -> None:
+        """`speed_scale` (n,) is the speed that motion reaches, which sets where friction counts as sticking."""
+        self._model, self._step_s = model, step_s
+        self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
+        self._friction = Friction(model, np.abs(model.directions @ speed_scale), self._dq, step_s)
+        self._disturbance, self._rng = disturbance, np.random.default_rng(seed)
+
+    def state(self) -> tuple[Array, Array]:
+        """Position and speed, each (n,)."""
+        return self._q.copy(), self._dq.copy()
+
+    def prescribed_effort(self) -> Array | None:
+        """None: it obeys."""
+        return None
+
+    def step(self, effort: Array, held: NDArray[np.bool_], duration_s: float) -> None:
+        """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
+        self._dq = np.where(held, 0.0, self._dq)
+        if held.all():
+            return
+        noise = self._disturbance * self._rng.standard_normal(len(effort))
+        steps = max(1, round(duration_s / self._step_s))
+        for _ in range(steps):
+            # The torque of the links is that of the middle position: at the start's it would be half a step late.
+            middle = self._q + 0.5 * self._step_s * self._dq
+            after = self._friction.step(middle, self._dq, effort + noise, held=held)
+            if after is None:
+                raise ArithmeticError("the inertia matrix of the simulated robot is not positive definite")
+            self._q, self._dq = middle + 0.5 * self._step_s * after, after
+
+
+def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
+    """The plant of `robot-acquire record --dry-run`: the rigid robot of the description's `[parameters]`.
+
+    The robot is at rest in the middle of its ranges; the loops of its drives are for its inertias. An `AcquisitionError` where
+    the parameters are not of this robot, or no motion is possible with them.
+    """
+    try:
+        dynamics = InverseModel(robot)
+        base = base_parameters(dynamics)
+        model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    except IdentificationError as error:
+        raise AcquisitionError(str(error)) from error
+    ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
+    poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
+    reason = not_positive(model, poses)
+    if reason is not None:
+        raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
+    period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * PLANT_STEP_S
+    plant = RigidBodyPlant(
+        model,
+        middle_of_range(robot),
+        speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
+        step_s=min(period_s / SUBSTEPS, PLANT_STEP_S),
+        disturbance=np.zeros(robot.n),
+        seed=0,
+    )
+    return plant, drive_loops(robot, inertias(model, poses))
+
+
+def drive_loops(robot: Robot, J: Array) -> LoopGains:
+    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for inertias J (n,) at the joints.
+
+    Computed torque needs a model that drives do not have: a description with it is given the second.
+    """
+    if not has_controller(robot.controller) or robot.controller.structure == "computed_torque":
+        return cascaded_loops(robot, J)
+    law = recorded_loop(robot)
+    return LoopGains(
+        position=law.Kp,
+        velocity=law.Kd,
+        integral=law.Ki,
+        position_share=law.position_share,
+        feedforward=law.feedforward,
+    )
