@@ -6,6 +6,7 @@ tried from the base outwards, so the names are the field's own: ZZ1R, XX2R, ...;
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,7 +44,7 @@ class BaseParameters:
     masses: NDArray[np.intp]
     links: NDArray[np.bool_]
 
-    @property
+    @cached_property
     def b(self) -> int:
         """Number of base parameters."""
         return len(self.names)

@@ -28,7 +28,11 @@ _BLOCK = 2048  # samples at a time: the twists of six joints stay in the cache
 
 
 class InverseModel:
-    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link."""
+    """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link.
+
+    `sources` are where each is from: (link, place in LINK), or a term of a joint. `coulomb_directions` (c, n) are directions r
+    that friction with a sign acts along, its speed being r·dq: of joints, and of coupled motors.
+    """
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
@@ -36,28 +40,20 @@ class InverseModel:
         self.model.gravity.linear = np.array(robot.gravity)
         self._data = self.model.createData()
         n = robot.n
-        self.sources: list[tuple[int, int] | JointTerm] = []  # (link, place in LINK) or a term of a joint
+        self.sources: list[tuple[int, int] | JointTerm] = []
         for j in range(n):
             self.sources += [(j, i) for i in range(len(LINK))]
             self.sources += joint_terms(robot, j)
         self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources)
         self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources)
+        self.p = len(self.names)
         self._nonzero = self._structure()
-
-    @property
-    def p(self) -> int:
-        """Number of standard parameters."""
-        return len(self.names)
+        along = [s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING]
+        self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
 
     def is_link_parameter(self, column: int) -> bool:
         """Whether a column belongs to a link (XX ... M) rather than to a motor or to friction."""
         return not isinstance(self.sources[column], JointTerm)
-
-    @property
-    def coulomb_directions(self) -> Array:
-        """Directions r (c, n) that friction with a sign acts along, its speed being r·dq: of joints, and of coupled motors."""
-        terms = [s for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING]
-        return np.array(list(dict.fromkeys(tuple(term.direction) for term in terms))).reshape(-1, self.robot.n)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""

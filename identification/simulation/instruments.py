@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -57,7 +58,7 @@ class Instruments:
     tracking_percent: float | None
     load_unknown: bool
 
-    @property
+    @cached_property
     def used(self) -> Array:
         """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
         return np.concatenate(self.fast).T.reshape(-1).astype(float)
