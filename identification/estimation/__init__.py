@@ -1,14 +1,18 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import (
+    BlockSums,
     Intervals,
     Scores,
+    TimeBlocks,
     deviations_of_sums,
     estimate_deviations,
     intervals,
     intervals_from,
+    intervals_of_blocks,
     scores_of_recordings,
     slices,
+    sums_of_blocks,
 )
 from .consistency import (
     GAMMA,
@@ -41,4 +45,3 @@ from .estimators import (
 )
 from .link_inertias import link_parameters, pseudo_inertia
 from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
-from .time_blocks import BlockSums, InstrumentBlocks, TimeBlocks, intervals_of_blocks, sums_of_blocks

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, InstrumentBlocks, System, combined
+from ..estimation import Factors, System, TimeBlocks, combined
 from ..model import direct_model, not_positive
 from ..regression import OwnParameters, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
 from .experiment import Experiment
@@ -46,7 +46,7 @@ class Instruments:
     Z: Array
     system: System | None = None
     factors: tuple[tuple[System, Array], ...] = ()
-    time_blocks: tuple[InstrumentBlocks, ...] = ()
+    time_blocks: tuple[TimeBlocks, ...] = ()
     fast: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
@@ -161,12 +161,12 @@ def _along(
     beta: Array,
     weights: Array,
     kept: NDArray[np.bool_] | None,
-) -> tuple[tuple[Array, NDArray[np.bool_], System | None, InstrumentBlocks | None], float]:
+) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
     """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
     problem, base = e.problem, e.problem.base
     directions, percent, rows = problem.model.coulomb_directions, problem.settings.low_speed.iv, e.blocks[0].rows
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
-    time_blocks = InstrumentBlocks.none_yet(rows, base.names) if e.long else None
+    time_blocks = TimeBlocks.none_yet(rows, len(weights), base.names, instruments=True) if e.long else None
     error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
@@ -182,7 +182,7 @@ def _along(
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
-        time_blocks.add(at.first, columns, weights, counts)
+        time_blocks.add(at.first, columns, counts, weights)
         fast.append(counts)
     if factors is not None:
         system, of_system = factors.system(base.names)
