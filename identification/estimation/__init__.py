@@ -11,7 +11,6 @@ from .confidence import (
     intervals_from,
     intervals_of_blocks,
     scores_of_recordings,
-    slices,
     sums_of_blocks,
 )
 from .consistency import (
@@ -20,6 +19,8 @@ from .consistency import (
     PhysicalParameters,
     certainty,
     consistent_parameters,
+    link_parameters,
+    pseudo_inertia,
 )
 from .diagnostics import (
     MOVING,
@@ -27,13 +28,16 @@ from .diagnostics import (
     TorqueError,
     are_moving,
     autocorrelation,
+    chi_squared_quantile,
+    f_tail,
+    f_tests,
     instrument_tests,
     lag_one,
     relative_error_percent,
+    t_quantile,
     torque_errors,
     whitened,
 )
-from .distributions import chi_squared_quantile, f_tail, independent_share, t_quantile
 from .estimators import (
     Estimate,
     Reduction,
@@ -43,5 +47,4 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .link_inertias import link_parameters, pseudo_inertia
-from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
+from .system import Factors, System, combined, condensed, r_factor, slices, undetermined_parameters

@@ -6,14 +6,14 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from .distributions import t_quantile
+from .diagnostics import t_quantile
 from .estimators import Estimate
+from .system import slices
 
 LEVEL = 0.95
 FEWEST, MOST = 4, 16  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
@@ -97,12 +97,6 @@ def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
         reach=reach,
         covariance=estimate.covariance * scale[:, None] * scale,
     )
-
-
-def slices(parts: Sequence[int]) -> list[slice]:
-    """The instants of each recording among those of all."""
-    edges = np.cumsum([0, *parts])
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> Array:
