@@ -13,7 +13,6 @@ from identification.estimation import (
     condensed,
     essential_parameters,
     f_tail,
-    independent_share,
     instrument_tests,
     instrumental_variables,
     ordinary_least_squares,
@@ -21,6 +20,7 @@ from identification.estimation import (
     t_quantile,
     weighted_least_squares,
 )
+from identification.estimation.diagnostics import independent_share
 from identification.estimation.estimators import joint_weights
 from identification.estimation.system import orthonormal
 

@@ -10,8 +10,8 @@ from independent_simulator import Imperfections, described_controller, descripti
 
 from identification.data import load_signals
 from identification.estimation import (
-    InstrumentBlocks,
     System,
+    TimeBlocks,
     instrumental_variables,
     intervals,
     intervals_of_blocks,
@@ -108,9 +108,9 @@ def test_instrument_blocks_are_sums_over_their_rows():
     T, n, b, rng = 128, 2, 3, np.random.default_rng(7)
     Z, W, Y = rng.normal(size=(n, b, T)), rng.normal(size=(n, b, T)), rng.normal(size=(n, 1, T))
     counts, weights = rng.uniform(size=(T, n)) > 0.3, np.array([1.0, 3.0])
-    blocks = InstrumentBlocks.none_yet(T, tuple("abc"))
+    blocks = TimeBlocks.none_yet(T, n, tuple("abc"), instruments=True)
     for a, z in ((0, 40), (40, 41), (41, T)):
-        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], weights, counts[a:z])
+        blocks.add(a, np.concatenate([Z, W, Y], axis=1)[..., a:z], counts[a:z], weights)
     Z, W, Y = (x.transpose(0, 2, 1).reshape(n * T, -1) for x in (Z, W, Y))
     used = counts.T.reshape(-1).astype(float)
     system = System.whole(W, Y[:, 0], np.repeat([0, 1], T), tuple("abc")).with_rows(used)
@@ -130,6 +130,6 @@ def test_instrument_blocks_are_sums_over_their_rows():
         Q = fit.Q * own[:, None]
         np.testing.assert_allclose(part.QW.sum(axis=0), Q.T @ (some.W * weight[:, None]), rtol=1e-9)
         one = np.eye(len(columns))
-        scores = part.scores(fit.beta, one, one)
-        np.testing.assert_allclose(scores.scores.sum(axis=0), Q.T @ (rho * weight), rtol=1e-9)
-        assert scores.cosines == 6  # 0.4 * 64^(2/3)
+        scores, _, cosines = part.scores(fit.beta, one, one)
+        np.testing.assert_allclose(scores.sum(axis=0), Q.T @ (rho * weight), rtol=1e-9)
+        assert cosines == 6  # 0.4 * 64^(2/3)

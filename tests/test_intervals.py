@@ -218,7 +218,7 @@ def test_time_blocks_are_sums_over_their_rows():
     system = system.with_rows(counts.T.ravel().astype(float))
     blocks = TimeBlocks.none_yet(T, n, tuple("abcd"))
     for a, z in ((0, 13), (13, 50), (50, 51), (51, T)):
-        blocks.add(a, W[..., a:z], Y[:, a:z], counts[a:z])
+        blocks.add(a, np.concatenate([W, Y[:, None]], axis=1)[..., a:z], counts[a:z])
     for columns in (np.arange(4), np.array([1, 3])):
         some = system.with_columns(columns)
         fit = weighted_least_squares(some)
@@ -259,7 +259,7 @@ def test_time_blocks_are_equal():
     """1000 instants in 128 blocks of 7 or 8, brought in pieces that end within a block."""
     blocks = TimeBlocks.none_yet(1000, 1, ("a",))
     for a, z in ((0, 13), (13, 500), (500, 501), (501, 1000)):
-        blocks.add(a, np.ones((1, 1, z - a)), np.zeros((1, z - a)), np.ones((z - a, 1), dtype=bool))
+        blocks.add(a, np.stack([[np.ones(z - a), np.zeros(z - a)]]), np.ones((z - a, 1), dtype=bool))
     assert blocks.products.shape == (128, 1, 1, 2)
     assert set(blocks.products[:, 0, 0, 0]) == {7.0, 8.0}
     assert blocks.products[..., 0].sum() == 1000

@@ -1,14 +1,17 @@
 """Least squares, instrumental variables and their tests, on arrays; nothing here knows of robots."""
 
 from .confidence import (
+    BlockSums,
     Intervals,
     Scores,
+    TimeBlocks,
     deviations_of_sums,
     estimate_deviations,
     intervals,
     intervals_from,
+    intervals_of_blocks,
     scores_of_recordings,
-    slices,
+    sums_of_blocks,
 )
 from .consistency import (
     GAMMA,
@@ -16,6 +19,8 @@ from .consistency import (
     PhysicalParameters,
     certainty,
     consistent_parameters,
+    link_parameters,
+    pseudo_inertia,
 )
 from .diagnostics import (
     MOVING,
@@ -23,13 +28,16 @@ from .diagnostics import (
     TorqueError,
     are_moving,
     autocorrelation,
+    chi_squared_quantile,
+    f_tail,
+    f_tests,
     instrument_tests,
     lag_one,
     relative_error_percent,
+    t_quantile,
     torque_errors,
     whitened,
 )
-from .distributions import chi_squared_quantile, f_tail, independent_share, t_quantile
 from .estimators import (
     Estimate,
     Reduction,
@@ -39,6 +47,4 @@ from .estimators import (
     ordinary_least_squares,
     weighted_least_squares,
 )
-from .link_inertias import link_parameters, pseudo_inertia
-from .system import Factors, System, combined, condensed, r_factor, undetermined_parameters
-from .time_blocks import BlockSums, InstrumentBlocks, TimeBlocks, intervals_of_blocks, sums_of_blocks
+from .system import Factors, System, combined, condensed, r_factor, slices, undetermined_parameters

@@ -6,13 +6,14 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
-from .distributions import t_quantile
+from .diagnostics import t_quantile
 from .estimators import Estimate
+from .system import slices
 
 LEVEL = 0.95
 FEWEST, MOST = 4, 16  # cosines: with all that white residuals would bear, AR(0.98) is covered in 76 % instead of 92 %
@@ -27,7 +28,7 @@ class Intervals:
     Attributes:
         low, high: (b,) their ends.
         sigma: (b,) deviations by equal-weighted cosines.
-        freedom: degrees of freedom of Student's t.
+        freedom: degrees of freedom of Student's t; `reach` deviations, by it, are half an interval.
         covariance: (b, b) D R D, D the deviations `sigma`, R the formula's correlations. The cosines' own matrix has no more
             than `freedom` independent directions.
     """
@@ -36,12 +37,8 @@ class Intervals:
     high: Array
     sigma: Array
     freedom: int
+    reach: float
     covariance: Array
-
-    @property
-    def reach(self) -> float:
-        """Deviations `sigma` that a half-width has, by Student's t."""
-        return _reach(self.freedom)
 
     @property
     def half(self) -> Array:
@@ -58,28 +55,21 @@ def intervals(estimate: Estimate, rho: Array, n: int, parts: tuple[int, ...] | N
     return intervals_from(estimate, *estimate_deviations(estimate.bread, found))
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Scores:
-    """A recording's share of beta - beta_true: scores (T, b) of instants or blocks of time, whose sum it is.
-
-    `grams` (K, b, b) are Q'Q of blocks of time; `cosines` is their number that the recording's length bears.
-    """
-
-    scores: Array
-    grams: Array
-    cosines: int
+# Of a recording the scores (T, b) of instants or blocks of time, whose sum is its share of beta - beta_true; Q'Q (K, b, b) of
+# blocks of time; and how many cosines its length bears.
+Scores = tuple[Array, Array, int]
 
 
 def scores_of_recordings(Q: Array, bread: Array, rho: Array, parts: Sequence[int]) -> list[Scores]:
     """The scores of recordings of so many instants (`parts`) from orthonormal Q (n T, b), `bread` and residuals rho (n, T)."""
     (n, T), b = rho.shape, Q.shape[1]
     scores = (Q * rho.reshape(-1, 1)).reshape(n, T, b).sum(axis=0) @ bread.T
-    by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), []
+    by_instant, found = Q.reshape(n, T, b).transpose(1, 0, 2), list[Scores]()
     for part in slices(parts):
         count = len(scores[part])
         blocks = np.array_split(by_instant[part], min(count, TIME_BLOCKS))
         grams = np.stack([q.T @ q for q in (block.reshape(-1, b) for block in blocks)])
-        found.append(Scores(scores=scores[part], grams=grams, cosines=cosines(count)))
+        found.append((scores[part], grams, cosines(count)))
     return found
 
 
@@ -88,31 +78,25 @@ def estimate_deviations(bread: Array, recordings: Sequence[Scores]) -> tuple[Arr
     of freedom: recordings are independent of one another, variances and degrees add up.
     """
     each = []
-    for own in recordings:
-        along = bread @ own.grams
-        share = _share((along * bread).sum(axis=-1), along, own.cosines)
-        each.append(deviations(own.scores, own.cosines) / np.sqrt(share))
-    return np.asarray(np.hypot.reduce(each)), sum(own.cosines for own in recordings)
+    for scores, grams, B in recordings:
+        along = bread @ grams
+        each.append(deviations(scores, B) / np.sqrt(_share((along * bread).sum(axis=-1), along, B)))
+    return np.asarray(np.hypot.reduce(each)), sum(B for _, _, B in recordings)
 
 
 def intervals_from(estimate: Estimate, sigma: Array, freedom: int) -> Intervals:
     """Intervals of an estimate with the deviations `sigma` (b,) of so many degrees of freedom."""
-    half = _reach(freedom) * sigma
+    reach = t_quantile(0.5 + LEVEL / 2, freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = np.where(estimate.sigma > 0, sigma / estimate.sigma, 0.0)
     return Intervals(
-        low=estimate.beta - half,
-        high=estimate.beta + half,
+        low=estimate.beta - reach * sigma,
+        high=estimate.beta + reach * sigma,
         sigma=sigma,
         freedom=freedom,
+        reach=reach,
         covariance=estimate.covariance * scale[:, None] * scale,
     )
-
-
-def slices(parts: Sequence[int]) -> list[slice]:
-    """The instants of each recording among those of all."""
-    edges = np.cumsum([0, *parts])
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def deviations_of_sums(z: Array, rho: Array, Q: Array, parts: Sequence[int]) -> Array:
@@ -169,5 +153,108 @@ def cosines(T: int) -> int:
     return int(np.clip(np.floor(0.4 * T ** (2 / 3)), FEWEST, MOST))
 
 
-def _reach(freedom: int) -> float:
-    return t_quantile(0.5 + LEVEL / 2, freedom)
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BlockSums:
+    """Sums over the rows of each of K equal blocks of time, with the orthonormal columns Q (r, b) of an estimate.
+
+    Attributes:
+        QQ, QW: (K, b, b) Q'Q and Q'W, rows weighted as the estimate was; `QY`: (K, b) Q'Y.
+        WW: (K, b, b) W'W of the same rows in the unit of the torque; `WY`: (K, b) W'Y.
+        edges: (K + 1,) the first instant of each block and the end of the last.
+    """
+
+    QQ: Array
+    QW: Array
+    QY: Array
+    WW: Array
+    WY: Array
+    edges: NDArray[np.intp]
+
+    def between(self, first: int, last: int) -> "BlockSums":
+        """The blocks that lie between these instants, of which both are edges."""
+        a, z = np.searchsorted(self.edges, (first, last))
+        QQ, QW, QY, WW, WY = (x[a:z] for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
+        return BlockSums(QQ=QQ, QW=QW, QY=QY, WW=WW, WY=WY, edges=self.edges[a : z + 1])
+
+    def scores(self, beta: Array, bread: Array, T: Array) -> Scores:
+        """Scores bread T'Q'(Y - W beta) of an estimate beta (b,) with the orthonormal columns Q T."""
+        scores = (self.QY - self.QW @ beta) @ T @ bread.T
+        return scores, T.T @ self.QQ @ T, cosines(int(self.edges[-1] - self.edges[0]))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TimeBlocks:
+    """Products of the rows that count of a long recording, by K equal blocks of time: intervals and fits of parts need no more.
+
+    Attributes:
+        products: (K, n, b, b + 1) of block and joint W'[W Y]; with instruments (K, 1, b, b + 1), of all joints.
+        along: with instruments Z (K, b, 2b + 1) Z'[Z W Y] of the weighted rows; else None.
+        instants: T, how many the blocks share.
+        names: (b,) parameters.
+    """
+
+    products: Array
+    along: Array | None
+    instants: int
+    names: tuple[str, ...]
+
+    @classmethod
+    def none_yet(cls, instants: int, n: int, names: tuple[str, ...], *, instruments: bool = False) -> "TimeBlocks":
+        """Blocks to which `add` brings the rows of so many instants of n joints."""
+        b, K = len(names), min(TIME_BLOCKS, instants)
+        products = np.zeros((K, 1 if instruments else n, b, b + 1))
+        along = np.zeros((K, b, 2 * b + 1)) if instruments else None
+        return cls(products=products, along=along, instants=instants, names=names)
+
+    def add(self, first: int, columns: Array, counts: NDArray[np.bool_], weights: Array | None = None) -> None:
+        """Add the instants from `first` on: W Y (n, b + 1, rows), or with instruments Z W Y (n, 2b + 1, rows) and the `weights`
+        (n,) of the joints; `counts` (rows, n) says which of the rows count.
+        """
+        b = len(self.names)
+        block = np.arange(first, first + len(counts)) * len(self.products) // self.instants
+        for k in np.unique(block):
+            for j, of_joint in enumerate(columns):
+                rows = of_joint[:, (block == k) & counts[:, j]]
+                products = rows[-b - 1 : -1] @ rows[-b - 1 :].T
+                if self.along is None or weights is None:
+                    self.products[k, j] += products
+                else:
+                    self.products[k, 0] += products
+                    self.along[k] += weights[j] ** 2 * (rows[:b] @ rows.T)
+
+    def sums(self, estimate: Estimate, T: Array) -> BlockSums:
+        """Sums of the parameters estimated; W T, or Z T, are the estimate's orthonormal columns."""
+        among = np.array([self.names.index(name) for name in estimate.names])
+        plain = self.products.sum(axis=1)[:, among]
+        if self.along is None:
+            along = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, among]
+            of_W = among
+        else:
+            along, of_W = self.along[:, among], len(self.names) + among
+        return BlockSums(
+            QQ=T.T @ along[..., among] @ T,
+            QW=T.T @ along[..., of_W],
+            QY=along[..., -1] @ T,
+            WW=plain[..., among],
+            WY=plain[..., -1],
+            # instant t is in block t K // T
+            edges=np.asarray(-(-np.arange(len(plain) + 1) * self.instants // len(plain))),
+        )
+
+
+def sums_of_blocks(
+    estimate: Estimate, recordings: Sequence[TimeBlocks], basis: Array | None = None
+) -> tuple[BlockSums, ...]:
+    """The blocks of recordings with the columns Q of an estimate, of all parameters or some.
+
+    `basis` T (b, b) makes Z T the estimate's orthonormal Q, by default its `bread`: W bread is that of least squares.
+    """
+    T = estimate.bread if basis is None else basis
+    return tuple(blocks.sums(estimate, T) for blocks in recordings)
+
+
+def intervals_of_blocks(estimate: Estimate, recordings: Sequence[BlockSums]) -> Intervals:
+    """Intervals of an estimate from the sums over the blocks of recordings."""
+    one = np.eye(len(estimate.beta))
+    found = [blocks.scores(estimate.beta, estimate.bread, one) for blocks in recordings]
+    return intervals_from(estimate, *estimate_deviations(estimate.bread, found))

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .link_inertias import BASIS
 
 GAMMA = 1.0  # of the prior of the links; with a generic prior 0.1 and less is worse than none on short recordings
 GAMMA_X = 1e-6  # of gamma: a barrier alone; at full weight friction and rotors are drawn away from the data
@@ -122,25 +121,15 @@ def consistent_parameters(
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Certainty:
-    """How well values are known.
-
-    Attributes:
-        sigma: deviations by Laplace, the inverse Hessian at the optimum without the barrier of friction and rotors, which is no
-            knowledge. Of base parameters with the square of their move off the estimate: no prior is the truth.
-        share: variance in parts of the one that the prior alone would leave, from 0 to 1: above a half a value comes from the
-            prior rather than from the recording. Those of which nothing is expected, as offsets and friction, have 0.
-    """
-
-    sigma: Array
-    share: Array
-
-
 def certainty(
     found: Consistent, covariance: Array, K: Array, physical: PhysicalParameters, *, gamma: float = GAMMA
-) -> tuple[Certainty, Certainty]:
-    """How well the standard parameters (p,) and the base parameters (b,) are known."""
+) -> tuple[tuple[Array, Array], tuple[Array, Array]]:
+    """How well the standard parameters (p,) and the base parameters (b,) are known: deviations, and shares of the prior.
+
+    Deviations by Laplace: the inverse Hessian at the optimum without the barrier of friction and rotors, which is no knowledge.
+    Of base parameters with the square of their move off the estimate: no prior is the truth. Shares: variance in parts of the
+    one that the prior alone would leave, from 0 to 1; 0 where nothing is expected, as of offsets and friction.
+    """
     b, p = K.shape
     links = replace(physical, combinations=np.zeros((0, p)), matrices=())
     root = _inverse_root(found.beta, covariance)
@@ -150,7 +139,7 @@ def certainty(
     free = both[:, ~expected].any(axis=1)
     share = np.where(free, 0.0, np.minimum(variance / np.where(free, 1.0, alone), 1.0))
     sigma = np.sqrt(variance + np.r_[np.zeros(p), found.deviations**2 * np.diag(covariance)])
-    return Certainty(sigma=sigma[:p], share=share[:p]), Certainty(sigma=sigma[p:], share=share[p:])
+    return (sigma[:p], share[:p]), (sigma[p:], share[p:])
 
 
 def _variances(J: Array, rows: Array) -> Array:
@@ -294,3 +283,31 @@ def _inverse_root(beta: Array, covariance: Array) -> Array:
         return np.asarray(np.linalg.inv(np.linalg.cholesky(R)) / sigma)
     except np.linalg.LinAlgError as error:
         raise IdentificationError("no consistent parameters found: the covariance is not positive definite") from error
+
+
+def pseudo_inertia(parameters: Array) -> Array:
+    """Pseudo-inertias P (..., 4, 4) of links' XX XY XZ YY YZ ZZ MX MY MZ M (..., 10): [[tr(I)/2 1 - I, h], [h', M]]."""
+    return np.asarray(np.tensordot(parameters, BASIS, axes=1))
+
+
+def link_parameters(P: Array) -> Array:
+    """XX XY XZ YY YZ ZZ MX MY MZ M (..., 10) of pseudo-inertias P (..., 4, 4): the inverse of `pseudo_inertia`."""
+    second = P[..., :3, :3]
+    inertia = np.trace(second, axis1=-2, axis2=-1)[..., None, None] * np.eye(3) - second
+    rows, columns = np.triu_indices(3)
+    return np.concatenate([inertia[..., rows, columns], P[..., :3, 3], P[..., 3:, 3]], axis=-1)
+
+
+def _basis() -> Array:
+    basis = np.zeros((10, 4, 4))
+    for place, (i, j) in enumerate(((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))):
+        basis[place, [i, j], [j, i]] = -1.0
+        if i == j:
+            basis[place, range(3), range(3)] += 0.5
+    for i in range(3):
+        basis[6 + i, [i, 3], [3, i]] = 1.0
+    basis[9, 3, 3] = 1.0
+    return basis
+
+
+BASIS = _basis()  # P = sum of parameter times matrix

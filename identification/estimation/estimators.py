@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from .distributions import f_tail, independent_share
+from .diagnostics import f_tests
 from .system import RANK_TOLERANCE, System, orthonormal, r_factor, refuse_rank_deficiency
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -144,7 +144,7 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
     W, Y = system.weighted(full.weights)
     R = r_factor(np.c_[W, Y])
-    b, r, independent = W.shape[1], full.rows, independent_share(correlation)
+    b, r = W.shape[1], full.rows
 
     def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float]:
         some = R[:, kept]
@@ -155,8 +155,7 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
         if not dropped or not full.residual_norm > 0:
             return (float("nan"),) * 4
         F = (rho_norm**2 - full.residual_norm**2) / dropped / (full.residual_norm**2 / (r - b))
-        F_effective, freedom = F * independent, max(1.0, r * independent - b)
-        return F, f_tail(F, dropped, r - b), F_effective, f_tail(F_effective, dropped, freedom)
+        return f_tests(F, dropped, r, b, correlation)
 
     kept, tested = np.arange(b), (float("nan"),) * 4
     while len(kept) > 1:

@@ -1,7 +1,8 @@
 """The over-determined system that estimators take; QR factors of its rows, where there are too many of them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +61,12 @@ class System:
         """W (r, b) and Y (r,) with rows of joint j times `weights` (n,), and zero where they do not count."""
         w = weights[self.joint_of_row] * self.used
         return self.W * w[:, None], self.Y * w
+
+
+def slices(parts: Sequence[int]) -> list[slice]:
+    """The instants of each recording among those of all."""
+    edges = np.cumsum([0, *parts])
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 class Factors:

@@ -13,8 +13,7 @@ from ..estimation import (
     Estimate,
     Intervals,
     System,
-    f_tail,
-    independent_share,
+    f_tests,
     intervals,
     intervals_of_blocks,
     lag_one,
@@ -120,10 +119,9 @@ def own_test(observed: Observed, full: Estimate) -> OwnTest | None:
     rho = (rows.tau - observed.predicted(full)) * full.weights * rows.fast
     more, freedom = len(parameters.names) - len(shared), full.rows - len(parameters.names)
     F = float((left**2 - norm**2) / more / (norm**2 / freedom)) if norm > 0 else float("inf")
-    share = independent_share(lag_one(rho) or 0.0)
-    p = f_tail(F * share, more, max(1.0, full.rows * share - len(parameters.names)))
+    F, p, F_effective, p_effective = f_tests(F, more, full.rows, len(parameters.names), lag_one(rho) or 0.0)
     names = tuple(name for name in parameters.names if "@" in name)
-    return OwnTest(names=names, F=F, p_value=f_tail(F, more, freedom), F_effective=F * share, p_effective=p)
+    return OwnTest(names=names, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
 
 def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, used: Array) -> Intervals:

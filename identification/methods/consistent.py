@@ -96,17 +96,17 @@ def consistent_set(
     expected = None if prior.robot is None else InverseModel(prior.robot)
     physical = physical_parameters(model, expected, power)
     found = consistent_parameters(known.beta, known.covariance, base.K, physical)
-    of_chi, of_beta = certainty(found, known.covariance, base.K, physical)
+    (sigma, share), (base_sigma, base_share) = certainty(found, known.covariance, base.K, physical)
     return ConsistentSet(
         names=model.names,
         units=model.units,
         chi=found.chi,
-        half=known.reach * of_chi.sigma,
-        from_prior=of_chi.share > FROM_PRIOR,
+        half=known.reach * sigma,
+        from_prior=share > FROM_PRIOR,
         base_names=base.names,
         beta=found.beta,
-        base_half=known.reach * of_beta.sigma,
-        base_from_prior=of_beta.share > FROM_PRIOR,
+        base_half=known.reach * base_sigma,
+        base_from_prior=base_share > FROM_PRIOR,
         prior=f"{prior.name}: {_in_words(expected_links(model, expected)[1])}",
         chi_squared=found.chi_squared,
         deviations=found.deviations,

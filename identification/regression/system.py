@@ -87,8 +87,9 @@ def regression_of_recording(
             kept = [*kept, links] if numbers <= _LINKS_KEPT // max(1, share) else []
         if factors and time_blocks:
             counts = fast[at.first : at.last]
-            factors.add_block(np.concatenate([W, Y[:, None]], axis=1), counts)
-            time_blocks.add(at.first, W, Y, counts)
+            columns = np.concatenate([W, Y[:, None]], axis=1)
+            factors.add_block(columns, counts)
+            time_blocks.add(at.first, columns, counts)
             blocks.append((tau, speed))
         else:
             blocks.append((tau, speed, W, Y))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..data import Work
-from ..estimation import Factors, InstrumentBlocks, System, combined, one_thread
+from ..estimation import Factors, System, TimeBlocks, combined, one_thread
 from ..model import not_positive
 from ..regression import OwnParameters, Place, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
@@ -50,7 +50,7 @@ class Instruments:
     Z: Array
     system: System | None = None
     factors: tuple[tuple[System, Array], ...] = ()
-    time_blocks: tuple[InstrumentBlocks, ...] = ()
+    time_blocks: tuple[TimeBlocks, ...] = ()
     fast: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
@@ -164,12 +164,12 @@ def _along(
     beta: Array,
     weights: Array,
     kept: NDArray[np.bool_] | None,
-) -> tuple[tuple[Array, NDArray[np.bool_], System | None, InstrumentBlocks | None], float]:
+) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
     """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
     problem, base = e.problem, e.problem.base
     directions, percent, rows = e.directions, problem.settings.low_speed.iv, e.blocks[0].rows
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
-    time_blocks = InstrumentBlocks.none_yet(rows, base.names) if e.long else None
+    time_blocks = TimeBlocks.none_yet(rows, len(weights), base.names, instruments=True) if e.long else None
     error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
@@ -185,7 +185,7 @@ def _along(
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
-        time_blocks.add(at.first, columns, weights, counts)
+        time_blocks.add(at.first, columns, counts, weights)
         fast.append(counts)
     if factors is not None:
         system, of_system = factors.system(base.names)

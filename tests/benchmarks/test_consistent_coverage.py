@@ -35,9 +35,9 @@ def test_intervals_hold_the_truth(times):
     for seed in range(ARMS):
         beta, C, K, physical, chi = random_estimate(seed, times)
         found = solve(beta, C, K, physical)
-        _, of_beta = certainty(found, C, K, physical)
-        hits.append(np.abs(found.beta - K @ chi) <= NORMAL * of_beta.sigma)
-        shares.append(of_beta.share)
+        _, (sigma, share) = certainty(found, C, K, physical)
+        hits.append(np.abs(found.beta - K @ chi) <= NORMAL * sigma)
+        shares.append(share)
     hit, prior = np.concatenate(hits), np.concatenate(shares) > FROM_PRIOR
     percent = 100 * hit[~prior].mean()
     print(
