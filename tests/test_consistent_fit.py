@@ -31,7 +31,7 @@ from identification.methods.fit_files import consistent_keys
 from identification.model import InverseModel, base_parameters, expected_links, physical_parameters
 from identification.regression import Overrides, regression_of_recording
 from identification.report import FitFile, LeftOut, read_fit
-from identification.study.synthetic import periodic_reference
+from identification.study.simulated_cell import periodic_reference
 
 
 @pytest.fixture(scope="module")

@@ -32,7 +32,7 @@ from identification.study import (
     run_fleet,
     write_signals,
 )
-from identification.study import rows as rows_module
+from identification.study import fleet as fleet_module
 
 BEGAN = datetime(2026, 3, 2, 6, 0, tzinfo=UTC)
 WEEK_S = 7 * 86400.0
@@ -76,7 +76,7 @@ def fits(monkeypatch):
         names.append(signals.recording)
         return identify(signals, *arguments, **options)
 
-    monkeypatch.setattr(rows_module, "identify", counted)
+    monkeypatch.setattr(fleet_module, "identify", counted)
     return names
 
 
@@ -348,7 +348,7 @@ def test_a_mistake_of_the_program_is_a_row_too(fleet, tmp_path, monkeypatch):
     def broken(*arguments, **options):
         raise ZeroDivisionError("division by\nzero")
 
-    monkeypatch.setattr(rows_module, "identify", broken)
+    monkeypatch.setattr(fleet_module, "identify", broken)
     rows = run(fleet, tmp_path / "kept")
     assert {row.reason for row in rows} == {"unexpected ZeroDivisionError: division by zero"}
     assert all(row.start is not None and row.robot == "EMPS" for row in rows), "as far as it is known"

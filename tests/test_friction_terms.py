@@ -35,7 +35,7 @@ from identification.regression import (
 from identification.regression.settled import told_apart
 from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.study.synthetic import periodic_reference
+from identification.study.simulated_cell import periodic_reference
 
 USUAL = ["viscous", "coulomb", "offset"]
 ALL = [*USUAL, "asymmetric", "root", "load", "stribeck"]

@@ -18,7 +18,7 @@ from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference, study_truth, write_signals
-from identification.study.noise import AR, noise_parts
+from identification.study.simulated_cell import AR, noise_parts
 
 NAMES = ("emps", "scara")
 SETTLED = slice(500, None)  # the two start differently under gravity and offset
@@ -198,9 +198,7 @@ def test_a_recording_made_span_by_span_is_the_same(monkeypatch, tmp_path):
         return q_ref, signals.q, signals.effort, read_recording(tmp_path / "a.mcap").samples["effort"]
 
     whole = made()
-    for name in ("noise.SPAN", "synthetic.SPAN"):
-        monkeypatch.setattr(f"identification.study.{name}", 70)
-    for name in ("noise.LONG", "synthetic.LONG"):
-        monkeypatch.setattr(f"identification.study.{name}", 1000)
+    monkeypatch.setattr("identification.study.simulated_cell.SPAN", 70)
+    monkeypatch.setattr("identification.study.simulated_cell.LONG", 1000)
     for one, other in zip(made(), whole, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-9)

@@ -28,7 +28,7 @@ from identification.regression import (
 )
 from identification.regression.links import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
-from identification.study.synthetic import periodic_reference
+from identification.study.simulated_cell import periodic_reference
 
 TERMS = [["viscous", "coulomb", "root", "load"], ["viscous", "coulomb", "load"]]
 CELL = Noise(encoder_step=1e-6, effort_percent=2.0)

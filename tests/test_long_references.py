@@ -11,7 +11,7 @@ from identification.methods import Iteration, identify_iv
 from identification.model import InverseModel, base_parameters
 from identification.regression import Overrides
 from identification.study import Noise, closed_loop, random_reference, study_truth
-from identification.study.synthetic import periodic_reference
+from identification.study.simulated_cell import periodic_reference
 
 LONG = (10.0, 300.0, 3600.0)
 

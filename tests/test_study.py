@@ -8,8 +8,7 @@ from conftest import robot_named
 
 from identification.study import FALSE_TRUST, INSIDE, Judged, Noise, Run, Study, false_trust, summaries
 from identification.study import study as study_module
-from identification.study.draws import Draw, draw, told_robot
-from identification.study.study import one_run
+from identification.study.study import Draw, draw, one_run, told_robot
 
 TRUE = np.array([1.0, 2.0])
 NAN = np.full(2, np.nan)
@@ -104,7 +103,7 @@ def test_what_the_fit_is_told_of_the_controller():
 
 def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
     study = Study(cutoffs=(5.0,), gain_errors=(1.0,), noise=Noise(effort_percent=1.0), duration_s=4.0)
-    found = one_run(robot_named("scara"), study, 1)
+    found = one_run(robot_named("scara").files, study, 1)
     assert found.drawn.modelled
     for one, beta in ((found.ls, found.beta_ls), (found.iv, found.beta_iv)):
         np.testing.assert_allclose(0.5 * (one.low + one.high), beta)
@@ -127,5 +126,5 @@ def test_the_fits_are_told_the_wrong_gains(monkeypatch):
 
     for name in ("identify_ls", "identify_iv"):
         monkeypatch.setattr(study_module, name, spy(getattr(study_module, name)))
-    one_run(robot_named("scara"), Study(cutoffs=(5.0,), gain_errors=(2.0,), duration_s=2.0), 0)
+    one_run(robot_named("scara").files, Study(cutoffs=(5.0,), gain_errors=(2.0,), duration_s=2.0), 0)
     assert told == [(380.0, 6.2), (380.0, 6.2)]

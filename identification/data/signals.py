@@ -1,24 +1,24 @@
-"""Recording → `Signals`: SI units, a uniform grid, float seconds. The only reader of recordings on this side."""
+"""Signals: what was measured, in SI units on a uniform grid; those of arrays in memory."""
 
+import hashlib
+import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from functools import cached_property
-from os import PathLike
-from pathlib import Path
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from acquisition.files import field_of, let_go
-from acquisition.recording import OPTIONAL, Recording, read_recording
-from acquisition.robot import SIMULATED_CONTROLLER, EffortTiming, ExtraColumn, Robot, extra_columns, robot_from_files
+from acquisition.files import let_go
+from acquisition.recording import OPTIONAL
+from acquisition.robot import EffortTiming, ExtraColumn, Robot, check_recorded_velocities
 
 from ..arrays import Array
 from ..errors import IdentificationError
 
-ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
-LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
+NAME = "arrays"  # stands where the name of a recording stands
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,14 +37,10 @@ class Signals:
     Attributes:
         t_s: (N,) time from the first sample, s.
         q: (N, n) measured joint positions, rad or m.
-        q_ref: (N, n) reference positions, or None where the recording has none.
+        q_ref: (N, n) reference positions, or None.
         effort: (N, n) joint torques in N m, forces in N; in A or V where the drive gain is not known.
-        sample_rate_hz: rate of the grid.
         track: (start, stop) sample range of the recorded tracking phase, or None.
-        robot: the robot's description.
-        recording: file name of the recording.
-        sha256: digest of the recording.
-        events: what happened, in the order of the recording.
+        recording, sha256: file name of the recording, and its digest.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.
         effort_timing: `command` of an instant, held after it; `mean` over the control period about it, as those that this
@@ -59,13 +55,13 @@ class Signals:
 
     t_s: Array
     q: Array
-    q_ref: Array | None
+    q_ref: Array | None = None
     effort: Array
     sample_rate_hz: float
-    track: tuple[int, int] | None
+    track: tuple[int, int] | None = None
     robot: Robot
     recording: str
-    sha256: str
+    sha256: str = ""
     events: tuple[SignalEvent, ...] = ()
     health: Mapping[str, tuple[Array, Array]] = field(default_factory=dict)
     extras: Mapping[ExtraColumn, tuple[Array, Array]] = field(default_factory=dict)
@@ -83,8 +79,8 @@ class Signals:
         for name, part in parts.items():
             shape = (N,) if name == "t_s" else (N, n)
             if part is not None and part.shape != shape:
-                key = f"{name}.shape"
-                raise IdentificationError(place=self.recording, key=key, value=part.shape, expected=str(shape))
+                key, expected = f"{name}.shape", f"{shape}, as q has"
+                raise IdentificationError(place=self.recording, key=key, value=part.shape, expected=expected)
         if n != self.robot.n:
             expected = f"{self.robot.n}, as the robot has"
             raise IdentificationError(place=self.recording, key="joints recorded", value=n, expected=expected)
@@ -121,155 +117,74 @@ class Signals:
         )
 
 
-def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
-    """Read a recording.
+class OptionalColumns(TypedDict, total=False):
+    """Arrays (N, n) that may stand beside position and effort, by the names that they have in a recording."""
+
+    velocity: ArrayLike | None
+    known_torque: ArrayLike | None
+    feedforward: ArrayLike | None
+
+
+def signals_from_arrays(
+    q: ArrayLike,
+    effort: ArrayLike,
+    sample_rate_hz: float,
+    robot: Robot,
+    q_ref: ArrayLike | None = None,
+    **columns: Unpack[OptionalColumns],
+) -> Signals:
+    """Signals out of arrays that are copied.
 
     Parameters
     ----------
-    path : of an MCAP file with joint samples.
-    robot : takes the place of the description stored in the recording; it may correct ratios and gains, not units.
+    q, q_ref : (N, n) measured and reference positions of the joints, rad or m.
+    effort : (N, n) torques at the joint in N m, forces in N; in A or V where `robot` has no drive gain.
+    sample_rate_hz : rate of the N samples.
+    robot : its description, of n joints.
+    columns : (N, n) `velocity` of the joints, rad/s or m/s; `known_torque` on the joints that is not of the drives, N m or N;
+        `feedforward` that was added to the controller's output, by motor in the unit of its effort.
 
     Returns
     -------
-    The samples in SI units at the joints, on a uniform grid: interpolated where they are more than 0.05 periods off it.
+    Signals : a velocity that is over 10 % off the derivative of q is a warning among its events.
 
     Raises
     ------
-    AcquisitionError : the file cannot be read.
-    IdentificationError : it is cut, has no joint samples or gaps in them, or `robot` has other units than were recorded.
+    IdentificationError : where shapes differ from one another or from the robot, a number is not finite, the rate is not
+        above 0, or a column has another name; for a known torque of a robot without drive gains.
+    AcquisitionError : for a velocity of another unit or sign.
     """
-    path = Path(path)
-    recording = read_recording(path)
-    if recording.cut:
-        expected = f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
-        raise IdentificationError("is cut", place=str(path), expected=expected)
-    samples = recording.samples
-    if samples is None or len(samples) == 0:
-        expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
-        raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
-    stamps = field_of(samples, "stamp_ns")
-    grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
-    q, effort = (_at(grid, stamps, field_of(samples, name)) for name in ("position", "effort"))
-    fields = samples.dtype.names or ()
-    reference = _at(grid, stamps, field_of(samples, "reference")) if "reference" in fields else None
-    optional = {name: _at(grid, stamps, field_of(samples, name)) for name in OPTIONAL if name in fields}
-    law = recording.robot.files.get(SIMULATED_CONTROLLER)
-    if robot is not None and law is not None:  # that of the drives in this recording, whoever describes the robot
-        robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
-    if robot is not None and robot.n == recording.robot.n:
-        # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
-        was = recording.robot
-        _refuse_other_units(was, robot, path)
-        q, effort = robot.joint_position(was.motor_position(q)), robot.joint_effort(was.motor_effort(effort))
-        reference = None if reference is None else robot.joint_position(was.motor_position(reference))
-        if "velocity" in optional:
-            optional["velocity"] = robot.joint_velocity(was.motor_velocity(optional["velocity"]))
-    return Signals(
-        t_s=grid * 1e-9,
-        q=q,
-        q_ref=reference,
-        effort=effort,
-        sample_rate_hz=rate_hz,
-        track=_phase(recording, "track", grid, int(stamps[0])),
-        robot=robot or recording.robot,
-        recording=path.name,
-        sha256=recording.sha256,
-        events=tuple(
-            SignalEvent(t_s=1e-9 * (event.stamp_ns - int(stamps[0])), kind=event.kind, text=event.text)
-            for event in recording.events
-        ),
-        health=_health(recording, int(stamps[0])),
-        extras=_extras(samples, recording.robot),
-        effort_timing=recording.effort_timing,
-        provenance=recording.metadata.get("effort_provenance", ""),
-        began=recording.began,
-        off_grid=off_grid,
-        **optional,
+    for name in columns:
+        if name not in OPTIONAL:
+            raise IdentificationError(place=NAME, key=name, expected=f"columns {', '.join(OPTIONAL)}")
+    if not 0 < sample_rate_hz < math.inf:
+        raise IdentificationError(place=NAME, key="sample_rate_hz", value=sample_rate_hz, expected="a number above 0")
+    arrays: dict[str, Any] = {"q": _copied("q", q, robot.n), "effort": _copied("effort", effort, robot.n)}
+    given: dict[str, Any] = {"q_ref": q_ref, **columns}
+    arrays |= {x: _copied(x, given[x], robot.n) for x in ("q_ref", *OPTIONAL) if given.get(x) is not None}
+    digest = hashlib.sha256()
+    for name, array in arrays.items():
+        digest.update((name if name in OPTIONAL else "").encode() + array.tobytes())
+    signals = Signals(
+        t_s=np.arange(len(arrays["q"])) / sample_rate_hz,
+        sample_rate_hz=float(sample_rate_hz),
+        robot=robot,
+        recording=NAME,
+        sha256=digest.hexdigest(),
+        **arrays,
     )
+    if signals.velocity is None:
+        return signals
+    doubts = check_recorded_velocities(robot, signals.q, signals.velocity, signals.sample_rate_hz, NAME)
+    events = tuple(SignalEvent(t_s=float(signals.t_s[-1]), kind="warning", text=text) for text in doubts)
+    return replace(signals, events=events)
 
 
-def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
-    """Another description may correct ratios and gains; what was recorded in volts never becomes amperes, nor rad m."""
-    for kind, old, new in (
-        ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
-        ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
-    ):
-        for (name, before), now in zip(old, new, strict=True):
-            if before != now:
-                key = f"unit of {kind} {name} in robot {robot.name}"
-                raise IdentificationError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
-
-
-def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
-    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
-
-    The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
-    theirs within 10 %. Refuses gaps over three periods and time that does not grow.
-    """
-    if len(stamps) < 2:
-        raise IdentificationError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
-    steps = np.diff(stamps)
-    period = float(np.median(steps))
-    bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
-    if bad.size:
-        k = int(bad[0])
-        raise IdentificationError(
-            f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
-            place=str(path),
-            key="samples",
-            expected=f"{period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that",
-        )
-    since = np.asarray(stamps - stamps[0], dtype=np.float64)
-    whole = steps.max() <= 1.5 * period or len(stamps) < 3
-    if whole:
-        period = float(since[-1]) / (len(stamps) - 1)
-    else:
-        period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
-    at = since / period
-    nearest = np.arange(len(stamps)) if whole else np.rint(at)
-    off = at - nearest
-    off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
-    if whole and off_grid <= ON_GRID:
-        return since, round(1e9 / period, 6), off_grid
-    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
-    return grid, round(1e9 / period, 6), off_grid
-
-
-def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
-    """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
-    since = (stamps - stamps[0]).astype(float)
-    if len(grid) == len(since) and (grid == since).all():
-        return x
-    from scipy.interpolate import CubicSpline
-
-    return np.asarray(CubicSpline(since, x)(grid))
-
-
-def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
-    """The recorder's counters by name, over seconds from the first sample."""
-    names = dict.fromkeys(name for health in recording.health for name in health.counters)
-    found = {}
-    for name in names:
-        rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
-        t_s, counts = np.array(rows).T
-        found[name] = (t_s, counts)
-    return found
-
-
-def _extras(samples: NDArray[np.void], robot: Robot) -> dict[ExtraColumn, tuple[Array, Array]]:
-    """The extra objects of the drives at the samples' own times."""
-    if "extra" not in (samples.dtype.names or ()):
-        return {}
-    t_s = 1e-9 * (samples["stamp_ns"] - samples["stamp_ns"][0])
-    return {column: (t_s, x) for column, x in zip(extra_columns(robot), samples["extra"].T, strict=True)}
-
-
-def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
-    """Sample range of a session phase: from the event that begins it to the next phase's event."""
-    phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
-    for k, (begin_ns, phase) in enumerate(phases):
-        if phase == name:
-            end_ns = phases[k + 1][0] if k + 1 < len(phases) else first_ns + int(grid[-1]) + 1
-            start, stop = np.searchsorted(grid, [begin_ns - first_ns, end_ns - first_ns])
-            return (int(start), int(stop)) if stop > start else None
-    return None
+def _copied(name: str, array: ArrayLike, n: int) -> Array:
+    try:
+        copied = np.array(array, dtype=np.float64, order="C")
+    except (TypeError, ValueError) as error:
+        raise IdentificationError(str(error), place=NAME, key=name, expected=f"numbers of shape (N, {n})") from error
+    if copied.ndim != 2 or copied.shape[1] != n or len(copied) < 2:
+        raise IdentificationError(place=NAME, key=f"{name}.shape", value=copied.shape, expected=f"(N, {n}), time first")
+    return copied

@@ -6,9 +6,10 @@ with any number of workers.
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures import CancelledError, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from importlib.metadata import version
 from multiprocessing import active_children, current_process, get_context
 from multiprocessing.process import BaseProcess
 from typing import Any, Protocol
@@ -17,11 +18,12 @@ from ..errors import IdentificationError
 
 LOST_WORKERS = 2  # times that tasks are given to new workers
 LOOK_S = 1.0  # between looks at whether workers live
-NO_GUARD, FAILED = (
-    71,
-    1,
-)  # exit codes of a worker that would start workers itself, and of one that ends by its script's error
+NO_GUARD = 71  # exit code of a worker that would start workers itself
+FAILED = 1  # of one that ends by its script's error
 GUARD = 'the call below `if __name__ == "__main__":`, as workers run the script too, to find its functions'
+EXTRA = "pip install 'robot-idim[cluster]'"
+PACKAGES = ("robot-idim", "numpy", "scipy", "pin")  # whose versions must agree for the same bits
+PATIENCE_S = 10.0  # for an answer of a scheduler
 Task = tuple[Any, ...]  # positional arguments of a task
 
 
@@ -66,10 +68,8 @@ class Pool:
     def run(self, function: Callable[..., Any], tasks: Sequence[Task]) -> Iterator[Any]:
         """Results in the order of the tasks; all of them are submitted at once.
 
-        Raises
-        ------
-        IdentificationError : where workers died with the same task three times.
-        WorkersNotStartedError : where they cannot start.
+        Raises `IdentificationError`: where workers died with the same task three times; `WorkersNotStartedError`: where they
+        cannot start.
         """
         futures = [self._submitted(function, task) for task in tasks]
         lost = 0
@@ -146,13 +146,56 @@ def processes(workers: int) -> Iterator[Work]:
         return
     if getattr(current_process(), "_inheriting", False):  # a worker that imports its script, which has no guard
         os._exit(NO_GUARD)
-    pool = Pool(lambda: _spawned(workers))
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    pool = Pool(lambda: ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")))
     try:
         yield pool
     finally:
         pool.close()
 
 
-def _spawned(workers: int) -> Executor:
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    return ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn"))
+@contextmanager
+def cluster(address: str) -> Iterator[Work]:
+    """The workers of the Dask scheduler at `address`, such as tcp://host:8786.
+
+    Raises
+    ------
+    IdentificationError : where Dask distributed is not installed, the scheduler does not answer or has no worker, or a worker
+        lacks this package or has other versions of what a fit rests on.
+    """
+    try:
+        from distributed import Client, KilledWorker
+    except ImportError as error:
+        problem = "Dask distributed is not installed"
+        raise IdentificationError(problem, key="--cluster", value=address, expected=EXTRA) from error
+    try:
+        client = Client(address, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError, TimeoutError) as error:
+        problem = f"no scheduler answers: {error}"
+        expected = "the address that `dask scheduler` prints, such as tcp://host:8786"
+        raise IdentificationError(problem, key="--cluster", value=address, expected=expected) from error
+    try:
+        _check_workers(client, address)
+        yield Pool(lambda: client.get_executor(pure=False, retries=2), (KilledWorker, CancelledError))
+    finally:
+        client.close()
+
+
+def versions() -> dict[str, str]:
+    """Versions of what a fit rests on, in this process."""
+    return {name: version(name) for name in PACKAGES}
+
+
+def _check_workers(client: Any, address: str) -> None:
+    here, found = versions(), client.run(versions, on_error="return")
+    if not found:
+        expected = "`dask worker` started on it"
+        raise IdentificationError("the scheduler has no worker", key="--cluster", value=address, expected=expected)
+    for worker, there in sorted(found.items()):
+        if isinstance(there, BaseException):
+            expected = f"robot-idim {here['robot-idim']}"
+            raise IdentificationError(f"cannot run this package: {there}", place=f"worker {worker}", expected=expected)
+        for name, wanted in here.items():
+            if there[name] != wanted:
+                expected = f"{wanted}, as here"
+                raise IdentificationError(place=f"worker {worker}", key=name, value=there[name], expected=expected)

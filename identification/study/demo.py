@@ -16,9 +16,9 @@ from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, describe
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import InverseModel, base_parameters, direct_model, inertias, truth
+from ..model import inertias
 from ..simulation import RigidBodyPlant, drive_loops
-from .synthetic import periodic_reference
+from .simulated_cell import periodic_reference, true_model
 
 DURATION_S, SEED = 12.0, 1  # of the session; of its reference and noise
 
@@ -33,9 +33,7 @@ def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *,
     """
     if robot.bus is None:
         raise IdentificationError(place=place, key="[bus]", value=None, expected="the drives to simulate")
-    idm = InverseModel(robot)
-    base = base_parameters(idm)
-    model = direct_model(idm, base.standard_parameters(truth(idm, base)))
+    model = true_model(robot)
     period_s = robot.bus.sync_period_s
     t_s: Array = np.arange(round(DURATION_S / period_s) + 1, dtype=np.float64) * period_s
     q_ref, dq_ref, ddq_ref = periodic_reference(robot, duration_s=DURATION_S, seed=SEED).at(t_s)

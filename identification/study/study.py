@@ -4,9 +4,11 @@ Each run simulates a recording with known parameters and imperfections of the ce
 start and told of a wrong controller, by least squares and by instrumental variables.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,10 +19,110 @@ from ..data import Work
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
-from ..model import BaseParameters, InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
+from ..model import InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from .draws import Draw, Study, draw, told_robot
-from .synthetic import closed_loop, random_reference
+from .simulated_cell import PERIOD_S, Noise, closed_loop, random_reference, study_truth
+
+Controllers = Literal["described", "none"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Study:
+    """What is varied. Each run draws one of each list, seeded by its number.
+
+    `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
+    knows of the robot ; `gain_errors` factors on the controller's gains (on the bandwidth of a
+    surrogate) as the fit knows them; `controllers` whether the fit is given the described control law, or none. `vary` says
+    whether each run has the imperfections of `noise`, or draws `everything`: imperfections of all kinds in some runs, none
+    that a description leaves out in others, and any of the controllers.
+    """
+
+    runs: int = 100
+    noise: Noise = field(default_factory=Noise)
+    cutoffs: tuple[float, ...] = (5.0, 10.0, 0.0)
+    starts: tuple[float, ...] = (0.05, 1.0, 20.0)
+    gain_errors: tuple[float, ...] = (0.7, 1.0, 1.3)
+    controllers: tuple[Controllers, ...] = ("described",)
+    vary: Literal["listed", "everything"] = "listed"
+    duration_s: float = 10.0
+    period_s: float = PERIOD_S
+    sample_rate_hz: float = 1000.0
+    low_speed_percent: float | None = None
+    seed: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Draw:
+    """What one run has; `seed` is that of its reference and noise."""
+
+    cutoff: float
+    start: float
+    gain_error: float
+    seed: int
+    controller: Controllers
+    noise: Noise
+
+    @property
+    def modelled(self) -> bool:
+        """Whether the fit is told all but the noise."""
+        return self.noise.modelled and (self.gain_error == 1.0 or self.controller == "none")
+
+
+def draw(study: Study, number: int, bandwidth_hz: float) -> Draw:
+    """What run `number` of a study has: the same number gives the same."""
+    rng = np.random.default_rng([study.seed, number])
+    cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
+    gain_error, seed = float(rng.choice(study.gain_errors)), int(rng.integers(2**31))
+    if study.vary == "everything":
+        noise = _any_noise(study.noise, rng, bandwidth_hz)
+        controllers: tuple[Controllers, ...] = ("described", "described", "none")
+    else:
+        noise, controllers = study.noise, study.controllers
+    controller = controllers[rng.integers(len(controllers))]
+    return Draw(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
+
+
+def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> Noise:
+    """Noise of any kind, its encoder step about that of `noise`; in half of the runs also what no description has."""
+
+    def some(low: float, high: float) -> float:
+        return float(rng.uniform(low, high)) if rng.random() < 0.5 else 0.0
+
+    step = noise.encoder_step * 10 ** rng.uniform(-1.0, 0.3)
+    sensors = Noise(
+        encoder_step=step,
+        position=some(0.0, 2.0) * step,
+        effort_percent=some(0.5, 5.0),
+        coloured_percent=some(0.5, 3.0),
+        disturbance_percent=some(0.5, 3.0),
+        recorded="tick" if rng.random() < 0.5 else "mean",
+    )
+    if rng.random() < 0.5:
+        return sensors
+    return replace(
+        sensors,
+        lag_samples=round(some(0.5, 5.5)),
+        stribeck_percent=some(10.0, 50.0),
+        asymmetry_percent=some(5.0, 30.0),
+        integral_hz=some(0.05, 0.3) * bandwidth_hz,
+    )
+
+
+def told_robot(robot: Robot, drawn: Draw) -> Robot:
+    """The robot with its controller as the fit is told it: gains off by a factor, or nothing but a bandwidth, off by it."""
+    c, factor = robot.controller, drawn.gain_error
+    if drawn.controller == "none":
+        keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain", "velocity_estimate")
+        c = msgspec.structs.replace(c, **dict.fromkeys(keys))
+    if c.structure is None:
+        return replace(robot, controller=msgspec.structs.replace(c, bandwidth_hz=factor * robot.bandwidth_hz))
+    scaled = {
+        name: tuple(factor * g for g in gains)
+        for name in ("position_gain", "velocity_gain")
+        if (gains := getattr(c, name)) is not None
+        and not (name == "position_gain" and c.structure.startswith("cascade"))
+    }
+    return replace(robot, controller=msgspec.structs.replace(c, **scaled))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -82,24 +184,19 @@ def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
     Returns the runs in order; one that fails has a `reason`. Raises `IdentificationError`: where no run can succeed: no
     values in the description, a cut-off above half the rate.
     """
-    fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
+    fs, highest_hz = study.sample_rate_hz, max(study.cutoffs) * robot.bandwidth_hz
     study_truth(robot)
-    if max(study.cutoffs) * bandwidth_hz >= fs / 2:
+    if highest_hz >= fs / 2:
         raise IdentificationError(
-            f"cut-off {max(study.cutoffs):g} x bandwidth = {max(study.cutoffs) * bandwidth_hz:g} Hz: expected below "
-            f"{fs / 2:g} Hz, half the rate"
+            f"cut-off {max(study.cutoffs):g} x bandwidth = {highest_hz:g} Hz: expected below {fs / 2:g} Hz, half the rate"
         )
-    return work.run(run_of_files, [(dict(robot.files), study, number) for number in range(study.runs)])
+    return work.run(one_run, [(dict(robot.files), study, number) for number in range(study.runs)])
 
 
 @one_thread
-def run_of_files(files: dict[str, bytes], study: Study, number: int) -> Run:
-    """Run `number` of a study of the robot that these files describe."""
-    return one_run(robot_from_files(files, "study"), study, number)
-
-
-def one_run(robot: Robot, study: Study, number: int) -> Run:
-    """Run `number` of a study: the same number gives the same run."""
+def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
+    """Run `number` of a study of the robot that these files describe: the same number gives the same run."""
+    robot = robot_from_files(files, "study")
     fs, bandwidth_hz = study.sample_rate_hz, robot.bandwidth_hz
     drawn = draw(study, number, bandwidth_hz)
     q_ref = random_reference(
@@ -108,36 +205,40 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
     idm = InverseModel(robot)
     base = base_parameters(idm)
     true, poses = truth(idm, base), poses_of(q_ref)
-    n_d = robot.identification.decimation or decimation_rule(fs, bandwidth_hz)
     overrides = Overrides(
-        cutoff_hz=drawn.cutoff * bandwidth_hz, decimation=n_d, low_speed_percent=study.low_speed_percent
+        cutoff_hz=drawn.cutoff * bandwidth_hz,
+        decimation=robot.identification.decimation or decimation_rule(fs, bandwidth_hz),
+        low_speed_percent=study.low_speed_percent,
     )
+    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
     nan = np.full(base.b, np.nan)
     run = Run(
         number=number,
         cutoff=drawn.cutoff,
         start=drawn.start,
         gain_error=drawn.gain_error,
-        drawn=drawn,
         beta_ls=nan,
         beta_iv=nan,
         sigma_ls=nan,
         sigma_iv=nan,
+        drawn=drawn,
     )
-    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
 
-    def off(fit: Fit) -> float:
+    def error(fit: Fit) -> float:
         return float(np.linalg.norm(fit.beta - true) / np.linalg.norm(true))
 
-    def judged(fit: Fit) -> Judged:
+    def results(kind: str, fit: Fit) -> dict[str, Any]:
         model = direct_model(idm, base.standard_parameters(fit.beta))
-        doubts = tuple(line.test for line in fit.trust.lines if line.level in ("do not use", "caution"))
-        essential = np.isin(np.arange(base.b), fit.essential.kept)
-        positive = not_positive(model, poses) is None
-        low, high = fit.intervals.low, fit.intervals.high
-        return Judged(
-            verdict=fit.trust.verdict, doubts=doubts, low=low, high=high, essential=essential, positive=positive
+        judged = Judged(
+            verdict=fit.trust.verdict,
+            doubts=tuple(line.test for line in fit.trust.lines if line.level in ("do not use", "caution")),
+            low=fit.intervals.low,
+            high=fit.intervals.high,
+            essential=np.isin(np.arange(base.b), fit.essential.kept),
+            positive=not_positive(model, poses) is None,
         )
+        found = {"error": error(fit), "beta": fit.beta, "sigma": fit.estimate.sigma}
+        return {**{f"{name}_{kind}": x for name, x in found.items()}, kind: judged}
 
     try:
         signals = closed_loop(robot, q_ref, fs, noise=drawn.noise, seed=drawn.seed)
@@ -145,32 +246,10 @@ def one_run(robot: Robot, study: Study, number: int) -> Run:
         ls = tuned = identify_ls(signals, overrides)
         if drawn.cutoff != CUTOFF_PER_BANDWIDTH:
             tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
-    except IdentificationError as error:
-        return replace(run, reason=str(error))
-    run = replace(
-        run, error_ls=off(ls), error_tuned_ls=off(tuned), beta_ls=ls.beta, sigma_ls=ls.estimate.sigma, ls=judged(ls)
-    )
-    try:
+        run = replace(run, error_tuned_ls=error(tuned), **results("ls", ls))
         iv = identify_iv(signals, overrides, Iteration(inertias=drawn.start * J))
-    except IdentificationError as error:
-        return replace(run, reason=str(error))
+    except IdentificationError as problem:
+        return replace(run, reason=str(problem))
     assert iv.iv is not None
-    found = judged(iv)
-    return replace(
-        run,
-        status=iv.status,
-        reason=iv.iv.reason,
-        passes=len(iv.iv.passes),
-        positive=found.positive,
-        error_iv=off(iv),
-        beta_iv=iv.beta,
-        sigma_iv=iv.estimate.sigma,
-        iv=found,
-    )
-
-
-def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
-    """The base parameters of the robot and the values (b,) a study simulates with."""
-    idm = InverseModel(robot)
-    base = base_parameters(idm)
-    return base, truth(idm, base)
+    run = replace(run, status=iv.status, reason=iv.iv.reason, passes=len(iv.iv.passes), **results("iv", iv))
+    return replace(run, positive=run.iv is not None and run.iv.positive)

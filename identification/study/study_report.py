@@ -1,6 +1,7 @@
-"""The reports of robots with known parameters: base parameters, estimates against the true values, studies."""
+"""What the runs of a study amount to, and its report; robots with known parameters: base parameters, estimates and truth."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import msgspec
@@ -13,9 +14,105 @@ from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
 from ..report import Document, Number, ResultFile, Row, Section, Table, columns, value_form
-from .draws import Study
-from .study import Run
-from .summary import FALSE_ERROR, FALSE_TRUST, INSIDE, Summary, false_trust, study_json, summaries
+from .study import Judged, Run, Study
+
+FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
+FALSE_TRUST = 3.0  # half-widths that an essential parameter may be off for `trust`
+INSIDE = 2.0  # half-widths within which nothing is wrong
+NORMAL = 1.96  # half-width of 95 % of a normal distribution, in deviations
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Summary:
+    """Runs at one cut-off by one method: of wls those with an estimate, of iv those that converged. NaN where there are none.
+
+    `bias_percent` and `spread_percent` are norms over all parameters in percent of the norm of the true ones;
+    `sigma_over_spread` is the median over the parameters of the formula's deviation by the observed one.
+    `false_percent` is the share of runs called converged whose M is not positive, or whose error is over `FALSE_ERROR`
+    times that of least squares at the rule's cut-off on the same recording. By luck that may be right to many digits.
+
+    Of the printed 95 % intervals: `coverage_percent`, the share of true values inside, over all parameters, and
+    `half_over_spread`, the median over the parameters of half-width by 1.96 times the observed deviation. Of the verdicts of
+    all runs here: `false_trust` counts those with `trust` though an essential parameter is more than `FALSE_TRUST` half-widths
+    off or M is not positive; `false_caution` those of the `clean` runs in which a test says caution or worse. Clean is a run
+    whose fit is told all but the noise, with every essential parameter inside `INSIDE` half-widths and M positive.
+    """
+
+    method: str
+    cutoff: float
+    runs: int
+    bias_percent: float
+    spread_percent: float
+    sigma_over_spread: float
+    median_error_percent: float
+    worst_error_percent: float
+    converged_percent: float | None
+    mean_passes: float | None
+    false_percent: float | None
+    coverage_percent: float
+    half_over_spread: float
+    verdicts: int
+    trusted: int
+    false_trust: int
+    clean: int
+    false_caution: int
+
+
+def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
+    """One summary per cut-off and method; `true` (b,) are the values simulated with."""
+    found = []
+    for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
+        here = [r for r in runs if r.cutoff == cutoff]
+        settled = [r for r in here if r.status == "converged"]
+        false = [r for r in settled if not (r.positive and r.error_iv <= FALSE_ERROR * r.error_tuned_ls)]
+        solved = [r for r in here if np.isfinite(r.error_ls)]
+        for method, kind, used in (("wls", "ls", solved), ("iv", "iv", settled)):
+            every = [(r, judged) for r in here if (judged := getattr(r, kind)) is not None]
+            intervals = [judged for r in used if (judged := getattr(r, kind)) is not None]
+            inside = [one.off(true) <= 1 for one in intervals]
+            halves = np.array([0.5 * (one.high - one.low) for one in intervals] or [np.full(len(true), np.nan)])
+            beta, sigma, errors = (_stacked(used, f"{name}_{kind}", true) for name in ("beta", "sigma", "error"))
+            spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
+            found.append(
+                Summary(
+                    method=method,
+                    cutoff=cutoff,
+                    runs=len(used),
+                    bias_percent=float(100 * np.linalg.norm(beta.mean(axis=0) - true) / np.linalg.norm(true)),
+                    spread_percent=float(100 * np.linalg.norm(spread) / np.linalg.norm(true)),
+                    sigma_over_spread=float(np.median(np.median(sigma, axis=0) / spread)),
+                    median_error_percent=float(100 * np.median(errors)),
+                    worst_error_percent=float(100 * errors.max()),
+                    converged_percent=100 * len(settled) / len(here) if method == "iv" else None,
+                    mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
+                    false_percent=100 * len(false) / len(here) if method == "iv" else None,
+                    coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
+                    half_over_spread=float(np.median(np.median(halves, axis=0) / (NORMAL * spread))),
+                    verdicts=len(every),
+                    trusted=sum(judged.verdict == "trust" for _, judged in every),
+                    false_trust=sum(false_trust(judged, true) for _, judged in every),
+                    clean=sum(clean(r, judged, true) for r, judged in every),
+                    false_caution=sum(clean(r, judged, true) and bool(judged.doubts) for r, judged in every),
+                )
+            )
+    return found
+
+
+def _stacked(runs: Sequence[Run], name: str, true: Array) -> Array:
+    """An attribute of all runs (runs, ...); a row of NaN where there are no runs."""
+    return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
+
+
+def false_trust(judged: Judged, true: Array) -> bool:
+    """Whether a fit says `trust` and should not: an essential parameter far off, or M not positive."""
+    wrong = not judged.positive or bool((judged.off(true)[judged.essential] > FALSE_TRUST).any())
+    return judged.verdict == "trust" and wrong
+
+
+def clean(run: Run, judged: Judged, true: Array) -> bool:
+    """Whether there is nothing to be cautious of: the fit is told all but the noise, and is right."""
+    modelled = run.drawn is not None and run.drawn.modelled
+    return modelled and judged.positive and bool((judged.off(true)[judged.essential] <= INSIDE).all())
 
 
 class BaseParameter(msgspec.Struct, frozen=True, kw_only=True):
@@ -52,16 +149,22 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
         BaseParameter(name=name, expression=expression, unit=unit, value=value)
         for name, expression, unit, value in zip(base.names, base.expressions, base.units, values, strict=True)
     ]
-    return BaseFile(
-        robot=robot.name,
-        joint_names=[joint.name for joint in robot.joints],
-        parameters=parameters,
-    )
+    return BaseFile(robot=robot.name, joint_names=[joint.name for joint in robot.joints], parameters=parameters)
 
 
 def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
     """A study as it goes into its JSON file, `true` (b,) are the values of the parameters `base`."""
-    return StudyFile(**study_json(study, runs, base.names, true))
+
+    def plain(value: Any) -> Any:
+        return msgspec.to_builtins(value, enc_hook=lambda numbers: numbers.tolist())
+
+    return StudyFile(
+        study=plain(study),
+        parameters=list(base.names),
+        true=true.tolist(),
+        summaries=plain(summaries(runs, true)),
+        runs=plain(runs),
+    )
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
@@ -179,18 +282,14 @@ def study_notes(study: Study) -> tuple[str, str]:
     def listed(values: Sequence[float]) -> str:
         return ", ".join(f"{x:g}" if x else "none" for x in values)
 
-    given = noise.text
-    cell = (
-        f"imperfections of all kinds, encoder step about {noise.encoder_step:g}"
-        if study.vary == "everything"
-        else given
-    )
-    told = "described, none" if study.vary == "everything" else ", ".join(study.controllers)
+    cell, recorded, controllers = noise.text, str(noise.recorded), ", ".join(study.controllers)
+    if study.vary == "everything":
+        cell = f"imperfections of all kinds, encoder step about {noise.encoder_step:g}"
+        recorded, controllers = "either", "described, none"
     return (
         f"{study.runs} runs of {study.duration_s:g} s at {study.sample_rate_hz:g} Hz, seed {study.seed}; cell: {cell}; torque "
-        f"recorded as {'either' if study.vary == 'everything' else noise.recorded}; drawn by "
-        f"each run: cut-off {listed(study.cutoffs)} x bandwidth, start {listed(study.starts)} x true inertia, gains "
-        f"{listed(study.gain_errors)} x true, controller {told}",
+        f"recorded as {recorded}; drawn by each run: cut-off {listed(study.cutoffs)} x bandwidth, "
+        f"start {listed(study.starts)} x true inertia, gains {listed(study.gain_errors)} x true, controller {controllers}",
         "false %: runs called converged that should not be: their inertia matrix is not positive, or they are off by more than "
         f"{FALSE_ERROR:g} times what least squares at the rule's cut-off is on the same recording",
     )

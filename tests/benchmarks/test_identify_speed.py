@@ -210,7 +210,7 @@ def test_study_runs(capsys):
     """Of each robot, beside the floor of bare `aba` at the steps of the simulated recording."""
     for name in ("emps", "tx40"):
         robot = robot_named(name)
-        times = [timed(lambda n=number, r=robot: one_run(r, Study(), n)) for number in range(6)]
+        times = [timed(lambda n=number, r=robot: one_run(r.files, Study(), n)) for number in range(6)]
         with capsys.disabled():
             print(f"\nstudy run of {name}: {np.median(times):.2f} s of CPU", end="")
 

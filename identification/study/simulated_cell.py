@@ -1,12 +1,14 @@
 """Recordings of a simulated robot whose parameters are known: what a fit of them must give back.
 
 The robot has the values of the description's `[parameters]` and tracks a random exciting reference under its own
-controller, or under a PD of the stated bandwidth where none is described. The cell has the imperfections that are asked for.
+controller, or under a PD of the stated bandwidth where none is described. The cell has the imperfections that are asked for:
+noise that the controller sees, friction and a delay of the torque that a description does not have.
 """
 
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -17,14 +19,143 @@ from acquisition.robot import FourierReference, Robot, fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
+from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
 from ..regression import differentiate
-from ..simulation import ClosedLoop, ControlLaw, Reference, has_controller, recorded_loop, surrogate_loop
-from .noise import LONG, SPAN, Noise
+from ..simulation import (
+    ClosedLoop,
+    ControlLaw,
+    Disturbances,
+    Reference,
+    has_controller,
+    recorded_loop,
+    surrogate_loop,
+)
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
+SPAN, LONG = 50_000, 2**24  # samples made at a time; bytes of an array that is held in memory
+AR = 0.98  # correlation of coloured noise from sample to sample
+# Streams of random numbers: one kind of noise does not change another.
+_POSITION, _EFFORT, _COLOURED, _DISTURBANCE = range(4)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Noise:
+    """Imperfections of a simulated cell, none by default. Percent are of each joint's rms torque, where not said otherwise.
+
+    Attributes:
+        encoder_step: of each joint, rad or m; the controller acts on counts.
+        position: white noise of each joint's encoder, rad or m rms; the controller acts on it.
+        effort_percent: white noise of the recorded torque.
+        coloured_percent: noise of the recorded torque, AR(0.98) from sample to sample.
+        disturbance_percent: AR(0.98) torque that acts on the joints.
+        recorded: torque recorded as the mean of the control periods before and after its instant, as a drive's own filter shows
+            it; or as the command of the `tick`, which is held after it.
+        lag_samples: by which the recorded torque is late.
+        stribeck_percent: by which Coulomb friction is larger at rest, in percent of itself.
+        asymmetry_percent: by which friction is larger for dq > 0 and smaller for dq < 0, in percent of itself.
+        integral_hz: rate of an integral that the control law has and the description does not; 0 for none.
+    """
+
+    encoder_step: float = 0.0
+    position: float = 0.0
+    effort_percent: float = 0.0
+    coloured_percent: float = 0.0
+    disturbance_percent: float = 0.0
+    recorded: Literal["mean", "tick"] = "mean"
+    lag_samples: int = 0
+    stribeck_percent: float = 0.0
+    asymmetry_percent: float = 0.0
+    integral_hz: float = 0.0
+
+    @property
+    def effort_text(self) -> str:
+        """How the torque is recorded, in words."""
+        if self.recorded == "tick":
+            return "the command of its tick, held after it"
+        return "the mean of the control periods before and after"
+
+    @property
+    def text(self) -> str:
+        """The fields that are not zero."""
+        present = (f"{name} {value:g}" for name, value in vars(self).items() if name != "recorded" and value)
+        return ", ".join(present) or "no imperfections"
+
+    @property
+    def modelled(self) -> bool:
+        """Whether all of it is noise: nothing that a description could say and does not, but how the torque is recorded."""
+        return not (self.lag_samples or self.stribeck_percent or self.asymmetry_percent or self.integral_hz)
+
+    def disturbances(self, rms: Array, samples: int, seed: int) -> Disturbances:
+        """What acts on a loop of so many samples; `rms` (n,) are the torques along its reference."""
+
+        shape = samples, len(rms)
+
+        def series(size: float | Array, stream: int, ar: float) -> Array:
+            if not np.any(size):
+                return np.zeros(shape)
+            x = room(shape, LONG)
+            for here, noise in noise_parts(np.random.default_rng([seed, stream]), shape, ar):
+                x[here] = size * noise
+                let_go(x)
+            return x
+
+        return Disturbances(
+            position=series(self.position, _POSITION, 0.0),
+            count=self.encoder_step,
+            torque=series(0.01 * self.disturbance_percent * rms, _DISTURBANCE, AR),
+            asymmetry=0.01 * self.asymmetry_percent,
+            stribeck=0.01 * self.stribeck_percent,
+        )
+
+    def on_effort(self, held: Array, seed: int) -> Array:
+        """Torques as they are recorded (N, n), of those that the controller gives and holds from sample to sample."""
+        N, late = len(held), min(self.lag_samples, len(held))
+        tau, squares = room(held.shape, LONG), np.zeros(held.shape[1])
+        for first in range(0, N, SPAN):
+            at = np.maximum(np.arange(first, min(first + SPAN, N)) - late, 0)
+            part = held[at]
+            if self.recorded == "mean":
+                part = np.where(at[:, None] > 0, 0.5 * (part + held[np.maximum(at - 1, 0)]), part)
+            tau[first : first + len(part)] = part
+            squares += np.sum(part**2, axis=0)
+            let_go(held)
+        level = 0.01 * np.sqrt(squares / max(N, 1))
+        for percent, stream, ar in ((self.effort_percent, _EFFORT, 0.0), (self.coloured_percent, _COLOURED, AR)):
+            if percent:
+                for here, noise in noise_parts(np.random.default_rng([seed, stream]), tau.shape, ar):
+                    tau[here] += percent * level * noise
+                    let_go(tau)
+        return tau
+
+
+def noise_parts(rng: np.random.Generator, shape: tuple[int, ...], ar: float = 0.0) -> Iterator[tuple[slice, Array]]:
+    """Noise of deviation 1, AR(`ar`) along the first axis from the first sample on, `SPAN` samples at a time."""
+    before = np.zeros(shape[1])
+    for first in range(0, shape[0], SPAN):
+        here = slice(first, min(first + SPAN, shape[0]))
+        noise = rng.standard_normal((here.stop - first, shape[1]))
+        if ar:
+            noise[first == 0 :] *= np.sqrt(1 - ar**2)
+            for row in noise:
+                row += ar * before
+                before = row
+        yield here, noise
+
+
+def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
+    """The base parameters of the robot and the values (b,) a study simulates with."""
+    idm = InverseModel(robot)
+    base = base_parameters(idm)
+    return base, truth(idm, base)
+
+
+def true_model(robot: Robot) -> DirectModel:
+    """The direct model with the values that the description states."""
+    idm = InverseModel(robot)
+    base = base_parameters(idm)
+    return direct_model(idm, base.standard_parameters(truth(idm, base)))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
@@ -81,9 +212,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     ------
     IdentificationError : where the description has no values or another rate, or the robot does not follow.
     """
-    dynamics = InverseModel(robot)
-    base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = true_model(robot)
     loop = _loop(robot, model, q_ref, sample_rate_hz, noise)
     if abs(loop.period_s * sample_rate_hz - 1) > 1e-9:
         raise IdentificationError(

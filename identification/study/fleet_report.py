@@ -11,7 +11,7 @@ from acquisition.files import atomic_write
 
 from ..arrays import Array
 from ..report import Document, Number, Section, Table, columns
-from .rows import Row, Value
+from .fleet import Row, Value
 
 FEWEST = 5  # fits for control limits
 PER_RANGE = 3 / 1.128  # 3 deviations, d2 = 1.128: the mean moving range of two normal values in deviations

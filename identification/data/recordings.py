@@ -1,0 +1,261 @@
+"""Recordings → `Signals`, the only reader of them on this side; where recordings are; whether they are of one robot."""
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from os import PathLike
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from acquisition.files import field_of
+from acquisition.recording import OPTIONAL, Recording, read_recording
+from acquisition.robot import SIMULATED_CONTROLLER, FrictionTerm, Joint, Robot, extra_columns, robot_from_files
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from .signals import SignalEvent, Signals
+from .work import Serial, Work
+
+ON_GRID = 0.05  # of a period: samples further off a uniform grid are interpolated
+LONGEST_GAP = 3.0  # periods between two samples, give or take half of one
+JOINT = ("name", "type", "dh", "zero_deg", "zero_m", "stribeck_speed_deg_s", "stribeck_speed_m_s", "rotor_inertia")
+MOTOR = ("name", "ratio", "effort_unit", "drive_gain", "drive_gain_unit")
+
+
+def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signals:
+    """Read a recording.
+
+    Parameters
+    ----------
+    path : of an MCAP file with joint samples.
+    robot : takes the place of the description stored in the recording; it may correct ratios and gains, not units.
+
+    Returns
+    -------
+    The samples in SI units at the joints, on a uniform grid: interpolated where they are more than 0.05 periods off it.
+
+    Raises
+    ------
+    AcquisitionError : the file cannot be read.
+    IdentificationError : it is cut, has no joint samples or gaps in them, or `robot` has other units than were recorded.
+    """
+    path = Path(path)
+    recording = read_recording(path)
+    if recording.cut:
+        expected = f"a recording with its end: `robot-acquire recover {path} -o OUT.mcap` keeps what it holds"
+        raise IdentificationError("is cut", place=str(path), expected=expected)
+    samples = recording.samples
+    if samples is None or len(samples) == 0:
+        expected = "the channel /samples (`robot-acquire decode` makes it from frames)"
+        raise IdentificationError(recording.no_samples, place=str(path), expected=expected)
+    stamps, fields = field_of(samples, "stamp_ns"), samples.dtype.names or ()
+    grid, rate_hz, off_grid = _grid(stamps, recording.sample_rate_hz, path)
+    first_ns, was = int(stamps[0]), recording.robot
+    names = [name for name in ("position", "effort", "reference", *OPTIONAL) if name in fields]
+    columns = {name: _at(grid, stamps, field_of(samples, name)) for name in names}
+    law = was.files.get(SIMULATED_CONTROLLER)
+    if robot is not None and law is not None:  # that of the drives in this recording, whoever describes the robot
+        robot = robot_from_files({**robot.files, SIMULATED_CONTROLLER: law}, str(path))
+    if robot is not None and robot.n == was.n:
+        _refuse_other_units(was, robot, path)
+        # Samples stand at the joint: back to the motors as they were recorded, and out again as `robot` has it.
+        for name, to_motor, to_joint in (
+            ("position", was.motor_position, robot.joint_position),
+            ("reference", was.motor_position, robot.joint_position),
+            ("velocity", was.motor_velocity, robot.joint_velocity),
+            ("effort", was.motor_effort, robot.joint_effort),
+        ):
+            if name in columns:
+                columns[name] = to_joint(to_motor(columns[name]))
+    extras = {}
+    if "extra" in fields:
+        own_s = 1e-9 * (samples["stamp_ns"] - first_ns)
+        extras = {column: (own_s, x) for column, x in zip(extra_columns(was), samples["extra"].T, strict=True)}
+    events = [
+        SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
+        for event in recording.events
+    ]
+    return Signals(
+        t_s=grid * 1e-9,
+        q=columns.pop("position"),
+        q_ref=columns.pop("reference", None),
+        effort=columns.pop("effort"),
+        sample_rate_hz=rate_hz,
+        track=_phase(recording, "track", grid, first_ns),
+        robot=robot or was,
+        recording=path.name,
+        sha256=recording.sha256,
+        events=tuple(events),
+        health=_health(recording, first_ns),
+        extras=extras,
+        effort_timing=recording.effort_timing,
+        provenance=recording.metadata.get("effort_provenance", ""),
+        began=recording.began,
+        off_grid=off_grid,
+        **columns,
+    )
+
+
+def _refuse_other_units(was: Robot, robot: Robot, path: Path) -> None:
+    """Another description may correct ratios and gains; what was recorded in volts never becomes amperes, nor rad m."""
+    for kind, old, new in (
+        ("motor", [(m.name, m.recorded_unit) for m in was.motors], [m.recorded_unit for m in robot.motors]),
+        ("joint", [(j.name, j.position_unit) for j in was.joints], [j.position_unit for j in robot.joints]),
+    ):
+        for (name, before), now in zip(old, new, strict=True):
+            if before != now:
+                key = f"unit of {kind} {name} in robot {robot.name}"
+                raise IdentificationError(place=str(path), key=key, value=now, expected=f"{before}, as recorded")
+
+
+def _grid(stamps: NDArray[np.int64], nominal_hz: float, path: Path) -> tuple[Array, float, float]:
+    """A uniform grid (N,) in ns from the first of `stamps`, its rate in Hz, and how far a stamp is off it, in periods.
+
+    The grid is the stamps themselves where they lie on one. Where samples are missing it has the nominal rate, if that is
+    theirs within 10 %. Refuses gaps over three periods and time that does not grow.
+    """
+    if len(stamps) < 2:
+        raise IdentificationError(place=str(path), key="samples", value=len(stamps), expected="a trajectory")
+    steps = np.diff(stamps)
+    period = float(np.median(steps))
+    bad = np.flatnonzero((steps <= 0) | (steps > (LONGEST_GAP + 0.5) * max(period, 1.0)))
+    if bad.size:
+        k = int(bad[0])
+        raise IdentificationError(
+            f"{bad.size} gap(s), the first after {1e-9 * (stamps[k] - stamps[0]):.4f} s: a step of {steps[k] * 1e-6:.3f} ms",
+            place=str(path),
+            key="samples",
+            expected=f"{period * 1e-6:.3f} ms throughout, and at most {LONGEST_GAP:g} times that",
+        )
+    since = np.asarray(stamps - stamps[0], dtype=np.float64)
+    whole = steps.max() <= 1.5 * period or len(stamps) < 3
+    if whole:
+        period = float(since[-1]) / (len(stamps) - 1)
+    else:
+        period = 1e9 / nominal_hz if abs(1e9 / nominal_hz / period - 1) < 0.1 else period
+    at = since / period
+    nearest = np.arange(len(stamps)) if whole else np.rint(at)
+    off = at - nearest
+    off_grid = float(np.abs(off - (off.min() + off.max()) / 2).max()) if whole else float(np.abs(off).max())
+    if whole and off_grid <= ON_GRID:
+        return since, round(1e9 / period, 6), off_grid
+    grid = np.arange(int(at[-1] + 1e-9) + 1, dtype=np.float64) * period
+    return grid, round(1e9 / period, 6), off_grid
+
+
+def _at(grid: Array, stamps: NDArray[np.int64], x: Array) -> Array:
+    """x (N, n), sampled at `stamps`, at the instants of the grid: as it is, or a cubic spline in between."""
+    since = (stamps - stamps[0]).astype(float)
+    if len(grid) == len(since) and (grid == since).all():
+        return x
+    from scipy.interpolate import CubicSpline
+
+    return np.asarray(CubicSpline(since, x)(grid))
+
+
+def _health(recording: Recording, first_ns: int) -> dict[str, tuple[Array, Array]]:
+    """The recorder's counters by name, over seconds from the first sample."""
+    names = dict.fromkeys(name for health in recording.health for name in health.counters)
+    found = {}
+    for name in names:
+        rows = [(1e-9 * (h.stamp_ns - first_ns), h.counters[name]) for h in recording.health if name in h.counters]
+        t_s, counts = np.array(rows).T
+        found[name] = (t_s, counts)
+    return found
+
+
+def _phase(recording: Recording, name: str, grid: Array, first_ns: int) -> tuple[int, int] | None:
+    """Sample range of a session phase: from the event that begins it to the next phase's event."""
+    phases = [(event.stamp_ns, event.text) for event in recording.events if event.kind == "phase"]
+    for k, (begin_ns, phase) in enumerate(phases):
+        if phase == name:
+            end_ns = phases[k + 1][0] if k + 1 < len(phases) else first_ns + int(grid[-1]) + 1
+            start, stop = np.searchsorted(grid, [begin_ns - first_ns, end_ns - first_ns])
+            return (int(start), int(stop)) if stop > start else None
+    return None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RecordingFile:
+    """A recording's file, read by the process that needs it, at the same path in all of them.
+
+    Attributes:
+        path: of the file.
+        description: content of the files of a description in place of the recording's own, by name; None for its own.
+    """
+
+    path: str
+    description: tuple[tuple[str, bytes], ...] | None = None
+
+    @classmethod
+    def at(cls, path: Path, robot: Robot | None = None) -> "RecordingFile":
+        """The recording at `path`, by the description `robot` where one is given."""
+        return cls(path=str(path.absolute()), description=None if robot is None else tuple(robot.files.items()))
+
+    @property
+    def found(self) -> bool:
+        """Whether this process can read it."""
+        return Path(self.path).exists()
+
+    def load(self) -> Signals:
+        """The signals of the recording. Raises as `load_signals`."""
+        robot = None if self.description is None else robot_from_files(dict(self.description), self.path)
+        return load_signals(self.path, robot)
+
+    @property
+    def key(self) -> str:
+        """What tells it from others in a cache."""
+        described = hashlib.sha256(repr(self.description).encode()).hexdigest()
+        return f"{self.path} {described}"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recordings:
+    """Recordings of one robot that are fitted together, and where the work on them is done."""
+
+    sources: tuple[Signals | RecordingFile, ...]
+    work: Work = field(default_factory=Serial)
+
+
+def check_one_robot(recordings: Sequence[Signals]) -> None:
+    """Refuse recordings that are not of one robot, or one recording twice.
+
+    Raises `IdentificationError` with the recording, the joint or motor, the value, and that of the first recording.
+    """
+    first, seen = recordings[0], {recordings[0].sha256: recordings[0].recording}
+    for other in recordings[1:]:
+        if other.sha256 and other.sha256 in seen:
+            problem = f"holds the same as {seen[other.sha256]}"
+            raise IdentificationError(problem, place=other.recording, expected="each recording once")
+        seen[other.sha256] = other.recording
+        if other.robot.n != first.robot.n:
+            expected = f"{first.robot.n}, as in {first.recording}"
+            raise IdentificationError(place=other.recording, key="joints", value=other.robot.n, expected=expected)
+        for key, value, wanted in _compared(other.robot, first.robot):
+            if value != wanted:
+                expected = f"{wanted!r}, as in {first.recording}: recordings of one fit are of one robot"
+                raise IdentificationError(place=other.recording, key=key, value=value, expected=expected)
+
+
+def _compared(a: Robot, b: Robot) -> Iterator[tuple[str, Any, Any]]:
+    """What must agree of two robots of as many joints: its place, and the value of each."""
+    for mine, others in zip(a.joints, b.joints, strict=True):
+        for name in JOINT:
+            yield f"joint {mine.name}: {name}", getattr(mine, name), getattr(others, name)
+        yield f"joint {mine.name}: friction", _friction(mine), _friction(others)
+    for motor, other in zip(a.motors, b.motors, strict=True):
+        for name in MOTOR:
+            yield f"motor {motor.name}: {name}", getattr(motor, name), getattr(other, name)
+    for key, x, y in (("gravity_m_s2", a.gravity, b.gravity), ("motor_matrix", a.R, b.R)):
+        yield key, np.asarray(x).tolist(), np.asarray(y).tolist()
+    same = "the same" if a.urdf == b.urdf else "another"
+    yield "urdf", same, "the same"
+
+
+def _friction(joint: Joint) -> tuple[str, ...]:
+    """The friction terms of a joint, in one order: keys and lists that mean the same are the same."""
+    terms = tuple(term for term in get_args(FrictionTerm) if term in joint.terms)
+    return ("for each direction", *terms) if joint.one_sided else terms
