@@ -14,7 +14,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, load_robot
 from identification.commands import main
 from identification.errors import IdentificationError
-from identification.export import Stated, read_chain, robot_of_chain
+from identification.export import robot_of_chain, read_chain
 from identification.model import InverseModel
 
 STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
@@ -195,16 +195,19 @@ def test_a_joint_without_limits_has_them_by_options_or_is_named(here, capsys):
 
 def test_options_and_limits_of_the_urdf_hold_together(here):
     """The narrower range, the smaller speed; one value holds for all joints of one kind, one bandwidth for the robot."""
-    stated = Stated(
-        range=(1.0, 3.0, 0.3), speed=(2.0, 5.0, 0.2), acceleration=(8.0, 9.0, 2.0), bandwidth_hz=(6.0, 5.0, 7.0)
-    )
-    robot = robot_of_chain(stated.of(read_chain(Path("arm.urdf"), ARM)), moves=True)
+    stated = {
+        "--range": (1.0, 3.0, 0.3),
+        "--speed": (2.0, 5.0, 0.2),
+        "--acceleration": (8.0, 9.0, 2.0),
+        "--bandwidth-hz": (6.0, 5.0, 7.0),
+    }
+    robot = robot_of_chain(read_chain(Path("arm.urdf"), ARM).with_options(stated), moves=True)
     assert [j.si("position") for j in robot.joints] == [pytest.approx(x) for x in ((-1, 1), (-2, 1.5), (0.1, 0.3))]
     assert [j.si("speed") for j in robot.joints] == pytest.approx([2, 3, 0.2])
     assert [j.si("acceleration") for j in robot.joints] == pytest.approx([8, 9, 2])
     assert robot.bandwidth_hz == 5.0
     pair = read_chain(Path("arm.urdf"), ("turn", "lift"))
-    assert [j.acceleration for j in Stated(acceleration=(4.0,)).of(pair).joints] == [4.0, 4.0]
+    assert [j.acceleration for j in pair.with_options({"--acceleration": (4.0,)}).joints] == [4.0, 4.0]
 
 
 @pytest.mark.parametrize(

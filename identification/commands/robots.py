@@ -7,8 +7,6 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import from_options
-
 from ..errors import IdentificationError
 from .options import above_zero
 
@@ -35,7 +33,7 @@ def add_robot(parser: argparse.ArgumentParser, text: str) -> "argparse._Argument
 
 
 def add_urdf_options(parser: argparse.ArgumentParser) -> None:
-    """Options for what a URDF does not say; their names are those of the fields of `Stated`."""
+    """Options for what a URDF does not say."""
     group = parser.add_argument_group("with a URDF: one value for all joints, or one per joint, as A,B,C")
     group.add_argument(
         "--joints",
@@ -55,18 +53,23 @@ def robot_of(options: argparse.Namespace, *, moves: bool = False) -> "Robot":
 
     if is_urdf(options.robot):
         return robot_of_chain(chain_of(options), moves=moves)
-    for option in ("--joints", *(option for option, _, _ in _STATED)):
-        if getattr(options, option.removeprefix("--").replace("-", "_")) is not None:
-            expected = "a URDF with it: robot.toml has a key of its own for it"
-            raise IdentificationError(f"{option} does nothing here", place=str(options.robot), expected=expected)
+    for option in (*(["--joints"] if options.joints is not None else []), *_stated(options)):
+        expected = "a URDF with it: robot.toml has a key of its own for it"
+        raise IdentificationError(f"{option} does nothing here", place=str(options.robot), expected=expected)
     return load_robot(options.robot)
 
 
 def chain_of(options: argparse.Namespace) -> "Chain":
     """The chain of the URDF, with what the options state."""
-    from ..export import Stated, read_chain
+    from ..export import read_chain
 
-    return from_options(Stated, options).of(read_chain(options.robot, options.joints or ()))
+    return read_chain(options.robot, options.joints or ()).with_options(_stated(options))
+
+
+def _stated(options: argparse.Namespace) -> dict[str, tuple[float, ...]]:
+    """By name, the options given for what a URDF does not say."""
+    given = {option: getattr(options, option.removeprefix("--").replace("-", "_")) for option, _, _ in _STATED}
+    return {option: values for option, values in given.items() if values is not None}
 
 
 def names(text: str) -> tuple[str, ...]:

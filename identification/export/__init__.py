@@ -4,6 +4,5 @@ from .chain import Chain, is_urdf, read_chain
 from .description import FILL_IN, describe, robot_of_chain
 from .exporting import export_model, write_models
 from .mechanism import mechanism_of
-from .stated import Stated
 from .stored_model import distrust, model_of_fit
 from .urdf_of_model import made_urdf

@@ -1,16 +1,40 @@
-"""The joints of a URDF that are identified: the longest serial chain, or those named; all others stay locked at zero."""
+"""The joints of a URDF that are identified: the longest serial chain, or those named; all others stay locked at zero.
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+What is wrong with a URDF is an `IdentificationError` of one line with file, element, value, and what was expected.
+"""
+
+import math
+import re
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from acquisition.errors import listed
 
 from ..errors import IdentificationError
-from .links import check_inertials
-from .tree import MOVABLE, Tree, attribute, check_name, end, movable, read_tree
 
+INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
 _ENDINGS = (".urdf", ".xacro", ".xml")
+_MOVABLE = ("revolute", "continuous", "prismatic")
+_TYPES = (*_MOVABLE, "fixed", "floating", "planar")
+_NAME = re.compile(r"[A-Za-z0-9_.\- ]{1,64}")  # of a joint in robot.toml
+_ROUNDING = 1e-6  # of the largest principal moment: CAD programs write few digits
+_NUMBERS = {
+    "speed": ("limit", "velocity"),
+    "effort": ("limit", "effort"),
+    "damping": ("dynamics", "damping"),
+    "friction": ("dynamics", "friction"),
+}
+_OF_OPTIONS = {
+    "--range": "position",
+    "--speed": "speed",
+    "--acceleration": "acceleration",
+    "--following-error": "following_error",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,12 +63,10 @@ class UrdfJoint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chain:
-    """What a URDF says of the robot that is identified.
+    """What a URDF, the file `place`, and its options say of the robot that is identified.
 
     Attributes:
-        place: the file, in errors.
         name: of the robot, as robot.toml takes it.
-        text: the URDF.
         joints: those identified, from the base outwards; the number of a joint is its place here.
         locked: the other movable joints, which stay at zero, each with its type and what it mimics.
         rigid: by joint of the chain, the links that move with it as one body.
@@ -61,6 +83,43 @@ class Chain:
     notes: tuple[str, ...]
     bandwidth_hz: float | None = None
 
+    def with_options(self, options: Mapping[str, Sequence[float]]) -> "Chain":
+        """The chain with what options state, in rad or m (per s, s²) and Hz: one value for all joints, or one for each.
+
+        `--range` is to each side of zero. Where the URDF has a range or a speed too, the smaller holds, and of several
+        `--bandwidth-hz` the lowest. Raises `IdentificationError`: a wrong number of values, a range outside the URDF's.
+        """
+        joints = list(self.joints)
+        for option, values in options.items():
+            _check_count(self, option, values)
+            for j, joint in enumerate(joints if option in _OF_OPTIONS else ()):
+                value: Any = values[j % len(values)]
+                if option == "--range":
+                    value = _narrowed(joint, value, self.place)
+                elif option == "--speed":
+                    value = min(joint.speed or value, value)
+                joints[j] = replace(joint, **{_OF_OPTIONS[option]: value})
+        return replace(self, joints=tuple(joints), bandwidth_hz=min(options.get("--bandwidth-hz", ()), default=None))
+
+
+def _check_count(chain: Chain, option: str, values: Sequence[float]) -> None:
+    n, kinds = len(chain.joints), {joint.type for joint in chain.joints}
+    if len(values) not in (1, n):
+        expected, shown = f"one, or {n}: of {', '.join(joint.name for joint in chain.joints)}", f"{len(values)} values"
+        raise IdentificationError(place=chain.place, key=option, value=values, shown=shown, expected=expected)
+    if len(values) < n and len(kinds) > 1 and option in _OF_OPTIONS:
+        expected = f"{n} values: some joints count in rad, others in m"
+        raise IdentificationError(place=chain.place, key=option, value=values[0], expected=expected)
+
+
+def _narrowed(joint: UrdfJoint, side: float, place: str) -> tuple[float, float]:
+    low, high = joint.position or (-side, side)
+    narrowed = max(low, -side), min(high, side)
+    if not narrowed[0] < narrowed[1]:
+        expected = f"a range that reaches into the URDF's, {low:g} to {high:g} {joint.unit}"
+        raise IdentificationError(place=f"{place}: joint {joint.name!r}", key="--range", value=side, expected=expected)
+    return narrowed
+
 
 def is_urdf(path: Path) -> bool:
     """Whether a file is taken for a URDF: by its ending, .urdf, .xacro or .xml."""
@@ -70,15 +129,15 @@ def is_urdf(path: Path) -> bool:
 def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
     """Read a URDF, with the limits, damping and friction that it states.
 
-    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. The
-    `IdentificationError` is one line with file, link or joint, value and what was expected: not a URDF, not one tree, joints
-    that no chain can have, two chains of one length, numbers that are none, limits upside down, negative masses or inertias.
+    `names` are the joints to identify, from the base outwards; by default those of the longest serial chain. Raises
+    `IdentificationError`: not a URDF, not one tree, joints that no chain can have, two chains of one length, numbers that are
+    none, limits upside down, negative masses or inertias.
     """
     try:
         text = path.read_bytes()
     except OSError as error:
         raise IdentificationError(f"cannot be read: {error.strerror}", place=str(path)) from error
-    tree = read_tree(text, str(path))
+    tree = _Tree(text, str(path))
     chain = _named(tree, names) if names else _longest(tree)
     for name in dict.fromkeys(joint for last in chain for joint in tree.path(last)):
         kind = tree.joints[name].get("type")
@@ -86,7 +145,11 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
             at = f"{path}: joint {name!r}, between the base and joint {chain[-1]!r}"
             expected = "fixed, revolute, continuous or prismatic joints below a base that stands still"
             raise IdentificationError(place=at, key="type", value=kind, expected=expected)
-    rigid = _bodies(tree, chain)
+    rigid: dict[str, list[str]] = {name: [] for name in chain}
+    for link in tree.links:
+        carried = [joint for joint in tree.path(tree.above.get(link)) if joint in rigid]
+        if carried:  # by the last of these, and by no later joint of the chain
+            rigid[carried[-1]].append(link)
     others = [name for name, joint in tree.joints.items() if name not in chain and joint.get("type") != "fixed"]
     return Chain(
         place=str(path),
@@ -94,66 +157,148 @@ def read_chain(path: Path, names: Sequence[str] = ()) -> Chain:
         text=text,
         joints=tuple(_joint(tree, name) for name in chain),
         locked=tuple(_locked(tree, name) for name in others),
-        rigid=tuple(tuple(rigid[name]) for name in chain),
-        notes=check_inertials(tree, [link for links in rigid.values() for link in links]),
+        rigid=tuple(tuple(links) for links in rigid.values()),
+        notes=_check_inertials(tree, [link for links in rigid.values() for link in links]),
     )
 
 
-def _longest(tree: Tree) -> list[str]:
-    free = set(movable(tree))
+class _Tree:
+    """A URDF whose joints make one tree of its links: their elements by name, and `above` a link the joint that carries it."""
+
+    def __init__(self, text: bytes, place: str) -> None:
+        try:
+            robot = ET.fromstring(text)
+        except (ET.ParseError, ValueError, LookupError) as error:
+            raise IdentificationError(f"is not XML: {error}", place=place, expected="a URDF") from error
+        if robot.tag != "robot":
+            shown, expected = f"<{robot.tag}>", "<robot>, of a URDF"
+            raise IdentificationError(place=place, key="its root", value=robot.tag, shown=shown, expected=expected)
+        if any("xacro" in str(element.tag) for element in robot.iter()):
+            expected = "a URDF: xacro FILE > robot.urdf makes it"
+            raise IdentificationError("has xacro elements", place=place, expected=expected)
+        self.place, self.name = place, robot.get("name") or ""
+        self.links, self.joints = (_by_name(robot, tag, place) for tag in ("link", "joint"))
+        self.above: dict[str, str] = {}
+        for name, joint in self.joints.items():
+            self._check_joint(name, joint)
+            self.above[_end(joint, "child")] = name
+        roots = [link for link in self.links if link not in self.above]
+        if len(roots) != 1:
+            problem = f"{len(roots)} root links: {listed(roots)}" if roots else "no root link: its joints make a ring"
+            raise IdentificationError(problem, place=place, expected="one link that no joint carries, the base")
+        if ring := [link for link in self.links if len(self.path(self.above.get(link))) > len(self.joints)]:
+            problem = f"links {listed(ring)} are in a ring of joints"
+            raise IdentificationError(problem, place=place, expected="a tree below one base link")
+
+    def _check_joint(self, name: str, joint: ET.Element) -> None:
+        at, kind = f"{self.place}: joint {name!r}", joint.get("type")
+        if kind not in _TYPES:
+            raise IdentificationError(place=at, key="type", value=kind, expected=f"one of {', '.join(_TYPES)}")
+        for tag in ("parent", "child"):
+            if _end(joint, tag) not in self.links:
+                value, expected = _end(joint, tag) or None, f"one of the links {listed([*self.links])}"
+                raise IdentificationError(place=at, key=tag, value=value, expected=expected)
+        child = _end(joint, "child")
+        if child in self.above:
+            expected = f"one joint above each link; {self.above[child]!r} is above this one too"
+            raise IdentificationError(place=at, key="child", value=child, expected=expected)
+
+    def path(self, joint: str | None) -> list[str]:
+        """The joints from the root to `joint`, in this order, itself included; more than there are in a ring."""
+        found: list[str] = []
+        while joint is not None and len(found) <= len(self.joints):
+            found.append(joint)
+            joint = self.above.get(_end(self.joints[joint], "parent"))
+        return found[::-1]
+
+    @property
+    def movable(self) -> list[str]:
+        """The joints that can move on their own: revolute, continuous, prismatic, not mimicking another."""
+        return [name for name, j in self.joints.items() if j.get("type") in _MOVABLE and j.find("mimic") is None]
+
+
+def _by_name(robot: ET.Element, tag: str, place: str) -> dict[str, ET.Element]:
+    found: dict[str, ET.Element] = {}
+    for i, element in enumerate(robot.findall(tag)):
+        name = element.get("name")
+        if not name or name in found:
+            where, expected = f"{place}: {tag} {i + 1}", "a name not used before" if name else "a name"
+            raise IdentificationError(place=where, key="name", value=name or None, expected=expected)
+        found[name] = element
+    if not found:
+        raise IdentificationError(f"has no {tag}", place=place, expected="links, and joints between them")
+    return found
+
+
+def _end(joint: ET.Element, tag: str) -> str:
+    """The link at one end of a joint, `parent` or `child`; empty where none is named."""
+    return _text(joint, tag, "link") or ""
+
+
+def _text(element: ET.Element, tag: str, name: str) -> str | None:
+    found = element.find(tag)
+    return None if found is None else found.get(name)
+
+
+def _number(text: str | None, place: str, key: str) -> float:
+    try:
+        value = float(text or "")
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise IdentificationError(place=place, key=key, value=text, expected="a finite number")
+    return value
+
+
+def _longest(tree: _Tree) -> list[str]:
+    free = set(tree.movable)
     if not free:
-        expected = f"joints of the types {', '.join(MOVABLE)}"
+        expected = f"joints of the types {', '.join(_MOVABLE)}"
         raise IdentificationError("no joint moves", place=tree.place, expected=expected)
-    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in free}
+    chains = {name: [joint for joint in tree.path(name) if joint in free] for name in tree.movable}
     most = max(map(len, chains.values()))
-    last = [name for name in tree.joints if len(chains.get(name, ())) == most]
+    last = [name for name, chain in chains.items() if len(chain) == most]
     if len(last) > 1:
         problem = f"{len(last)} chains of {most} joints each: they end at {listed(last)}"
         raise IdentificationError(problem, place=tree.place, expected="--joints with the names of those of one")
     return chains[last[0]]
 
 
-def _named(tree: Tree, names: Sequence[str]) -> list[str]:
-    free = list(movable(tree))
+def _named(tree: _Tree, names: Sequence[str]) -> list[str]:
     for i, name in enumerate(names):
-        if name not in free or name in names[:i]:
-            expected = f"each once, of {listed(free)}"
+        if name not in tree.movable or name in names[:i]:
+            expected = f"each once, of {listed(tree.movable)}"
             raise IdentificationError(place=tree.place, key="--joints", value=name, expected=expected)
     return list(names)
 
 
-def _locked(tree: Tree, name: str) -> str:
-    mimic = tree.joints[name].find("mimic")
-    what = f"{name}: {tree.joints[name].get('type')}"
-    return what if mimic is None else f"{what}, mimics {mimic.get('joint')}"
+def _locked(tree: _Tree, name: str) -> str:
+    joint = tree.joints[name]
+    mimicked = f", mimics {_text(joint, 'mimic', 'joint')}" if joint.find("mimic") is not None else ""
+    return f"{name}: {joint.get('type')}{mimicked}"
 
 
-def _bodies(tree: Tree, chain: Sequence[str]) -> dict[str, list[str]]:
-    """By joint of the chain, the links that it carries and no later joint of the chain does."""
-    bodies: dict[str, list[str]] = {name: [] for name in chain}
-    for link in tree.links:
-        carried = [joint for joint in tree.carriers(link) if joint in bodies]
-        if carried:
-            bodies[carried[-1]].append(link)
-    return bodies
+def _joint(tree: _Tree, name: str) -> UrdfJoint:
+    if not _NAME.fullmatch(name):
+        expected = "1 to 64 letters, digits, spaces, and _ . -, as in robot.toml"
+        raise IdentificationError(place=tree.place, key="name of a joint", value=name, expected=expected)
+    joint, at = tree.joints[name], f"{tree.place}: joint {name!r}"
 
+    def number(tag: str, attribute: str) -> float:
+        text = _text(joint, tag, attribute)
+        return 0.0 if text is None else _number(text, at, f"{tag} {attribute}")
 
-def _joint(tree: Tree, name: str) -> UrdfJoint:
-    check_name(tree, name)
-    kind = str(tree.joints[name].get("type"))
-    low, high = (attribute(tree, name, "limit", side) or 0.0 for side in ("lower", "upper"))
-    at = f"{tree.place}: joint {name!r}"
+    kind, low, high = joint.get("type"), number("limit", "lower"), number("limit", "upper")
     if kind != "continuous" and low > high:
         raise IdentificationError(place=at, key="limit lower", value=low, expected=f"less than upper = {high:g}")
-    numbers = {}
-    for key, (tag, word) in _NUMBERS.items():
-        numbers[key] = attribute(tree, name, tag, word) or 0.0
-        if numbers[key] < 0:
-            raise IdentificationError(place=at, key=f"{tag} {word}", value=numbers[key], expected="a number from 0")
+    numbers = {key: number(*where) for key, where in _NUMBERS.items()}
+    for key, value in numbers.items():
+        if value < 0:
+            raise IdentificationError(place=at, key=" ".join(_NUMBERS[key]), value=value, expected="a number from 0")
     return UrdfJoint(
         name=name,
         type="prismatic" if kind == "prismatic" else "revolute",
-        child=str(end(tree.joints[name], "child")),
+        child=_end(joint, "child"),
         # Equal limits are those of a URDF that states none: 0 is the default of both.
         position=None if kind == "continuous" or low == high else (low, high),
         speed=numbers["speed"] or None,
@@ -163,9 +308,23 @@ def _joint(tree: Tree, name: str) -> UrdfJoint:
     )
 
 
-_NUMBERS = {
-    "speed": ("limit", "velocity"),
-    "effort": ("limit", "effort"),
-    "damping": ("dynamics", "damping"),
-    "friction": ("dynamics", "friction"),
-}
+def _check_inertials(tree: _Tree, links: Sequence[str]) -> tuple[str, ...]:
+    """Notes on principal moments that break the triangle inequality: no body has them, but they can be simulated."""
+    notes = []
+    for link in links:
+        inertial, at = tree.links[link].find("inertial"), f"{tree.place}: link {link!r}"
+        if inertial is None:
+            continue
+        m = _number(_text(inertial, "mass", "value"), at, "mass")
+        if m < 0:
+            raise IdentificationError(place=at, key="mass", value=m, expected="a number from 0, kg")
+        matrix = np.zeros((3, 3))
+        matrix[np.triu_indices(3)] = [_number(_text(inertial, "inertia", k), at, f"inertia {k}") for k in INERTIA]
+        moments = np.linalg.eigvalsh(matrix, UPLO="U")
+        slack, shown = _ROUNDING * np.abs(moments).max(), ", ".join(f"{x:.4g}" for x in moments)
+        if moments[0] < -slack:
+            key, expected = "principal moments", "none below zero, kg m²"
+            raise IdentificationError(place=at, key=key, value=moments.tolist(), shown=shown, expected=expected)
+        if moments[2] > moments[0] + moments[1] + slack:
+            notes.append(f"link {link}: principal moments {shown} kg m²: no body has one above the sum of the others")
+    return tuple(notes)

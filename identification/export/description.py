@@ -13,7 +13,6 @@ from acquisition.robot import Robot, robot_from_files
 from ..errors import IdentificationError
 from ..model import LINK, InverseModel
 from .chain import Chain, UrdfJoint
-from .stated import refuse_unstated
 
 FILL_IN = "FILL IN"
 _EXAMPLE = "#: "  # before each line of an example on simulated drives, with which a dry run moves the robot
@@ -21,6 +20,11 @@ _EFFORT, _SPEED = 100.0, 3.0  # of the example where the URDF states none
 _SHARE, _RISE_S = 0.02, 0.2  # of the effort: what friction takes, and what brings the rotor to full speed in this time
 _COUNTS, _RATED_SHARE = 1_000_000, 0.5  # of the example's drives: per turn or m; rated effort over the largest
 _ROUNDING = 1e-14  # kg m² and smaller: what the sums of a lumped link leave of zero
+_NEEDED = {
+    "position": "--range ({}, to each side of zero)",
+    "speed": "--speed ({}/s)",
+    "acceleration": "--acceleration ({}/s²)",
+}  # by a robot that moves, with units
 
 
 def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
@@ -28,8 +32,16 @@ def robot_of_chain(chain: Chain, *, moves: bool = False) -> Robot:
 
     Where it `moves` and a limit or the bandwidth is not stated, an `IdentificationError` names the joint and the option.
     """
-    if moves:
-        refuse_unstated(chain)
+    for key, option in _NEEDED.items() if moves else ():
+        for joint in chain.joints:
+            if getattr(joint, key) is None:
+                place = f"{chain.place}: joint {joint.name!r}"
+                expected = f"{option.format(joint.unit)}, one value or one per joint"
+                raise IdentificationError(place=place, key=key, value=None, expected=expected)
+    if moves and chain.bandwidth_hz is None:
+        place = f"{chain.place}: joint {chain.joints[0].name!r} and all others"
+        expected = "--bandwidth-hz, of the position loops"
+        raise IdentificationError(place=place, key="bandwidth", value=None, expected=expected)
     return _robot(describe(chain, "robot.urdf"), chain)
 
 
