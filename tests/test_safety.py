@@ -16,12 +16,12 @@ from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
-import acquisition.simulated.lock_step as dry_run_module
+import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Mode, ObjectDictionary, State, interpolation_period, load_dictionary, write_request
-from acquisition.protocol.dictionary import DictionaryEntry
+from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
