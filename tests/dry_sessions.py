@@ -13,8 +13,7 @@ from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
 from acquisition.simulated import Mechanism, SimulatedDrives, cascaded_loops, dry_run
-from acquisition.simulated.mechanism import rated_motor_effort
-from acquisition.simulated.plants import Plant, typical_inertia
+from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
 
 
 def swing(n: int, *, seconds: float = 1.0, period_s: float = 0.002, amplitude: float = 0.3) -> np.ndarray:

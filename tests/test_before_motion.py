@@ -18,10 +18,9 @@ from acquisition.commands.checking import look, refusal
 from acquisition.errors import AcquisitionError
 from acquisition.recording import SENT
 from acquisition.robot import table_reference
-from acquisition.session import Operator, RecordOptions, Task, record, scheduling, steady
-from acquisition.session.pacing import largest_delay_s
-from acquisition.session.recording_session import _before_motion as before_motion
-from acquisition.session.scheduling import refuse_jitter
+from acquisition.session import Operator, RecordOptions, Task, record, steady, timing
+from acquisition.session.running import _before_motion as before_motion
+from acquisition.session.timing import largest_delay_s, refuse_jitter
 from acquisition.simulated import SimulatedDrives, dry_run
 
 
@@ -254,7 +253,7 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
     robot = robot_of(bus_text(1, period_s=0.005))
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     master = Master(Late(link=run.link, late_ns=4_000_000), bus_of(robot))
-    monkeypatch.setattr(scheduling, "largest_delay_s", lambda _: bound_s)
+    monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
     if refused:
         with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 of it are more than 11.9 ms"):
             refuse_jitter(master)

@@ -16,10 +16,10 @@ from acquisition.bus import (
     WallClock,
     block_of,
     kernel_drops,
+    links,
     open_bus,
     read_log,
     socket_of,
-    sockets,
 )
 from acquisition.errors import AcquisitionError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
@@ -356,13 +356,13 @@ def test_a_queue_is_enlarged_past_the_limit_where_we_may():
         asked.append((level, option, value))
 
     sock = SimpleNamespace(setsockopt=setsockopt, getsockopt=lambda *_: granted[0])
-    sockets.enlarge_queue(sock)
+    links.enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20), (1, 33, 4 * 2**20)]  # SO_RCVBUF, SO_RCVBUFFORCE
     asked.clear()
     granted[0] = 8 * 2**20
-    sockets.enlarge_queue(sock)
+    links.enlarge_queue(sock)
     assert asked == [(1, 8, 4 * 2**20)]
-    assert sockets.queue_bytes(sock) == 8 * 2**20
+    assert links.queue_bytes(sock) == 8 * 2**20
 
 
 def test_the_socket_under_a_bus_of_the_kernel_and_under_a_group():
@@ -378,7 +378,7 @@ def test_a_group_on_loopback_sends_by_no_other_interface():
     drive = DriveFile(node=1, reference="6074", counts_per_turn=1.0)
     file = BusFile(interface="udp_multicast", channel="239.1.2.3:4321", drive=(drive,), sync_period_s=0.002)
     with sock:
-        sockets.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
+        links.stay_on_loopback(SimpleNamespace(_multicast=SimpleNamespace(_socket=sock)), file)
         assert socket.inet_ntoa(sock.getsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, 4)) == "127.0.0.1"
 
 

@@ -33,14 +33,14 @@ from test_recording_processes import (
 )
 from test_third_party import THIRD_PARTY_DRIVE, node, npm
 
-import acquisition.session.dead_man as dead_man_module
-import acquisition.simulated.supervision as simulated_supervision
+import acquisition.session.process as dead_man_module
+import acquisition.simulated.node as simulated_supervision
 from acquisition.bus import Master, open_link
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
-from acquisition.session.dead_man import DeadMan, SignsOfLife, silence_s
+from acquisition.session.process import DeadMan, SignsOfLife, silence_s
 from acquisition.simulated import dry_run, serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures

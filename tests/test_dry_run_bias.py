@@ -15,8 +15,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import DriveFile, demand_ripple_warnings, load_robot
 from acquisition.robot.bus import demand_ripple
 from acquisition.simulated import LoopGains, Mechanism, SimulatedDrives, cascaded_loops, describe_loops
-from acquisition.simulated.loops import cubic
-from acquisition.simulated.plants import JointwisePlant
+from acquisition.simulated.mechanism import JointwisePlant, cubic
 from identification.data import load_signals
 from identification.methods import identify_ls
 from identification.methods.assess import ripple_warnings

@@ -12,9 +12,8 @@ from acquisition.protocol import State
 from acquisition.recording import SENT
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
-from acquisition.simulated.mechanism import rated_motor_effort
+from acquisition.simulated.mechanism import JointwisePlant, rated_motor_effort, typical_plant
 from acquisition.simulated.node import SimulatedNode
-from acquisition.simulated.plants import JointwisePlant, typical_plant
 
 DEG = np.degrees(1.0)
 TRACK = Task(reference=swing(2, seconds=0.4, amplitude=0.02))

@@ -10,14 +10,13 @@ from dry_sessions import DrySession, Through, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_text, robot_of
 
-import acquisition.session.recording_session as record_module
+import acquisition.session.running as record_module
 import acquisition.session.session as session_module
-from acquisition.bus import error_words, status_words
 from acquisition.commands import main
-from acquisition.protocol import State
+from acquisition.protocol import State, error_words, status_words
 from acquisition.recording import overview
 from acquisition.session import Outcome, Stop, Task
-from acquisition.session.guards import SPEED_MARGIN
+from acquisition.session.motion import SPEED_MARGIN
 from acquisition.simulated.node import SimulatedNode
 from identification.data import load_signals
 from identification.errors import IdentificationError
@@ -302,7 +301,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
 def test_a_slow_sync_may_be_three_periods_late():
     """With SYNC every 10 ms the bound is 30 ms."""
     from acquisition.bus import Master
-    from acquisition.session.pacing import Pace
+    from acquisition.session.timing import Pace
 
     class Bare:
         t = 0

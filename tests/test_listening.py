@@ -12,13 +12,13 @@ from dry_sessions import Through, dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Frame, Link, open_bus, open_link, service_of
-from acquisition.bus.listening import other_node, sign_of_master
+from acquisition.bus.frames import other_node, sign_of_master
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.robot import BusFile
-from acquisition.session import InlineLog, Stop, Task, replay, replaying
+from acquisition.session import InlineLog, Stop, Task, replay, running
 from acquisition.simulated import SimulatedDrives, dry_run, serve
 
 ROBOT = robot_of(bus_text(2))
@@ -150,7 +150,7 @@ def test_replay_begins_at_once_whatever_the_clock_of_the_recording_was(tracked, 
     ((channel, frames),) = recording.frames.items()
     frames = frames.copy()
     frames["time_ns"] += 1_700_000_000_000_000_000
-    monkeypatch.setattr(replaying, "read_recording", lambda _: replace(recording, frames={channel: frames}))
+    monkeypatch.setattr(running, "read_recording", lambda _: replace(recording, frames={channel: frames}))
     stop = Stop()
     timer = threading.Timer(10.0, lambda: setattr(stop, "reason", "not begun"))
     timer.start()

@@ -13,7 +13,7 @@ from acquisition.recording import read_recording
 from acquisition.robot import load_robot
 from acquisition.session import Operator, RecordOptions, record
 from acquisition.simulated import mechanism_of
-from acquisition.simulated.plants import JointwisePlant
+from acquisition.simulated.mechanism import JointwisePlant
 from identification.model import InverseModel
 from identification.model.base import known_parameters
 

@@ -7,7 +7,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import ObjectEntry, load_dictionary
-from acquisition.protocol.dictionary import DictionaryEntry
+from acquisition.protocol.objects import DictionaryEntry
 from acquisition.robot import resolve
 from acquisition.robot.bus import parse_object
 from acquisition.simulated.node import simulated_node

@@ -6,7 +6,7 @@ from made_up_buses import bus_text, robot_of
 
 from acquisition.recording import sample_dtype
 from acquisition.simulated import TablePlant, middle_of_range
-from acquisition.simulated.plants import JointwisePlant, typical_inertia, typical_plant
+from acquisition.simulated.mechanism import JointwisePlant, typical_inertia, typical_plant
 
 FREE, HELD = np.zeros(1, bool), np.ones(1, bool)
 DEG = np.pi / 180

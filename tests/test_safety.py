@@ -16,12 +16,12 @@ from faulty_drives import Fault
 from made_up_buses import bus_of, bus_text, robot_of
 
 import acquisition.session.logs as recorder_logs
-import acquisition.simulated.lock_step as dry_run_module
+import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Mode, ObjectDictionary, State, interpolation_period, load_dictionary, write_request
-from acquisition.protocol.dictionary import DictionaryEntry
+from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
@@ -467,20 +467,22 @@ def test_simulated_drives_beat_on_a_bus_that_is_never_quiet(monkeypatch):
     class Busy:
         def __init__(self):
             self.frames = [Frame(0, 0x601, write_request(0x1017, 0, 10, 2))]
+            self.time_ns = 0
 
         def now_ns(self):
-            return time.monotonic_ns()
+            return self.time_ns
 
         def send(self, can_id, data):
             sent.append((can_id, data))
 
         def receive(self, until_ns):
+            self.time_ns += 100_000
             return self.frames.pop() if self.frames else Frame(0, 0x7FF, b"")
 
         def close(self):
             pass
 
-    monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: Busy())
-    until_s = time.monotonic() + 0.3
-    serve(SimulatedDrives(robot, bus_of(robot)), lambda: time.monotonic() > until_s)
-    assert sent.count((0x701, b"\x7f")) >= 5
+    link = Busy()
+    monkeypatch.setattr(dry_run_module, "open_link", lambda *_, **__: link)
+    serve(SimulatedDrives(robot, bus_of(robot)), lambda: link.time_ns >= 300_000_000)
+    assert sent.count((0x701, b"\x7f")) in (29, 30)  # one every 10 ms

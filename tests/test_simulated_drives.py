@@ -16,7 +16,7 @@ from acquisition.protocol import State
 from acquisition.robot.bus import dictionary_label
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives, TablePlant, dry_run
-from acquisition.simulated.plants import JointwisePlant, typical_plant
+from acquisition.simulated.mechanism import JointwisePlant, typical_plant
 
 VENDORS = {
     "elmo_Gold.dcf": 'reference = "6074"\nreference_rule = "per mille of rated torque"\nrated_torque_nm = 0.42',

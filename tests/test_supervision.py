@@ -8,13 +8,13 @@ from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
-from acquisition.bus.heartbeat import free_entry, timeout_ms
+from acquisition.bus.supervision import free_entry, timeout_ms
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
 from acquisition.simulated import DryRun, SimulatedDrives, dry_run
-from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated import node as simulated_supervision
 from acquisition.simulated.node import SimulatedNode
 
 MS = 1_000_000

@@ -33,7 +33,7 @@ from test_recording_processes import (
 
 from acquisition.recording import read_recording
 from acquisition.simulated import SimulatedDrives, serve
-from acquisition.simulated import supervision as simulated_supervision
+from acquisition.simulated import node as simulated_supervision
 
 __all__ = ["folder", "port"]  # fixtures
 

@@ -1,19 +1,25 @@
 """The bus as frames and times, and the CANopen master on it: requests, listening, heartbeat, the one stop of all drives."""
 
-from .bus import SHARED, open_bus
-from .frame import Frame, Tap, block_of
-from .heartbeat import MasterHeartbeat
-from .homing import Confirm, confirm_motion, homed, joint_positions, joints_of, position_words
-from .link import Link, LockStepLink, open_link
-from .listening import LISTEN_S, command_ids, listen_for_others, refuse_enabled, refuse_other_master, service_of
-from .logs import SUFFIXES, read_log
-from .master import OPERATIONAL, Master, Wire
-from .orders import Orders, send_orders
-from .receiver import DRAIN_S, Receiver
-from .reports import FOLLOWS, REMOTE, error_report, error_words, notices, status_words
-from .sockets import QUEUE_BYTES, kernel_drops, queue_bytes, socket_of
+from .before_motion import (
+    LISTEN_S,
+    Confirm,
+    confirm_motion,
+    error_report,
+    homed,
+    joint_positions,
+    joints_of,
+    listen_for_others,
+    position_words,
+    refuse_enabled,
+    refuse_other_master,
+)
+from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
+from .links import QUEUE_BYTES, SHARED, Link, LockStepLink, kernel_drops, open_bus, open_link, queue_bytes, socket_of
+from .master import OPERATIONAL, Master, Orders, Wire, send_orders
+from .receiving import DRAIN_S, Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
+    MasterHeartbeat,
     refuse_slow_ramps,
     refuse_unsupervised,
     second_stop,
@@ -21,4 +27,3 @@ from .supervision import (
     supervision_of,
     supervision_refusal,
 )
-from .wall_clock import WallClock, describe_step

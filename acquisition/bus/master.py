@@ -1,4 +1,4 @@
-"""A CANopen master over a link: NMT, SDO, PDO configuration, and the last values of every node. It decides nothing."""
+"""A CANopen master over a link: NMT, SDO, PDO configuration, orders, and the last values of every node. It decides nothing."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -27,8 +27,7 @@ from ..protocol import (
 )
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
-from .frame import Frame
-from .listening import command_ids, sign_of_master
+from .frames import Frame, command_ids, sign_of_master
 
 SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
@@ -296,3 +295,25 @@ class Master:
                             f"node {drive.node}: rated value ({index:04X}:0) = {raw}: expected {rated} as robot.toml says"
                         )
         return found
+
+
+Orders = list[tuple[int, int]]  # controlword and target counts of each drive, in the order of the drives
+
+
+def send_orders(master: Master, orders: Orders) -> None:
+    """Send the orders to all drives by PDO. Raises `AcquisitionError` when the bus takes no frame."""
+    for watch, (control, target) in zip(master.nodes, orders, strict=True):
+        send_order(master, watch, control, target)
+
+
+def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
+    """Send the RPDOs of one drive that carry a command and nothing else. Raises `AcquisitionError` as above."""
+    drive = watch.drive
+    values = {
+        (drive.control.index, drive.control.sub): control,
+        (drive.target.index, drive.target.sub): target,
+        (MODE_OF_OPERATION + axis_of(drive), 0): int(Mode.CYCLIC_SYNCHRONOUS_POSITION),
+    }
+    for pdo in drive.rpdos:
+        if all((entry.index, entry.sub) in values for entry in pdo.entries):
+            master.link.send(pdo.can_id, pdo.pack(values))

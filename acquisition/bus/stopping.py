@@ -12,9 +12,8 @@ from dataclasses import dataclass, field
 from ..errors import AcquisitionError
 from ..protocol import RAMP_OBJECTS, Command, State, answer_of, quick_stop_ramp, read_request, state_of, write_request
 from ..robot import Bus, axis_index
-from .link import open_link
-from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch
-from .orders import send_order
+from .links import open_link
+from .master import PRE_OPERATIONAL, SDO_TIMEOUT_NS, Master, NodeWatch, send_order
 
 FALL_S = 0.05  # over which the speed must show that a quick stop works
 FALL_SLOPE = -0.2  # of the acceleration limit: with a lower slope the speed falls

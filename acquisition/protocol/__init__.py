@@ -1,7 +1,5 @@
 """CANopen (CiA 301) and CiA 402 without I/O and without robots: states, objects, SDO, PDO, object dictionaries."""
 
-from .dictionary import IDENTITY, ObjectDictionary, load_dictionary
-from .error_frames import error_frame_words
 from .objects import (
     ABORT_CONNECTION,
     BITS,
@@ -15,6 +13,7 @@ from .objects import (
     FOLLOWING_ERROR_WINDOW,
     HEARTBEAT,
     HEARTBEAT_TIME,
+    IDENTITY,
     MODE_DISPLAY,
     MODE_OF_OPERATION,
     PROFILE_DECELERATION,
@@ -30,38 +29,54 @@ from .objects import (
     STATUSWORD,
     STOP_OPTIONS,
     EffortCodec,
+    ObjectDictionary,
     ObjectEntry,
     PositionCodec,
     Rule,
     interpolation_period,
+    load_dictionary,
     quick_stop_ramp,
     range_of,
     saturated,
 )
-from .pdo import (
+from .states import (
+    AUTOMATIC,
+    DISABLED,
+    FOLLOWS,
+    REMOTE,
+    TRANSITIONS,
+    Command,
+    Mode,
+    State,
+    command_of,
+    error_frame_words,
+    error_words,
+    notices,
+    state_of,
+    status_words,
+    toward,
+)
+from .transfers import (
+    ANSWER,
     HIGHEST_CAN_ID,
     LOWEST_CAN_ID,
     MAX_PDO_BITS,
     MAX_PDOS,
     NOT_VALID,
     PARAMETERS,
+    REQUEST,
     Pdo,
+    abort_answer,
+    answer_of,
     bus_load,
+    check_answer,
     configuration,
     frame_bits,
     pdos_of,
-    usual_can_id,
-)
-from .sdo import (
-    ANSWER,
-    REQUEST,
-    abort_answer,
-    answer_of,
-    check_answer,
     read_request,
     request_of,
+    usual_can_id,
     value_answer,
     write_request,
     written_answer,
 )
-from .states import AUTOMATIC, DISABLED, TRANSITIONS, Command, Mode, State, command_of, state_of, toward

@@ -3,8 +3,7 @@
 from .logs import InlineLog, ProcessLog
 from .process import Role
 from .recorder import Recorded, Recorder, Status, write_decoded
-from .recording_session import Operator, RecordOptions, record, stop_on_signals
-from .replaying import replay
-from .scheduling import DEVIATIONS, steady, sync_jitter
+from .running import Operator, RecordOptions, record, replay, stop_on_signals
 from .session import run_active
 from .task import Outcome, Stop, Task
+from .timing import DEVIATIONS, steady, sync_jitter

@@ -13,8 +13,7 @@ from typing import Any
 from ..bus import Frame, block_of
 from ..errors import AcquisitionError
 from ..robot import Robot
-from .dead_man import SignsOfLife
-from .process import BLOCK_S, STOPPING, Role, run
+from .process import BLOCK_S, STOPPING, Role, SignsOfLife, run
 from .recorder import Recorded, Recorder, Status
 
 START_S = 20.0  # for the process to come up

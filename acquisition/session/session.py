@@ -17,7 +17,6 @@ from ..bus import (
     error_report,
     joints_of,
     leave_operational,
-    notices,
     refuse_enabled,
     refuse_other_master,
     refuse_slow_ramps,
@@ -25,12 +24,11 @@ from ..bus import (
     send_orders,
 )
 from ..errors import AcquisitionError
-from ..protocol import DISABLED, Command, Mode, State
+from ..protocol import DISABLED, Command, Mode, State, notices
 from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
-from .enabling import all_enabled, disable, enable
-from .guards import MotionState, motion_fault, node_fault
-from .pacing import Pace
+from .motion import MotionState, all_enabled, disable, enable, motion_fault, node_fault
 from .task import Outcome, SessionLog, Stop, Task
+from .timing import Pace
 
 HOLD_S = 0.3  # the drives hold their position at the end of motion, before they are disabled
 

@@ -1,7 +1,13 @@
 """Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
 
-from .drives import SimulatedDrives
-from .lock_step import DryRun, dry_run, serve
-from .loops import SUBSTEPS, LoopGains, cascaded_loops, describe_loops
-from .mechanism import Mechanism, mechanism_of
-from .plants import TablePlant, middle_of_range
+from .drives import DryRun, SimulatedDrives, dry_run, serve
+from .mechanism import (
+    SUBSTEPS,
+    LoopGains,
+    Mechanism,
+    TablePlant,
+    cascaded_loops,
+    describe_loops,
+    mechanism_of,
+    middle_of_range,
+)

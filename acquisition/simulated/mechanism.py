@@ -1,4 +1,4 @@
-"""The mechanism that simulated drives move: the described robot, or independent joints in its place.
+"""What simulated drives move, and by which control loops: the described robot, a table, or independent joints in its place.
 
 This package does not know the dynamics of `[parameters]`. Another package offers them as an entry point of the group
 `robot_idim.plants`: a function of the robot that returns the plant and control loops that suit its inertias. It raises
@@ -8,14 +8,187 @@ This package does not know the dynamics of `[parameters]`. Another package offer
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..errors import Place
-from ..robot import Bus, Robot
-from .loops import LoopGains, cascaded_loops
-from .plants import Plant, typical_inertia, typical_plant
+from ..errors import AcquisitionError, Place
+from ..recording import Block
+from ..robot import SIMULATED_CONTROLLER, Bus, Controller, Robot, robot_from_files
+
+Mask = NDArray[np.bool_]
+
+TYPICAL_LOAD = 0.3  # of the rated effort: gravity load of a horizontal joint of an industrial arm
+
+
+class Plant(Protocol):
+    """A mechanism of n joints, all quantities at the joint, SI (effort in the robot's units)."""
+
+    def state(self) -> tuple[Array, Array]:
+        """Position and speed, each (n,)."""
+        ...
+
+    def prescribed_effort(self) -> Array | None:
+        """Effort (n,) that drives report in place of that of their loops; None for a plant that their loops move."""
+        ...
+
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+        """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held` (n,)."""
+        ...
+
+
+class JointwisePlant:
+    """Independent joints: inertia a = effort - load cos(q) - viscous v - coulomb sign(v); each quantity (n,).
+
+    `load` is the effort that holds a horizontal joint; a prismatic joint (`slides`) carries it at every position.
+    """
+
+    def __init__(
+        self, inertia: Array, viscous: Array, coulomb: Array, load: Array, *, slides: Mask, position: Array
+    ) -> None:
+        self._inertia, self._viscous, self._coulomb, self._load, self._slides = inertia, viscous, coulomb, load, slides
+        self._q, self._dq = np.array(position, dtype=float), np.zeros(len(position))
+
+    def state(self) -> tuple[Array, Array]:
+        """Position and speed."""
+        return self._q.copy(), self._dq.copy()
+
+    def prescribed_effort(self) -> Array | None:
+        """None: the loops move it."""
+        return None
+
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+        """Load at the middle of the step; Coulomb friction stops a joint, but does not reverse its motion."""
+        speed = np.where(held, 0.0, self._dq)
+        middle = self._q + 0.5 * duration_s * speed
+        load = self._load * np.where(self._slides, 1.0, np.cos(middle))
+        free = speed + duration_s / self._inertia * (effort - load - self._viscous * speed)
+        rubbed = duration_s / self._inertia * self._coulomb
+        self._dq = np.where(held, 0.0, np.sign(free) * np.maximum(np.abs(free) - rubbed, 0.0))
+        self._q = middle + 0.5 * duration_s * self._dq
+
+
+def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
+    """Independent joints that suit the drives of `robot`: half the rated effort gives the stated acceleration.
+
+    A horizontal joint carries `load_share` of its rated effort. Each joint starts in the middle of its range.
+    """
+    rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
+    speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
+    return JointwisePlant(
+        typical_inertia(robot, rated_motor_effort),
+        0.05 * rated / speed,
+        0.05 * rated,
+        load_share * rated,
+        slides=np.array([j.type == "prismatic" for j in robot.joints]),
+        position=middle_of_range(robot),
+    )
+
+
+def typical_inertia(robot: Robot, rated_motor_effort: Array) -> Array:
+    """Inertias (n,) at the joints: half the rated effort gives the stated acceleration."""
+    acceleration = np.array([j.si("acceleration") or 10.0 for j in robot.joints])
+    return np.asarray(0.5 * np.abs(robot.joint_effort(rated_motor_effort[None])[0]) / acceleration)
+
+
+def middle_of_range(robot: Robot) -> Array:
+    """Joint positions (n,) in the middle of the stated limits, 0 where none are stated; rad or m."""
+    return np.array([np.mean(j.si("position") or (0.0, 0.0)) for j in robot.joints])
+
+
+class TablePlant:
+    """Replays joint samples, one row per period, whatever the loops of the drives demand."""
+
+    def __init__(self, samples: Block, sample_rate_hz: float) -> None:
+        if len(samples) == 0:
+            raise AcquisitionError("the table to replay holds no samples", expected="some")
+        self._samples, self._rate_hz, self._elapsed_s = samples, sample_rate_hz, 0.0
+
+    @property
+    def _row(self) -> int:
+        return min(round(self._elapsed_s * self._rate_hz), len(self._samples) - 1)
+
+    def state(self) -> tuple[Array, Array]:
+        """Position of the row; speed between it and the next."""
+        q = self._samples["position"]
+        now, following = q[self._row], q[min(self._row + 1, len(q) - 1)]
+        return now.copy(), (following - now) * self._rate_hz
+
+    def prescribed_effort(self) -> Array | None:
+        """Effort of the row."""
+        effort: Array = self._samples["effort"][self._row].copy()
+        return effort
+
+    def step(self, effort: Array, held: Mask, duration_s: float) -> None:
+        """Advance to the row at the time reached."""
+        self._elapsed_s += duration_s
+
+
+SUBSTEPS = 4  # of the control loops in a SYNC period
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LoopGains:
+    """The law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq).
+
+    e = r - q, in rad (or m) of the motor; u in the recorded effort; gains (n,).
+
+    Attributes:
+        position, velocity, integral: Kp, Kd, Ki.
+        position_share: alpha, (n,).
+        feedforward: phi, the share of the reference's speed that is fed forward.
+        smooth: whether the reference between two targets is a cubic of continuous speed. Else it is a line, from which motion
+            deviates: the demand has a ripple in each SYNC period.
+        current_s: time constant of the current loop.
+    """
+
+    position: Array
+    velocity: Array
+    integral: Array
+    position_share: Array
+    feedforward: float = 1.0
+    smooth: bool = True
+    current_s: float = 3e-4
+
+
+def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
+    """Position loops of the stated bandwidth w, velocity loops four times as fast with an integral, speed fed forward.
+
+    `inertia` (n,) at the joints. Kd ((w e + de) + w integral(w e + de)) = 2 w Kd e + Kd de + w² Kd integral(e).
+    """
+    w = 2 * np.pi * robot.bandwidth_hz
+    velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
+    return LoopGains(
+        position=2 * w * velocity, velocity=velocity, integral=w**2 * velocity, position_share=np.ones(robot.n)
+    )
+
+
+def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
+    """The description for a recording of simulated drives: where it states no law, with that of `cascaded_loops`.
+
+    The fit then simulates the drives that were recorded. The law has a file of its own: of the robot's real drives nothing is
+    known, and robot.toml, from which a description is exported, stays as it is.
+    """
+    bandwidth_hz = robot.controller.bandwidth_hz
+    if robot.bus is None or robot.controller != Controller(bandwidth_hz=bandwidth_hz):
+        return robot
+    law = (
+        f'bandwidth_hz = {bandwidth_hz}\nstructure = "pid"\nvelocity_estimate = "exact"\n'
+        f"sample_rate_hz = {SUBSTEPS / robot.bus.sync_period_s}\nposition_gain = {loops.position.tolist()}\n"
+        f"velocity_gain = {loops.velocity.tolist()}\nintegral_gain = {loops.integral.tolist()}\n"
+    )
+    return robot_from_files({**robot.files, SIMULATED_CONTROLLER: law.encode()}, "recording")
+
+
+def cubic(share: float, travel: Array, first: Array, last: Array) -> tuple[Array, Array]:
+    """Way and speed at a share of the period, by a cubic over `travel` with the speeds `first` and `last` at its ends."""
+    # Speeds are times the period, so that all are in rad or m, (n,).
+    rest, a, b = 1 - share, first - travel, last - travel
+    speed = travel + rest * (1 - 3 * share) * a - share * (2 - 3 * share) * b
+    return share * (travel + rest * (rest * a - share * b)), speed
+
 
 GROUP = "robot_idim.plants"
 PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]

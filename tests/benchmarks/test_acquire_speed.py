@@ -18,7 +18,7 @@ import pytest
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Receiver, kernel_drops
-from acquisition.bus.sockets import enlarge_queue
+from acquisition.bus.links import enlarge_queue
 from acquisition.recording import FRAME, decode, read_recording
 from acquisition.session import Recorder
 from acquisition.session.process import _record

@@ -1,4 +1,4 @@
-"""A recording session as the command runs it: link, recorder, and status while it runs."""
+"""Sessions as the commands run them: recording, with link, recorder and status, and replaying."""
 
 import signal
 import time
@@ -8,16 +8,32 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import FrameType
 
-from ..bus import SHARED, Confirm, Link, Master, WallClock, confirm_motion, open_link, refuse_unsupervised, second_stop
+import numpy as np
+
+from ..bus import (
+    LISTEN_S,
+    SHARED,
+    Confirm,
+    Link,
+    Master,
+    WallClock,
+    confirm_motion,
+    open_link,
+    refuse_unsupervised,
+    second_stop,
+    service_of,
+)
 from ..errors import AcquisitionError
-from ..robot import Bus, Robot, check_limits, refuse_load, resolve, table_reference
+from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
+from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
+from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, table_reference
 from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
-from .scheduling import refuse_jitter, steady
 from .session import run_active
 from .task import Outcome, Stop, Task
+from .timing import refuse_jitter, steady
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
@@ -216,3 +232,88 @@ def stop_on_signals(stop: Stop) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this computer
+
+
+def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
+    """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
+
+    Parameters
+    ----------
+    path : the recording.
+    file : the bus to send on: interface and channel.
+    stop : ends the replay when it has a reason.
+    speed : times as fast as recorded, more than 0.
+    onto_bus : allows interfaces that hardware may be connected to.
+
+    Returns
+    -------
+    The number of frames sent.
+
+    Raises
+    ------
+    AcquisitionError
+        `speed` or the interface is refused, the recording holds no frames of drives, any frame of another node is received
+        before or between those that are sent, or the bus takes no frames.
+    """
+    if not speed > 0:
+        raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
+    if file.interface not in WITHOUT_HARDWARE and not onto_bus:
+        problem = "hardware may be on this bus"
+        expected = f"--onto-bus, or one of {', '.join(WITHOUT_HARDWARE)}"
+        raise AcquisitionError(problem, key="--interface", value=file.interface, expected=expected)
+    recording = read_recording(path)
+    frames = from_drives(recording, str(path))
+    assert recording.robot.bus is not None  # else there were no drives
+    since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
+    due_s = np.maximum.accumulate(since_s) if len(frames) else since_s
+    link = open_link(file, passive=False)
+    count, sync_can_id = 0, recording.robot.bus.sync_can_id
+
+    def listen_until(until_s: float) -> None:
+        """Wait; an error at the first frame that is not our own."""
+        while not stop.reason:
+            left_s = until_s - time.monotonic()
+            frame = link.take(min(max(left_s, 0.0), 0.1))
+            if frame is not None and not frame.flags & ERROR:
+                place, sent = f"{file.interface} {file.channel}", f"{count} frames were" if count else "nothing was"
+                problem, expected = f"{service_of(frame, sync_can_id)} is heard", f"a silent bus; {sent} sent"
+                raise AcquisitionError(problem, place=place, expected=expected)
+            if left_s <= 0:
+                return
+
+    try:
+        listen_until(time.monotonic() + max(LISTEN_S, 1.5 * recording.robot.bus.heartbeat_s))
+        start_s = time.monotonic()
+        for row, at_s in zip(frames, due_s.tolist(), strict=True):
+            listen_until(start_s + at_s)
+            if stop.reason:
+                break
+            link.send(int(row["can_id"]), row["data"].tobytes()[: row["length"]])
+            count += 1
+    finally:
+        link.close()
+    return count
+
+
+def from_drives(recording: Recording, place: str) -> Block:
+    """Frames that the drives of the recording sent, and SYNC, from the channel with the most frames.
+
+    Drives are those of the description in the recording: their TPDOs, emergencies, SDO answers and heartbeats. Error frames,
+    remote requests and 29-bit frames are left out. Raises `AcquisitionError` where no frame is left.
+    """
+    if not recording.frames:
+        raise AcquisitionError("holds no CAN frames", place=place, expected="a recording of drives")
+    frames = max(recording.frames.values(), key=len)
+    bus = resolve(recording.robot, f"{place}: robot.toml", written_by_master(frames))
+    ids = [bus.file.sync_can_id]
+    for drive in bus.drives:
+        ids += [pdo.can_id for pdo in drive.tpdos]
+        ids += [service + drive.node for service in (EMERGENCY, ANSWER, HEARTBEAT)]
+    plain = (frames["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
+    found: Block = frames[plain & np.isin(frames["can_id"], ids)]
+    if not len(found):
+        raise AcquisitionError("holds no frame of its drives, and no SYNC", place=place, expected="some to send")
+    return found

@@ -1,4 +1,4 @@
-"""Checks before motion: every drive is homed, and the user has confirmed the joint positions.
+"""Checks before anything is sent, and before motion: no other master, no enabled drive, all homed, joint positions confirmed.
 
 Before homing, the zero of an incremental encoder is the position at which it was switched on: position limits do not hold yet.
 """
@@ -9,11 +9,59 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import AcquisitionError
-from ..protocol import State
-from ..robot import Bus, Drive, DriveFile, Robot, parse_homed
+from ..protocol import DISABLED, State, error_words
+from ..recording import ERROR
+from ..robot import Bus, Drive, DriveFile, Robot, axis_of, parse_homed
+from .frames import other_node, sign_of_master
 from .master import Master
-from .reports import error_report
 
+LISTEN_S = 0.5
+
+
+def listen_for_others(master: Master) -> AcquisitionError | None:
+    """Listen for half a second; the refusal of another master, else of a device that is not described. Nothing is sent."""
+    device, until_ns = None, master.link.now_ns() + round(LISTEN_S * 1e9)
+    while master.link.now_ns() < until_ns:
+        frame = master.link.receive(until_ns)
+        if frame is None or frame.flags & ERROR:
+            continue
+        sign, node = sign_of_master(frame, master.bus), other_node(frame, master.bus)
+        if sign is not None:
+            expected = "none; `robot-acquire record --passive` records without sending. Nothing was sent"
+            return AcquisitionError(f"{sign}: another master is active", place="bus", expected=expected)
+        if node is not None:
+            text = f"heartbeat of node {node}: a device that robot.toml does not describe, or a wrong node id"
+            expected = f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
+            device = AcquisitionError(
+                text, place="bus", key="other_nodes", value=master.bus.file.other_nodes, expected=expected
+            )
+    return device
+
+
+def refuse_other_master(master: Master) -> None:
+    """Raise `AcquisitionError` where another master or an unknown device is heard, before anything is sent."""
+    if (refusal := listen_for_others(master)) is not None:
+        raise refusal
+
+
+def refuse_enabled(master: Master) -> list[int]:
+    """Read the state (6041h) of every drive, write nothing, and return the node ids of the drives in fault.
+
+    An `AcquisitionError` where a drive gives torque although no master was heard, or does not answer.
+    """
+    in_fault = []
+    for drive in master.bus.drives:
+        state = master.state(drive)
+        if state not in DISABLED:
+            problem = f"{state.words} before the session began, and no other master is heard"
+            expected = "switch on disabled; `robot-acquire disable` with this robot.toml disables it"
+            raise AcquisitionError(problem, place=f"node {drive.node}", expected=expected)
+        if state is State.FAULT:
+            in_fault.append(drive.node)
+    return in_fault
+
+
+ERROR_REGISTER, ERROR_FIELD, ERROR_CODE = 0x1001, 0x1003, 0x603F
 # Shows joint positions, and drives in fault that would be reset, to the operator; True where both are confirmed.
 Confirm = Callable[[list[str], list[str]], bool]
 
@@ -81,3 +129,19 @@ def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faul
         expected = "yes to their reset, or --reset-faults. Nothing was moved"
         raise AcquisitionError(f"not confirmed: {'; '.join(faults)}", place="drives", expected=expected)
     raise AcquisitionError(f"joint angles not confirmed ({', '.join(words)}): nothing was moved")
+
+
+def error_report(master: Master, drive: Drive) -> str:
+    """Error register (1001h), last error (1003h:1) and error code (603Fh) in one line; empty where a drive has none of them."""
+    values = []
+    for index, sub, name in (
+        (ERROR_REGISTER, 0, "error register 1001"),
+        (ERROR_FIELD, 1, "last error 1003:1"),
+        (ERROR_CODE + axis_of(drive), 0, f"error code {ERROR_CODE + axis_of(drive):04X}"),
+    ):
+        try:
+            value = master.read(drive.node, index, sub)
+        except AcquisitionError:
+            continue  # many drives lack one of them
+        values.append(f"{name} = " + (f"0x{value:02X}" if index == ERROR_REGISTER else error_words(value & 0xFFFF)))
+    return f"node {drive.node} ({drive.name}): {', '.join(values)}" if values else ""

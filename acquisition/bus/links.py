@@ -1,0 +1,259 @@
+"""A bus as frames and times: opened as the description says, in real time or in lock-step; a passive link never sends.
+
+Network interfaces stay on this machine unless the description says otherwise.
+"""
+
+import logging
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any
+
+from ..errors import AcquisitionError
+from ..recording import SENT
+from ..robot import BusFile
+from .frames import Frame, Tap, frame_of
+
+QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
+
+_SO_MEMINFO, _DROPS = 55, 8  # of Linux: nine counters, the last one counts frames dropped before the socket
+
+_SO_RCVBUFFORCE = 33
+
+
+def stay_on_loopback(bus: Any, file: BusFile) -> None:
+    """Multicast by the loopback interface only: neither sent to nor taken from the network."""
+    sock, group = socket_of(bus), file.channel.partition(":")[0]
+    if sock is None or sock.family != socket.AF_INET:
+        return  # an IPv6 group: the hop limit alone keeps frames here
+    here = socket.inet_aton("127.0.0.1")
+    try:
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, here)
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + here)
+    except OSError:
+        return  # loopback is the group's interface already
+    try:
+        sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
+    except OSError:
+        return  # it never was joined elsewhere
+
+
+def socket_of(bus: Any) -> socket.socket | None:
+    """The socket under a bus, where there is one."""
+    found = getattr(bus, "socket", None) or getattr(getattr(bus, "_multicast", None), "_socket", None)
+    return found if isinstance(found, socket.socket) else None
+
+
+def enlarge_queue(sock: socket.socket) -> None:
+    """Ask for a receive queue of `QUEUE_BYTES`; a smaller one stays where the kernel refuses."""
+    sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
+    if sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) < QUEUE_BYTES:
+        try:  # past net.core.rmem_max, where we may
+            sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, QUEUE_BYTES)
+        except OSError:
+            return
+
+
+def queue_bytes(sock: socket.socket) -> int:
+    """Size of the kernel's receive queue as granted."""
+    return sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+
+
+def kernel_drops(sock: socket.socket | None) -> int:
+    """Frames that the kernel dropped because the queue was full; 0 where there is no socket to ask."""
+    if sock is None:
+        return 0
+    try:
+        return int(struct.unpack("9I", sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, 36))[_DROPS])
+    except (OSError, struct.error):
+        return 0
+
+
+SHARED = ("socketcan", "udp_multicast", "virtual")  # interfaces that several programs (or bus objects) may open at once
+
+_SILENT: dict[str, dict[str, Any]] = {"slcan": {"listen_only": True}}  # what makes an adapter not even acknowledge
+
+# python-can's own warnings are not printed; its errors are raised and reported in one line.
+logging.getLogger("can").addHandler(logging.NullHandler())
+
+
+def refuse_to_send(*_: object, **__: object) -> None:
+    """Raise `AcquisitionError`: takes the place of a passive bus's functions that send."""
+    raise AcquisitionError("passive: nothing is ever sent", place="bus", expected="an active session for that")
+
+
+def is_group(bus: Any) -> bool:
+    """Whether a bus is a multicast group, which returns every frame sent."""
+    return getattr(bus, "_multicast", None) is not None
+
+
+def is_no_frame(bus: Any, error: Exception) -> bool:
+    """Whether an error of reading is about a datagram that is no frame, which any program may send to a group."""
+    import can
+
+    failed = isinstance(error.__cause__, OSError)  # of the socket itself
+    return isinstance(error, can.CanOperationError) and is_group(bus) and not failed
+
+
+def open_bus(file: BusFile, *, passive: bool) -> Any:
+    """Open the bus of a description as python-can does, with a receive queue of `QUEUE_BYTES` where the kernel grants it.
+
+    A `passive` bus object cannot send, and an slcan adapter does not even acknowledge.
+    """
+    import can
+
+    options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
+    if file.interface in ("socketcan", "virtual", "udp_multicast"):
+        if file.interface == "udp_multicast":
+            # A hop limit of 0 keeps every frame on this machine.
+            options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
+            group, _, port = file.channel.partition(":")
+            options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
+    else:
+        options["bitrate"] = file.bitrate
+    if passive:
+        options |= _SILENT.get(file.interface, {})
+    try:
+        bus = can.Bus(**options)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
+        problem = str(error) or type(error).__name__
+        raise AcquisitionError(f"cannot be opened: {problem}", place=f"bus: {file.interface} {file.channel}") from error
+    if file.interface == "udp_multicast" and file.loopback:
+        stay_on_loopback(bus, file)
+    if passive:
+        for name in ("send", "send_periodic"):
+            setattr(bus, name, refuse_to_send)
+    sock = socket_of(bus)
+    if sock is not None:
+        enlarge_queue(sock)
+    return bus
+
+
+ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return every frame sent, as not received
+
+
+class Link:
+    """A bus in real time. Where `passive`, sending raises: nothing ever goes out.
+
+    `tap` is called with every frame sent and received.
+    """
+
+    def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
+        self._bus, self._passive, self._tap = bus, passive, tap
+        self._epoch_ns = time.time_ns() - time.monotonic_ns()
+        # A multicast group and some adapters give back what was sent: frames on their way back to us.
+        echoes = is_group(bus) or type(bus).__module__.split(".")[-1] in ECHOING
+        self._own: deque[tuple[int, bytes]] | None = deque(maxlen=1000) if echoes else None
+
+    def now_ns(self) -> int:
+        """Time of this link, of events and deadlines: the clock's at its opening, and never set back or forth since."""
+        return self._epoch_ns + time.monotonic_ns()
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame. Raises `AcquisitionError` where the link is passive or the bus does not take it."""
+        if self._passive:
+            refuse_to_send()
+        import can
+
+        if self._own is not None:
+            self._own.append((can_id, data))
+        try:
+            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), timeout=0.05)
+        except can.CanError as error:
+            raise AcquisitionError(f"frame 0x{can_id:03X} cannot be sent: {error}", place="bus") from error
+        if self._tap is not None:
+            self._tap(Frame(self.now_ns(), can_id, data, SENT))
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """The next frame, None when there is none until `until_ns`. Raises `AcquisitionError` when the bus fails."""
+        return self.take(max(0.0, (until_ns - self.now_ns()) * 1e-9))
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The next frame, None when there is none within `timeout_s`."""
+        import can
+
+        until_s = time.monotonic() + timeout_s
+        while True:
+            try:
+                message = self._bus.recv(max(0.0, until_s - time.monotonic()))
+            except (can.CanError, OSError) as error:
+                if is_no_frame(self._bus, error):
+                    if time.monotonic() >= until_s:
+                        return None
+                    continue
+                raise AcquisitionError(f"cannot be read: {error}", place="bus") from error
+            if message is None:
+                return None
+            if getattr(message, "is_fd", False):
+                continue
+            sent = (message.arbitration_id, bytes(message.data))
+            if not self._own or sent not in self._own or (message.is_rx and not is_group(self._bus)):
+                break
+            self._own.remove(sent)
+        frame = frame_of(message)
+        if self._tap is not None:
+            self._tap(frame)
+        return frame
+
+    def close(self) -> None:
+        """Leave the bus, also one that has failed."""
+        import can
+
+        with suppress(can.CanError, OSError):
+            self._bus.shutdown()
+
+
+class LockStepLink(Link):
+    """A link in simulated time on an in-process bus: time advances only when all participants have sent their frames.
+
+    `others(now_ns)` lets the other participants act and returns whether they did; `due_ns()` is when they act by themselves.
+    """
+
+    def __init__(
+        self,
+        bus: Any,
+        others: Callable[[int], bool],
+        due_ns: Callable[[], int | None],
+        *,
+        passive: bool,
+        tap: Tap | None = None,
+        start_ns: int = 1_000_000_000,
+    ) -> None:
+        super().__init__(bus, passive=passive, tap=tap)
+        self._others, self._due_ns, self._time_ns = others, due_ns, start_ns
+
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self._time_ns
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """As `Link.receive`; simulated time advances only when no participant has a frame to send."""
+        while True:
+            frame = self.take(0)
+            if frame is not None:
+                return frame
+            if self._others(self._time_ns):
+                continue
+            due = self._due_ns()
+            if self._time_ns >= until_ns:
+                return None
+            self._time_ns = until_ns if due is None else max(min(until_ns, due), self._time_ns + 1)
+
+    def take(self, timeout_s: float) -> Frame | None:
+        """The next frame, with the simulated time."""
+        tap, self._tap = self._tap, None
+        frame = super().take(0)
+        self._tap = tap
+        if frame is not None:
+            frame = frame._replace(time_ns=self._time_ns)
+            if tap is not None:
+                tap(frame)
+        return frame
+
+
+def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:
+    """A link in real time."""
+    return Link(open_bus(file, passive=passive), passive=passive, tap=tap)
