@@ -4,6 +4,7 @@ import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from os import PathLike
 from pathlib import Path
 
@@ -61,12 +62,12 @@ class Robot:
         """Content of the mesh that the URDF names so; None where the robot does not carry it."""
         return self.files.get(f"{_MESH}{name}")
 
-    @property
+    @cached_property
     def n(self) -> int:
         """Number of joints."""
         return len(self.joints)
 
-    @property
+    @cached_property
     def bandwidth_hz(self) -> float:
         """Bandwidth of the position loop; `AcquisitionError` where the description does not state it."""
         if self.controller.bandwidth_hz is None:
@@ -74,17 +75,19 @@ class Robot:
             Place(f"robot {self.name}").refuse("controller.bandwidth_hz", None, expected)
         return self.controller.bandwidth_hz
 
-    @property
+    @cached_property
     def gain_known(self) -> bool:
         """Whether efforts are torques and forces; if not they stay in A or V."""
         return all(m.gain is not None for m in self.motors)
 
-    @property
+    @cached_property
     def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones when they are not known."""
-        return np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
+        gain = np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
+        gain.flags.writeable = False
+        return gain
 
-    @property
+    @cached_property
     def effort_units(self) -> tuple[str, ...]:
         """Unit of each joint's effort: N m or N when the drive gains are known, else A or V."""
         if self.gain_known:
