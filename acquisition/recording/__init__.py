@@ -16,8 +16,8 @@ from .rows import (
     gaps,
     in_parts,
     sample_dtype,
+    written_by_master,
 )
 from .schema import Header
 from .summary import as_tables, overview
-from .traffic import written_by_master
 from .writer import RecordingWriter
