@@ -1,9 +1,7 @@
 """The recording: the MCAP file read, written and recovered; its frames decoded to rows on the grid of SYNC."""
 
 from .decoding import UNCERTAIN, Decoded, decode
-from .reader import NO_SAMPLES, Recording, has_reference, read_recording
-from .recovery import recover, rewrite
-from .ros_messages import JOINT_STATE, TEXT, RosMessages
+from .reader import NO_SAMPLES, Recording, has_reference, read_recording, recover, rewrite
 from .rows import (
     ERROR,
     EXTENDED,
@@ -18,6 +16,5 @@ from .rows import (
     sample_dtype,
     written_by_master,
 )
-from .schema import Header
 from .summary import as_tables, overview
-from .writer import RecordingWriter
+from .writer import JOINT_STATE, TEXT, Header, RecordingWriter, RosMessages
