@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from acquisition.recording.sync_times import SyncTimes, sync_times
+from acquisition.recording.sync_grid import SyncTimes, sync_times
 
 START_NS, PERIOD_NS = 1_000_000_000, 2_000_000
 

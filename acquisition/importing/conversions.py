@@ -81,7 +81,7 @@ def _fallen(recording: Recording, decoded: Decoded) -> list[str]:
     if recording.samples is None or not _is_older(recording):
         return []
     stamps = recording.samples["stamp_ns"]
-    count = int(np.count_nonzero(~np.isin(stamps, decoded.rows.stamps)))
+    count = int(np.count_nonzero(~np.isin(stamps, decoded.stamps)))
     text = f"{count} of {len(stamps)} rows of an older version fall: their joints may differ in their instants"
     return [text] if count else []
 
@@ -249,8 +249,8 @@ def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decode
     """Samples of frames, checked, and what a header says of them."""
     bus = resolve(robot, place, written_by_master(frames))
     decoded = decode(frames, robot, bus, name)
-    q = np.concatenate([block["position"] for block in decoded.rows.blocks()])
-    warnings = check_recorded_positions(robot, decoded.rows.stamps * np.float64(1e-9), q, name)
+    q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would keep its whole block
+    warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
     of_bus = {
         "robot": robot,
         "sample_rate_hz": 1.0 / bus.file.sync_period_s,
@@ -264,8 +264,8 @@ def _imported(header: Header, decoded: Decoded, out: Path) -> Imported:
     return Imported(
         out=out,
         robot=header.robot.name,
-        samples=len(decoded.rows.stamps),
+        samples=len(decoded.stamps),
         sample_rate_hz=header.sample_rate_hz,
-        has_reference=decoded.rows.targets is not None,
+        has_reference=decoded.targets is not None,
         warnings=decoded.warnings,
     )

@@ -1,9 +1,7 @@
 """The recording: the MCAP file read, written and recovered; its frames decoded to rows on the grid of SYNC."""
 
 from .decoding import UNCERTAIN, Decoded, decode
-from .reader import NO_SAMPLES, Recording, has_reference, read_recording
-from .recovery import recover, rewrite
-from .ros_messages import JOINT_STATE, TEXT, RosMessages
+from .reader import NO_SAMPLES, Recording, has_reference, read_recording, recover, rewrite
 from .rows import (
     ERROR,
     EXTENDED,
@@ -16,8 +14,7 @@ from .rows import (
     gaps,
     in_parts,
     sample_dtype,
+    written_by_master,
 )
-from .schema import Header
 from .summary import as_tables, overview
-from .traffic import written_by_master
-from .writer import RecordingWriter
+from .writer import JOINT_STATE, TEXT, Header, RecordingWriter, RosMessages

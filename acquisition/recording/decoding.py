@@ -1,12 +1,12 @@
 """CAN frames → joint samples on the grid of SYNC, vectorised.
 
-A drive samples at SYNC and sends its PDO afterwards, so the time of a sample is that of its SYNC. `sync_times` computes the
-times, `association` assigns each PDO to the SYNC that it answers. Samples are made block by block: those of an hour are too
-many to be held in memory.
+A drive samples at SYNC and sends its PDO afterwards, so the time of a sample is that of its SYNC. `sync_grid` computes the
+times and assigns each PDO to the SYNC that it answers. Samples are made block by block: those of an hour are too many to be
+held in memory.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -15,10 +15,8 @@ from ..arrays import Array, Ints
 from ..errors import Place
 from ..protocol import ObjectEntry, Pdo
 from ..robot import Bus, Drive, Robot
-from .association import associate, counted_steps, pdo_frames, sync_steps
-from .rows import SENT, Block, sample_dtype
-from .sync_times import Rows, SyncTimes, sync_times
-from .traffic import Traffic
+from .rows import SENT, Block, Rows, Traffic, sample_dtype
+from .sync_grid import SyncTimes, associate, counted_steps, sync_steps, sync_times, without_repeats
 from .writer import RecordingWriter
 
 LARGEST_PERIOD_ERROR = 0.05  # of the described SYNC period
@@ -37,25 +35,33 @@ class PdoCount:
 
     name: str
     received: int
-    late: int
+    late: int = 0
     duplicate: int
-    missing: int
+    missing: int = 0
     short: int
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoded:
-    """Joint samples, and counters that tell how complete and how even they are.
+    """Joint samples, made when they are asked for, and counters that tell how complete and how even they are.
 
     Attributes:
-        rows: what samples are made of; SYNCs that a drive did not answer are left out, and those whose answers are uncertain.
+        rows: of each PDO the (N,) frames that samples are made of. SYNCs that a drive did not answer are left out, and those
+            whose answers are uncertain.
+        stamps: (N,) times of the SYNCs in ns.
+        targets: of each drive the (N,) frames of its targets in force, -1 before the first; None where there is no reference.
         syncs, syncs_lost: SYNC frames recorded; SYNCs that were not recorded.
         period_s: between SYNCs, pauses left out.
         jitter_s: standard deviation and worst deviation of the recorded times from even ones, between pauses.
         warnings: for the user, one line each.
     """
 
-    rows: "SampleRows"
+    traffic: Traffic
+    robot: Robot
+    bus: Bus
+    rows: Mapping[Pdo, Rows]
+    stamps: Ints
+    targets: list[Rows] | None
     pdos: tuple[PdoCount, ...]
     syncs: int
     syncs_lost: int
@@ -65,118 +71,8 @@ class Decoded:
 
     @cached_property
     def samples(self) -> Block:
-        """All samples at once, rows of `sample_dtype`; `rows.blocks` gives them some thousands at a time."""
-        return np.concatenate(list(self.rows.blocks()))
-
-    def write(self, writer: RecordingWriter, stamp_ns: int) -> None:
-        """Add samples, counters and warnings to a recording."""
-        for block in self.rows.blocks():
-            writer.samples(block)
-        writer.health(stamp_ns, self.counters)
-        for text in self.warnings:
-            writer.event(stamp_ns, "warning", text)
-
-    @property
-    def counters(self) -> dict[str, float]:
-        """Counters for `/health` of a recording, by name."""
-        return {
-            "syncs": self.syncs,
-            "syncs_lost": self.syncs_lost,
-            UNCERTAIN: self.syncs + self.syncs_lost - len(self.rows.stamps),
-            "sync_jitter_sd_s": self.jitter_s[0],
-            "sync_jitter_worst_s": self.jitter_s[1],
-            **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
-        }
-
-
-def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING) -> Decoded:
-    """Joint samples from the raw frames of one CAN channel.
-
-    Parameters
-    ----------
-    frames : (m,) rows of `FRAME` in the order in which they were received.
-    robot : from motors to joints.
-    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
-    place : the file or session, in errors.
-    max_missing : share of the PDOs of a drive that may be missing.
-
-    Returns
-    -------
-    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V where no drive gain is
-    known), at the joints; with `reference` where all drives were sent targets (607Ah or as described).
-
-    Raises
-    ------
-    AcquisitionError
-        With `place`: there is no SYNC, a drive never answered, more PDOs are missing than may be, fewer than two samples
-        remain, or the SYNC period is not that of the description.
-    """
-    traffic = Traffic(frames)
-    sync_rows = traffic.rows_of(bus.file.sync_can_id)
-    if len(sync_rows) < 2:
-        text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
-        Place(place).refuse(text=text, expected="many")
-    carriers = _carriers(bus)
-    pdos, shorts = [], []
-    for pdo, name in carriers.items():
-        rows, short = traffic.of(pdo)
-        found = pdo_frames(rows, sync_rows, traffic.at("data", rows))
-        if not len(found.rows):
-            text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
-            Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
-        pdos.append(found)
-        shorts.append(short)
-    times, counter = traffic.at("time_ns", sync_rows), traffic.at("data", sync_rows)[:, 0]
-    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
-    steps, paused, torn = sync_steps(times, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
-    if (traffic.at("length", sync_rows) >= 1).all():
-        steps = counted_steps(counter)
-    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
-    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
-    if len(sync_rows) >= FEWEST_SYNCS:
-        _refuse_period(clock.period_s, bus, place)
-    del times, counter
-    found_rows = associate(pdos, steps, paused, torn)
-    counts = tuple(
-        PdoCount(name=name, received=len(pdo.rows) + pdo.repeats, short=short, **count)
-        for name, pdo, short, count in zip(carriers.values(), pdos, shorts, found_rows.counts, strict=True)
-    )
-    del pdos, found, rows  # of a long session these are much memory
-    if found_rows.missing_share > max_missing and max(count.missing for count in counts) > FEW_MISSING:
-        text = f"{found_rows.missing_share:.1%} of the PDOs of a drive are missing"
-        Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
-    answered = found_rows.answered
-    if len(answered) < 2:
-        Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
-    rows_of = dict(zip(carriers, found_rows.rows, strict=True))
-    targets = _targets(traffic, sync_rows, index_of, answered, bus)
-    made = SampleRows(traffic, robot, bus, rows_of, clock.stamps[answered], targets)
-    lost = int(np.sum(steps - 1))
-    warnings = _warnings(counts, lost, clock, bus, answered)
-    return Decoded(
-        rows=made,
-        pdos=counts,
-        syncs=len(sync_rows),
-        syncs_lost=lost,
-        period_s=clock.period_s,
-        jitter_s=clock.jitter_s,
-        warnings=(*bus.warnings, *made.wraps(), *warnings),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class SampleRows:
-    """What samples are made of: the frames that answer each SYNC by their PDO, its time, and the targets in force.
-
-    Targets are (N,) frames by drive; before the first one, -1, the measured position takes their place.
-    """
-
-    traffic: Traffic
-    robot: Robot
-    bus: Bus
-    rows: Mapping[Pdo, Rows]
-    stamps: Ints
-    targets: list[Rows] | None
+        """All samples at once, rows of `sample_dtype`; `blocks` gives them some thousands at a time."""
+        return np.concatenate(list(self.blocks()))
 
     def blocks(self) -> Iterator[Block]:
         """Rows of `sample_dtype`, some thousands at a time."""
@@ -220,16 +116,105 @@ class SampleRows:
         assert carrier is not None  # `resolve` refuses drives without one
         return self.traffic.integers(self.rows[carrier][part], carrier, entry)
 
-    def wraps(self) -> Iterator[str]:
-        """Warnings about position counters that wrapped."""
-        for drive in self.bus.drives:
-            wraps = unwrapped(self._integers(drive, drive.position, slice(None)), drive.position.bits)[1]
-            if len(wraps):
-                first_s = (self.stamps[wraps[0]] - self.stamps[0]) * 1e-9
-                yield (
-                    f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
-                    "positions go on from there"
-                )
+    def write(self, writer: RecordingWriter, stamp_ns: int) -> None:
+        """Add samples, counters and warnings to a recording."""
+        for block in self.blocks():
+            writer.samples(block)
+        writer.health(stamp_ns, self.counters)
+        for text in self.warnings:
+            writer.event(stamp_ns, "warning", text)
+
+    @property
+    def counters(self) -> dict[str, float]:
+        """Counters for `/health` of a recording, by name."""
+        return {
+            "syncs": self.syncs,
+            "syncs_lost": self.syncs_lost,
+            UNCERTAIN: self.syncs + self.syncs_lost - len(self.stamps),
+            "sync_jitter_sd_s": self.jitter_s[0],
+            "sync_jitter_worst_s": self.jitter_s[1],
+            **{word: sum(getattr(p, word) for p in self.pdos) for word in LOSSES},
+        }
+
+
+def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: float = MAX_MISSING) -> Decoded:
+    """Joint samples from the raw frames of one CAN channel.
+
+    Parameters
+    ----------
+    frames : (m,) rows of `FRAME` in the order in which they were received.
+    robot : from motors to joints.
+    bus : the drives: their PDOs (CiA 301), position counts (6064h or as described) and effort object, with its rule.
+    place : the file or session, in errors.
+    max_missing : share of the PDOs of a drive that may be missing.
+
+    Returns
+    -------
+    One sample for each SYNC whose answers by all drives are known: rad or m, and N m or N (A or V where no drive gain is
+    known), at the joints; with `reference` where all drives were sent targets (607Ah or as described).
+
+    Raises
+    ------
+    AcquisitionError
+        With `place`: there is no SYNC, a drive never answered, more PDOs are missing than may be, fewer than two samples
+        remain, or the SYNC period is not that of the description.
+    """
+    traffic = Traffic(frames)
+    sync_rows = traffic.rows_of(bus.file.sync_can_id)
+    if len(sync_rows) < 2:
+        text = f"{len(sync_rows)} SYNC (0x{bus.file.sync_can_id:X}) in {len(frames)} frames"
+        Place(place).refuse(text=text, expected="many")
+    carriers = _carriers(bus)
+    pdos, counted = [], []
+    for pdo, name in carriers.items():
+        rows, short = traffic.of(pdo)
+        rows, repeats = without_repeats(rows, sync_rows, traffic.at("data", rows))
+        if not len(rows):
+            text = f"no frame 0x{pdo.can_id:03X} of {pdo.length} bytes ({name})"
+            Place(place).refuse(text=text, expected="the drive's answers to SYNC; is it mapped and started?")
+        pdos.append(rows)
+        counted.append(PdoCount(name=name, received=len(rows) + repeats, duplicate=repeats, short=short))
+    ours = bool((traffic.at("flags", sync_rows) & SENT).all())
+    steps, paused, torn = sync_steps(sync_rows, pdos, lambda rows: traffic.at("time_ns", rows), ours=ours)
+    if (traffic.at("length", sync_rows) >= 1).all():
+        steps = counted_steps(traffic.at("data", sync_rows)[:, 0])
+    index_of = np.concatenate([[0], np.cumsum(steps[:-1])])
+    times = traffic.at("time_ns", sync_rows)
+    clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
+    if len(sync_rows) >= FEWEST_SYNCS:
+        _refuse_period(clock.period_s, bus, place)
+    del times
+    answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
+    del pdos, rows  # of a long session these are much memory
+    counts = tuple(
+        replace(pdo, late=lost["late"], duplicate=pdo.duplicate + lost["duplicate"], missing=lost["missing"])
+        for pdo, lost in zip(counted, losses, strict=True)
+    )
+    if missing_share > max_missing and max(count.missing for count in counts) > FEW_MISSING:
+        text = f"{missing_share:.1%} of the PDOs of a drive are missing"
+        Place(place).refuse(text=text, expected=f"{max_missing:.0%} at most: it is uncertain what belongs together")
+    if len(answered) < 2:
+        Place(place).refuse(text=f"{len(answered)} SYNC answered by all drives", expected="many")
+    rows_of = dict(zip(carriers, rows_of_pdos, strict=True))
+    stamps, syncs_lost = clock.stamps[answered], int(np.sum(steps - 1))
+    return Decoded(
+        traffic=traffic,
+        robot=robot,
+        bus=bus,
+        rows=rows_of,
+        stamps=stamps,
+        targets=_targets(traffic, sync_rows, index_of, answered, bus),
+        pdos=counts,
+        syncs=len(sync_rows),
+        syncs_lost=syncs_lost,
+        period_s=clock.period_s,
+        jitter_s=clock.jitter_s,
+        warnings=(
+            *bus.warnings,
+            *_wraps(traffic, bus, rows_of, stamps),
+            *_warnings(counts, syncs_lost, clock, bus, answered),
+        ),
+    )
 
 
 def _carriers(bus: Bus) -> dict[Pdo, str]:
@@ -255,6 +240,21 @@ def unwrapped(counts: Ints, bits: int) -> tuple[Ints, Ints]:
     turns = np.zeros(len(counts), np.int64)
     turns[wraps + 1] = -np.sign(steps[wraps])
     return counts + (np.cumsum(turns) << bits), wraps + 1
+
+
+def _wraps(traffic: Traffic, bus: Bus, rows_of: Mapping[Pdo, Rows], stamps: Ints) -> Iterator[str]:
+    """Warnings about position counters that wrapped."""
+    for drive in bus.drives:
+        carrier = drive.carrier(drive.position, "tpdo")
+        assert carrier is not None  # `resolve` refuses drives without one
+        raw = traffic.integers(rows_of[carrier], carrier, drive.position)
+        wraps = unwrapped(raw, drive.position.bits)[1]
+        if len(wraps):
+            first_s = (stamps[wraps[0]] - stamps[0]) * 1e-9
+            yield (
+                f"{drive.name}: its position counter wrapped {len(wraps)} times, first at {first_s:.4g} s: "
+                "positions go on from there"
+            )
 
 
 def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, bus: Bus) -> list[Rows] | None:

@@ -1,10 +1,10 @@
-"""Reads a recording, as far as it goes where the file has no proper end."""
+"""Reads a recording, as far as it goes where the file has no proper end, and writes one anew."""
 
 import json
 import math
 import re
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
@@ -14,10 +14,11 @@ import msgspec
 import numpy as np
 
 from ..errors import Place
+from ..files import atomic_write
 from ..robot import EffortTiming, Robot, robot_from_files
 from .content import Messages, read_content
 from .rows import FRAME, Block, check_frames, check_samples
-from .schema import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, metadata_crc, sample_layouts
+from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, RecordingWriter, metadata_crc, sample_layouts
 
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
@@ -239,3 +240,42 @@ def _rate(metadata: Mapping[str, str], place: Place) -> float:
     if not 0 < rate_hz < math.inf:
         place.refuse("sample_rate_hz", text, "a positive number")
     return rate_hz
+
+
+def rewrite(
+    recording: Recording, header: Header, out: Path, add: Callable[[RecordingWriter], None], *, without: str = ""
+) -> None:
+    """Write the frames, events (but those of the kind `without`) and health of a recording anew; `add` writes the samples."""
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
+        for channel, frames in recording.frames.items():
+            writer.frames(channel, frames)
+        for event in recording.events:
+            if event.kind != without:
+                writer.event(event.stamp_ns, event.kind, event.text)
+        for health in recording.health:
+            writer.health(health.stamp_ns, health.counters)
+        add(writer)
+
+
+def recover(
+    cut_path: Path, out_path: Path, decode: Callable[[Recording, RecordingWriter], None] | None = None
+) -> Recording:
+    """Write a whole recording of everything before the cut of one without its end; returns what was read.
+
+    `decode` writes the samples of a recording that has frames.
+
+    An `AcquisitionError` as of `read_recording`; also if the file is not cut, or `out_path` cannot be written.
+    """
+    recording = read_recording(cut_path)
+    if not recording.cut:
+        Place(str(cut_path)).refuse(text="has its proper end: nothing to recover")
+
+    def add(writer: RecordingWriter) -> None:
+        if recording.frames and decode is not None:
+            decode(recording, writer)
+        elif recording.samples is not None:
+            writer.samples(recording.samples)
+
+    notes = {**recording.metadata, "recovered_from": recording.sha256}
+    rewrite(recording, replace(recording.header, notes=notes), out_path, add)
+    return recording

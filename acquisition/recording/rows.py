@@ -1,6 +1,6 @@
-"""Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes, and what every row must satisfy."""
+"""Rows that recordings hold: raw CAN frames and joint samples, as numpy dtypes; what every row must satisfy; frames by PDO."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Ints
 from ..errors import Place
 from ..files import let_go
+from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 
 # One raw CAN frame; `data` beyond `length` is zero.
 FRAME = np.dtype([("time_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("flags", "u1"), ("data", "u1", (8,))])
@@ -18,11 +19,15 @@ SENT = 1  # by us; not set: received
 EXTENDED = 2  # 29-bit identifier
 ERROR = 4  # error frame
 REMOTE_REQUEST = 8  # remote request
-_CHECKED = 100_000  # rows at a time
+_DATA_AT = FRAME.itemsize - 8  # offset of a frame's bytes in its row
+_NO_ID = 0xFFFF  # of frames that CANopen does not use
+_AT_ONCE = 100_000  # rows: many may lie on disk, and only these are in memory
+_TAKEN = 20_000  # rows: those of one PDO are spread over many more frames
 WHOLE = 0.1  # periods by which a step over missing rows, or SYNCs of another producer, may be off whole ones
 LARGEST_STAMP_NS = 2**31 * 1_000_000_000 - 1  # a ROS time counts seconds in 32 bits
 
 Block = NDArray[np.void]
+Rows = NDArray[np.int32]  # indices of frames or SYNCs: half the memory of Ints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,9 +75,9 @@ def gaps(samples: Block, sample_rate_hz: float, sync_ns: Ints | None = None) -> 
 
 
 def in_parts(rows: Block) -> Iterator[Block]:
-    """Rows some at a time: many may lie on disk, and only these are in memory."""
-    for first in range(0, len(rows), _CHECKED):
-        yield rows[first : first + _CHECKED]
+    """Rows some at a time."""
+    for first in range(0, len(rows), _AT_ONCE):
+        yield rows[first : first + _AT_ONCE]
         let_go(rows)
 
 
@@ -107,3 +112,61 @@ def check_frames(frames: Block, place: str) -> None:
             where = Place(f"{place}: row {first + row + 1}")
             where.refuse(text=problem, expected="8 bytes at most and a time from 0")
         first += len(rows)
+
+
+class Traffic:
+    """`frames` of one channel with `ids` (len(frames),): 11-bit identifiers; error and extended frames and remote requests
+    have one that nothing else has.
+    """
+
+    def __init__(self, frames: Block) -> None:
+        self.frames, self.ids = frames, np.empty(len(frames), np.uint16)
+        first = 0
+        for part in in_parts(frames):
+            plain = (part["flags"] & (EXTENDED | ERROR | REMOTE_REQUEST)) == 0
+            self.ids[first : first + len(part)] = np.where(plain, part["can_id"], _NO_ID)
+            first += len(part)
+
+    def of(self, pdo: Pdo) -> tuple[Rows, int]:
+        """Rows of the frames that hold the whole PDO, and the number of those that are too short for it."""
+        rows = self.rows_of(pdo.can_id)
+        whole = self.at("length", rows) >= pdo.length
+        return rows[whole], int(np.count_nonzero(~whole))
+
+    def rows_of(self, can_id: int) -> Rows:
+        """Rows of the frames with an identifier."""
+        return np.flatnonzero(self.ids == can_id).astype(np.int32)
+
+    def at(self, field: str, rows: Rows) -> NDArray[Any]:
+        """A field of the frames `rows`."""
+        return self._taken(self.frames[field], rows)
+
+    def integers(self, rows: Rows, pdo: Pdo, entry: ObjectEntry) -> Ints:
+        """The integers of one object in the frames `rows`."""
+        at, size = pdo.offset(entry.index, entry.sub), entry.bits // 8
+        assert at is not None
+        # One strided field over the rows in place: three times as fast as copying the bytes of each frame.
+        kind = f"<{entry.type[0].lower()}{size}"
+        only = np.dtype({"names": ["value"], "formats": [kind], "offsets": [_DATA_AT + at], "itemsize": FRAME.itemsize})
+        return self._taken(self.frames.view(only)["value"], rows).astype(np.int64)
+
+    def _taken(self, column: NDArray[Any], rows: Rows) -> NDArray[Any]:
+        found = np.empty((len(rows), *column.shape[1:]), column.dtype)
+        for first in range(0, len(rows), _TAKEN):
+            part = slice(first, first + _TAKEN)
+            found[part] = column[rows[part]]
+            let_go(self.frames)
+        return found
+
+
+def written_by_master(frames: Block) -> Mapping[int, dict[tuple[int, int], int]]:
+    """What a master wrote into communication and mapping parameters (1400h to 1BFFh), by node; the last write counts."""
+    found: dict[int, dict[tuple[int, int], int]] = {}
+    ids = Traffic(frames).ids
+    low, high = min(p[0] for p in PARAMETERS.values()), 0x1BFF
+    requests = frames[np.flatnonzero((ids > REQUEST) & (ids < REQUEST + 128))]
+    for row in requests[requests["length"] == 8]:
+        transfer = request_of(row["data"].tobytes())
+        if transfer.kind == "write" and low <= transfer.index <= high:
+            found.setdefault(int(row["can_id"]) - REQUEST, {})[transfer.index, transfer.sub] = transfer.number
+    return found

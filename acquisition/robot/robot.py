@@ -83,7 +83,9 @@ class Robot:
     @cached_property
     def gain(self) -> Array:
         """Drive gains (n,), motor torque per unit of recorded effort; ones when they are not known."""
-        return np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
+        gain = np.array([m.gain if m.gain is not None else 1.0 for m in self.motors])
+        gain.flags.writeable = False
+        return gain
 
     @cached_property
     def effort_units(self) -> tuple[str, ...]:

@@ -180,7 +180,7 @@ def write_decoded(writer: RecordingWriter, frames: Block, robot: Robot, stamp_ns
         writer.event(stamp_ns, "warning", f"{NO_SAMPLES}{error}")
         return Recorded(frames=len(frames), samples=0, warnings=(), no_samples=str(error))
     decoded.write(writer, stamp_ns)
-    return Recorded(frames=len(frames), samples=len(decoded.rows.stamps), warnings=decoded.warnings)
+    return Recorded(frames=len(frames), samples=len(decoded.stamps), warnings=decoded.warnings)
 
 
 def _table(bus: Bus) -> dict[str, str]:
