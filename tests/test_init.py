@@ -14,7 +14,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, load_robot
 from identification.commands import main
 from identification.errors import IdentificationError
-from identification.export import robot_of_chain, read_chain
+from identification.export import read_chain, robot_of_chain
 from identification.model import InverseModel
 
 STATED = ["--acceleration", "8,8,2", "--following-error", "0.2,0.2,0.05", "--bandwidth-hz", "5"]
