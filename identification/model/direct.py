@@ -14,42 +14,6 @@ _POSES = 300  # positions of a trajectory at which M is looked at
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Shapes:
-    """Friction along c directions beside Coulomb's, which resists where factors are positive.
-
-    `terms` has, by kind, the factors (c,) and the speeds (c,) of Stribeck friction.
-    """
-
-    terms: dict[Kind, tuple[Array, Array]]
-
-    def any(self) -> bool:
-        """Whether there is any."""
-        return any(factor.any() for factor, _ in self.terms.values())
-
-    def friction(self, u: Array, rigid: Array) -> Array:
-        """Magnitude (..., c) at the speeds u (..., c), where the links' torques along the directions are `rigid` (..., c)."""
-        load = np.abs(rigid)
-        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.terms.items()), np.zeros_like(u))
-
-    def steepness(self, u: Array) -> Array:
-        """What a unit of speed adds (c,) to terms that grow with speed, at the speeds u (c,), not zero."""
-        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.terms.items())
-        return sum(slopes, np.zeros_like(u))
-
-    def largest(self, u: Array) -> Array:
-        """The most (c,) that terms which resist may have up to the speeds u (c,), load friction apart."""
-        found = np.zeros_like(u)
-        for kind, (factor, u_s) in self.terms.items():
-            size = FRICTION[kind].size
-            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
-        return found
-
-    def by_load(self, directions: Array) -> Array:
-        """Load friction (n,) of the joints per torque of their links, from the directions (c, n)."""
-        return np.asarray(self.terms["load"][0] @ directions if "load" in self.terms else 0.0 * directions.sum(axis=0))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class DirectModel:
     """The robot's equation of motion with given parameters: M(q) ddq + h(q, dq) + friction = tau, equation (1).
 
@@ -59,7 +23,8 @@ class DirectModel:
         viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
         directions: (c, n) directions r that friction with a sign acts along, its speed being r·dq.
         up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
-        shapes: what else acts along the directions.
+        shapes: what else acts along the directions, by kind: factors (c,), which resist where they are positive, and the
+            speeds (c,) of Stribeck friction.
         offset: (n,) constant torque.
     """
 
@@ -72,7 +37,7 @@ class DirectModel:
     directions: Array
     up: Array
     down: Array
-    shapes: Shapes
+    shapes: dict[Kind, tuple[Array, Array]]
     offset: Array
 
     def inertia(self, q: Array) -> Array:
@@ -133,9 +98,33 @@ class DirectModel:
         """What rotors and friction add (..., n) to the torque of the links `rigid` (..., n)."""
         u = dq_sign @ self.directions.T
         sliding = self.up * (u > 0) - self.down * (u < 0)
-        if self.shapes.any():
-            sliding = sliding + np.sign(u) * self.shapes.friction(u, rigid @ self.directions.T)
+        if self.shapes:
+            sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
         return np.asarray(self.without_sliding(dq, ddq) + sliding @ self.directions)
+
+    def shape(self, u: Array, rigid: Array) -> Array:
+        """Size (..., c) of friction beside Coulomb's at speeds u (..., c), the links' torques along them `rigid` (..., c)."""
+        load = np.abs(rigid)
+        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()), np.zeros_like(u))
+
+    def steepness(self, u: Array) -> Array:
+        """What a unit of speed adds (c,) to shapes that grow with speed, at the speeds u (c,), not zero."""
+        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.shapes.items())
+        return sum(slopes, np.zeros_like(u))
+
+    def largest_shape(self, u: Array) -> Array:
+        """The most (c,) that shapes which resist may have up to the speeds u (c,), load friction apart."""
+        found = np.zeros_like(u)
+        for kind, (factor, u_s) in self.shapes.items():
+            size = FRICTION[kind].size
+            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
+        return found
+
+    @property
+    def load_friction(self) -> Array:
+        """(n,) of the joints, per torque of their links."""
+        factor = self.shapes["load"][0] if "load" in self.shapes else np.zeros(len(self.directions))
+        return np.asarray(factor @ self.directions)
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
@@ -186,7 +175,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         directions=directions,
         up=up,
         down=down,
-        shapes=Shapes(terms={kind: shapes[kind] for kind in SHAPES if kind in shapes}),
+        shapes={kind: shapes[kind] for kind in SHAPES if kind in shapes and shapes[kind][0].any()},
         offset=offset,
     )
 
