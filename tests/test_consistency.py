@@ -166,7 +166,8 @@ def test_what_is_asked_of_a_coupled_wrist():
     robot = robot_named("tx40")
     idm = InverseModel(robot)
     chi = np.array([robot.parameters.get(name, 0.0) for name in idm.names])
-    asked = {one.text: one for one in requirements(idm, shaped=False)}
+    found = requirements(idm, shaped=False)
+    asked = {text: matrix for matrix, _, text in found}
     viscous, corners = "viscous friction of joint_5 and joint_6", ("Fc5 + Fcm6", "Fc6 + Fcm6", "Fc5 + Fc6")
     assert set(asked) == {f"{x}{j}" for x in ("Fv", "Fc", "Ia") for j in range(1, 5)} | {
         "Ia5 - Ia6",
@@ -174,7 +175,7 @@ def test_what_is_asked_of_a_coupled_wrist():
         viscous,
         *corners,
     }
-    least = {text: np.linalg.eigvalsh(one.matrix @ chi)[0] for text, one in asked.items()}
+    least = {text: np.linalg.eigvalsh(matrix @ chi)[0] for text, matrix in asked.items()}
     assert least[viscous] == pytest.approx(0.2242, abs=1e-4)
     assert [least[text] for text in corners] == pytest.approx([5.0092, 3.4313, 5.2405])
     physical = physical_parameters(idm)
@@ -186,7 +187,7 @@ def test_what_is_asked_of_a_coupled_wrist():
     R[5, 4] = 1.0
     rotor = np.zeros((6, 6))
     columns = [names.index(f"Ia{j}") for j in range(1, 7)]
-    shares = np.array([one.matrix[0, 0, columns] for one in asked.values() if one.kind == "rotor"])
+    shares = np.array([matrix[0, 0, columns] for matrix, first, _ in found if first.kind == "rotor"])
     for c, value in zip(columns, np.linalg.solve(shares, own), strict=True):
         rotor += value * idm.sources[c].matrix
     np.testing.assert_allclose(rotor, R.T @ np.diag(own) @ R)

@@ -6,8 +6,7 @@ import pinocchio as pin
 import pytest
 
 from identification.model import Obstacles
-from identification.model.bounding import bounding_capsule, segments_apart
-from identification.model.obstacles import Shape
+from identification.model.obstacles import Shape, bounding_capsule, segments_apart
 
 
 def test_the_distance_of_segments_is_that_of_their_points():

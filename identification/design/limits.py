@@ -54,7 +54,7 @@ class Limits:
     def load(self) -> Array:
         """(n,) size of the joints' load friction per torque of the links."""
         assert self.model is not None
-        return np.abs(self.model.shapes.by_load(self.model.directions))
+        return np.abs(self.model.load_friction)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,7 +149,7 @@ def limits_of(
     coulomb = np.zeros(len(limits.limits))
     if model is not None:
         fastest = np.abs(model.directions) @ np.array([joint.si("speed") for joint in robot.joints])
-        sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.shapes.largest(fastest)
+        sliding = np.maximum(np.abs(model.up), np.abs(model.down)) + model.largest_shape(fastest)
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:

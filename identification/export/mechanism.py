@@ -113,14 +113,14 @@ def _refuse_impossible(m: Mechanism, place: str) -> None:
             problem = "no body of positive density has these inertias"
             key = f"link {j + 1}, of joint {joints[j]}"
             raise IdentificationError(problem, place=place, key=key, expected="the fit again with --consistent")
-    for asked in requirements(m.model, shaped=False):
-        lowest = float(np.linalg.eigvalsh(asked.matrix @ m.chi)[0])
+    for matrix, first, text in requirements(m.model, shaped=False):
+        lowest = float(np.linalg.eigvalsh(matrix @ m.chi)[0])
         if lowest < -LEAST:
             raise IdentificationError(
                 "a simulator would take it without a word, and gain energy",
                 place=place,
-                key=asked.text,
+                key=text,
                 value=lowest,
-                shown=f"{lowest:.4g} {asked.unit}",
+                shown=f"{lowest:.4g} {first.unit}",
                 expected="0 or more: the fit again with --consistent",
             )

@@ -11,7 +11,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
 from ..regression import Problem
-from ..simulation import Instruments, Lab, Replica, has_controller
+from ..simulation import Instruments, Lab, Replica
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass
@@ -59,7 +59,7 @@ def is_coarse(problem: Problem, iteration: Iteration, passes: Sequence[Pass]) ->
     Their estimates are only where the passes after them start. A described controller sets steps of its own, so that there
     is less to save. The last pass allowed is never coarse.
     """
-    early = 0 if iteration.start != "regular" else 1 if has_controller(problem.signals.robot.controller) else 2
+    early = 0 if iteration.start != "regular" else 1 if problem.signals.robot.controller.structure else 2
     return len(passes) < min(early, iteration.max_iterations - 1)
 
 

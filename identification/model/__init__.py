@@ -1,8 +1,17 @@
 """The robot's models: inverse and direct dynamics, friction and rotors, base parameters. Only this room imports pinocchio."""
 
 from .base import BaseParameters, base_parameters, load_parameters, truth
-from .derivatives import regressor_gradient, sliding_apart, torque_of_links
-from .direct import DirectModel, direct_model, inertias, not_positive, pose_step, poses_of
+from .direct import (
+    DirectModel,
+    direct_model,
+    inertias,
+    not_positive,
+    pose_step,
+    poses_of,
+    regressor_gradient,
+    sliding_apart,
+    torque_of_links,
+)
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm
 from .obstacles import Obstacles, obstacles_of

@@ -1,4 +1,9 @@
-"""The robot's direct dynamic model: its equation of motion with given parameters."""
+"""The robot's direct dynamic model: its equation of motion with given parameters; and derivatives of the inverse one.
+
+A row of the regressor times parameters is the torque of a robot with these parameters, whatever they are. So the gradient of
+a function of the regressor is, row by row, a derivative of RNEA with the function's own derivative by that row in the place
+of the inertias. Carpentier, Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,46 +12,14 @@ import numpy as np
 import pinocchio as pin
 
 from ..arrays import Array
+from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
 
 _POSES = 300  # positions of a trajectory at which M is looked at
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Shapes:
-    """Friction along c directions beside Coulomb's, which resists where factors are positive.
-
-    `terms` has, by kind, the factors (c,) and the speeds (c,) of Stribeck friction.
-    """
-
-    terms: dict[Kind, tuple[Array, Array]]
-
-    def any(self) -> bool:
-        """Whether there is any."""
-        return any(factor.any() for factor, _ in self.terms.values())
-
-    def friction(self, u: Array, rigid: Array) -> Array:
-        """Magnitude (..., c) at the speeds u (..., c), where the links' torques along the directions are `rigid` (..., c)."""
-        load = np.abs(rigid)
-        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.terms.items()), np.zeros_like(u))
-
-    def steepness(self, u: Array) -> Array:
-        """What a unit of speed adds (c,) to terms that grow with speed, at the speeds u (c,), not zero."""
-        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.terms.items())
-        return sum(slopes, np.zeros_like(u))
-
-    def largest(self, u: Array) -> Array:
-        """The most (c,) that terms which resist may have up to the speeds u (c,), load friction apart."""
-        found = np.zeros_like(u)
-        for kind, (factor, u_s) in self.terms.items():
-            size = FRICTION[kind].size
-            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
-        return found
-
-    def by_load(self, directions: Array) -> Array:
-        """Load friction (n,) of the joints per torque of their links, from the directions (c, n)."""
-        return np.asarray(self.terms["load"][0] @ directions if "load" in self.terms else 0.0 * directions.sum(axis=0))
+_DUMMY = 2.0  # a mass added to each link, times all masses and first moments together: no sum of masses is zero then
+_MASS = FROM_PINOCCHIO[LINK.index("M")]
+_FIRST_MOMENTS = tuple(FROM_PINOCCHIO[LINK.index(name)] for name in ("MX", "MY", "MZ"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -59,7 +32,8 @@ class DirectModel:
         viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
         directions: (c, n) directions r that friction with a sign acts along, its speed being r·dq.
         up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
-        shapes: what else acts along the directions.
+        shapes: what else acts along the directions, by kind: factors (c,), which resist where they are positive, and the
+            speeds (c,) of Stribeck friction.
         offset: (n,) constant torque.
     """
 
@@ -72,7 +46,7 @@ class DirectModel:
     directions: Array
     up: Array
     down: Array
-    shapes: Shapes
+    shapes: dict[Kind, tuple[Array, Array]]
     offset: Array
 
     def inertia(self, q: Array) -> Array:
@@ -133,9 +107,33 @@ class DirectModel:
         """What rotors and friction add (..., n) to the torque of the links `rigid` (..., n)."""
         u = dq_sign @ self.directions.T
         sliding = self.up * (u > 0) - self.down * (u < 0)
-        if self.shapes.any():
-            sliding = sliding + np.sign(u) * self.shapes.friction(u, rigid @ self.directions.T)
+        if self.shapes:
+            sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
         return np.asarray(self.without_sliding(dq, ddq) + sliding @ self.directions)
+
+    def shape(self, u: Array, rigid: Array) -> Array:
+        """Size (..., c) of friction beside Coulomb's at speeds u (..., c), the links' torques along them `rigid` (..., c)."""
+        load = np.abs(rigid)
+        return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()), np.zeros_like(u))
+
+    def steepness(self, u: Array) -> Array:
+        """What a unit of speed adds (c,) to shapes that grow with speed, at the speeds u (c,), not zero."""
+        slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.shapes.items())
+        return sum(slopes, np.zeros_like(u))
+
+    def largest_shape(self, u: Array) -> Array:
+        """The most (c,) that shapes which resist may have up to the speeds u (c,), load friction apart."""
+        found = np.zeros_like(u)
+        for kind, (factor, u_s) in self.shapes.items():
+            size = FRICTION[kind].size
+            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
+        return found
+
+    @property
+    def load_friction(self) -> Array:
+        """(n,) of the joints, per torque of their links."""
+        factor = self.shapes["load"][0] if "load" in self.shapes else np.zeros(len(self.directions))
+        return np.asarray(factor @ self.directions)
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
@@ -172,8 +170,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
                 none = np.zeros(len(directions)), np.full(len(directions), np.inf)
                 factor, speed = shapes.setdefault(source.kind, none)
                 factor[at], speed[at] = value, source.speed
-    mass = FROM_PINOCCHIO[LINK.index("M")]
-    values[values[:, mass] == 0.0, mass] = 1e-6
+    values[values[:, _MASS] == 0.0, _MASS] = 1e-6
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     return DirectModel(
@@ -186,7 +183,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
         directions=directions,
         up=up,
         down=down,
-        shapes=Shapes(terms={kind: shapes[kind] for kind in SHAPES if kind in shapes}),
+        shapes={kind: shapes[kind] for kind in SHAPES if kind in shapes and shapes[kind][0].any()},
         offset=offset,
     )
 
@@ -216,3 +213,88 @@ def not_positive(model: DirectModel, poses: Array) -> str | None:
     return (
         None if lowest > 0 else f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {lowest:.3g})"
     )
+
+
+def regressor_gradient(
+    model: InverseModel, base: BaseParameters, motion: tuple[Array, Array, Array], G: Array
+) -> tuple[Array, Array, Array]:
+    """Gradients (N, n) by q, dq and ddq of sum(G * W), W (N, n, b) the regressor of the base parameters.
+
+    Pinocchio divides by masses: a dummy mass is added to each link, and what it gives is subtracted.
+
+    Parameters
+    ----------
+    model, base : the inverse dynamic model and its base parameters.
+    motion : q, dq, ddq, each (N, n).
+    G : (N, n, b), constant.
+    """
+    q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
+    n = model.robot.n
+    inertias = np.zeros((*G.shape[:2], n, len(LINK)))
+    out = np.zeros((3, *q.shape))
+    for c, column in enumerate(base.columns):
+        source = model.sources[column]
+        if isinstance(source, JointTerm):
+            for j in source.rows:
+                by_speed, by_acceleration = source.entry_slopes(int(j), dq)
+                out[1] += G[:, j, c, None] * by_speed
+                out[2] += G[:, j, c, None] * by_acceleration
+        else:
+            inertias[:, :, source[0], FROM_PINOCCHIO[source[1]]] += G[:, :, c]
+    rigid = model.model.copy()
+    data = rigid.createData()
+    sizes = np.abs(inertias[..., [_MASS, *_FIRST_MOMENTS]]).sum(axis=(2, 3))  # (N, n)
+    dummy = (_DUMMY * sizes)[..., None]
+    dummy[dummy == 0] = 1.0
+    inertias[..., _MASS] += dummy
+    unit = [pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))] * n
+    derivatives = pin.computeRNEADerivatives
+    made = np.empty((n + 1, 3, *q.shape, n))  # of the dummy and of each joint's inertias: derivatives by q, dq, ddq
+    for k in range(len(q)):
+        state = rigid, data, q[k], dq[k], ddq[k]
+        for i in range(n + 1):
+            each = unit if i == n else [pin.Inertia.FromDynamicParameters(p) for p in inertias[k, i]]
+            for link, inertia in enumerate(each):
+                rigid.inertias[link + 1] = inertia
+            derivatives(*state)
+            made[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
+    made[:, 2] = _symmetric(made[:, 2])
+    for j in range(n):
+        out += made[j, :, :, j] - dummy[:, j] * made[n, :, :, j]
+    return out[0], out[1], out[2]
+
+
+def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
+    q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
+    rigid, data, n = model.rigid, model.data, q.shape[1]
+    tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
+    for k in range(len(q)):
+        pin.computeRNEADerivatives(rigid, data, q[k], dq[k], ddq[k])
+        tau[k] = data.tau
+        slopes[:, k] = data.dtau_dq, data.dtau_dv, data.M
+    slopes[2] = _symmetric(slopes[2])
+    return tau, slopes
+
+
+def sliding_apart(
+    model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Torque without friction that has the sign of a speed (N, n), and its derivatives (3, N, n, n) by q, dq, ddq.
+
+    Parameters
+    ----------
+    model : the equation of motion with given parameters.
+    motion : q, dq, ddq, each (N, n).
+    of_links : the links' torque and its derivatives, as `torque_of_links` gives them.
+    """
+    _, dq, ddq = motion
+    slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down
+    slopes[2] += model.rotor
+    slopes[1] += model.viscous + (dq > 0)[:, None] * up + (dq < 0)[:, None] * down
+    return of_links[0] + model.without_sliding(dq, ddq), slopes
+
+
+def _symmetric(M: Array) -> Array:
+    """The whole matrices (..., n, n), of which pinocchio fills the upper triangles."""
+    return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)

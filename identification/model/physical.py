@@ -7,8 +7,6 @@ Fc6 + Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 turns joint 5 too, and Fc of a
 has further terms is asked for its power at recorded speeds instead.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
@@ -29,24 +27,6 @@ POSES, SEED = 4, 11  # at which the frames of two descriptions are compared
 DISSIPATING = ("viscous", "coulomb", *SHAPES)  # what takes energy; constant offsets do not
 RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators know
 MIN_SPEED = 0.04  # of a joint's peak speed: at slower states the power of its friction is not looked at
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Requirement:
-    """A matrix of rotor inertias or of friction that no robot has below zero, linear in the standard parameters chi.
-
-    Attributes:
-        text: the parameters of a single entry, such as `Fc5 + Fcm6`; else `viscous friction of joint_5 and joint_6`.
-        kind, unit: of the parameters.
-        joint: the first one's number, from 0.
-        matrix: (s, s, p) symmetric, its product with chi must be positive definite; mostly a single entry.
-    """
-
-    text: str
-    kind: str
-    unit: str
-    joint: int
-    matrix: Array
 
 
 def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tuple[Array, tuple[str, ...]]:
@@ -111,13 +91,16 @@ def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Arr
     return speeds, loads
 
 
-def requirements(idm: InverseModel, *, shaped: bool) -> tuple[Requirement, ...]:
+def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointTerm, str]]:
     """What a physical robot asks of rotor inertias, viscous and Coulomb friction.
+
+    Matrices (s, s, p), mostly a single entry, whose product with chi must be positive definite; the first parameter of each,
+    which has the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
 
     Of joints whose friction has further terms: with `shaped`, friction that is positive without those, a joint's or motor's
     own share of it too; else nothing, and their power is looked at.
     """
-    found, (columns, A) = list[Requirement](), own_shares(idm)
+    found, (columns, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
     alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
     alone |= {j for joints in _groups(idm, shaped=True) if shaped for j in joints}
     for c, row in zip(columns, A, strict=True):
@@ -132,11 +115,10 @@ def requirements(idm: InverseModel, *, shaped: bool) -> tuple[Requirement, ...]:
                 for c in viscous:
                     matrix[..., c] = across @ _term(idm, c).matrix @ across.T
                 text = f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
-                unit = _term(idm, viscous[0]).unit
-                found.append(Requirement(text=text, kind="viscous", unit=unit, joint=joints[0], matrix=matrix))
+                found.append((matrix, _term(idm, viscous[0]), text))
             for speeds in corner_speeds(np.array([_term(idm, c).direction for c in coulomb])) if coulomb else ():
                 found.append(_single(idm, np.asarray(np.bincount(coulomb, speeds, minlength=idm.p), dtype=float)))
-    return tuple(found)
+    return found
 
 
 def physical_parameters(
@@ -160,7 +142,7 @@ def physical_parameters(
             ZZ = start[links[int(term.rows[-1]), LINK.index("ZZ")]]
             first[i] = ROTOR_SHARE * ZZ if term.kind == "rotor" else FRICTION
     start[rows] = np.linalg.solve(A[:, rows], first) if len(rows) else first
-    matrices = [asked.matrix for asked in requirements(idm, shaped=power is None)]
+    matrices = [matrix for matrix, *_ in requirements(idm, shaped=power is None)]
     single = np.array([M[0, 0] for M in matrices if len(M) == 1]).reshape(-1, idm.p)
     if power is not None:
         single = np.concatenate([single, power[power @ start > 0]])
@@ -215,15 +197,14 @@ def own_shares(idm: InverseModel) -> tuple[list[int], Array]:
     return columns, A[columns]
 
 
-def _single(idm: InverseModel, row: Array) -> Requirement:
+def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
     """That a combination (p,) of parameters of one kind is positive."""
     terms = [_term(idm, int(c)) for c in np.flatnonzero(row)]
     text = " ".join(
         f"{'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{abs(x):.4g} '}{term.name}"
         for x, term in zip(row[row != 0], terms, strict=True)
     ).removeprefix("+ ")
-    first = terms[0]
-    return Requirement(text=text, kind=first.kind, unit=first.unit, joint=first.joint, matrix=row[None, None])
+    return row[None, None], terms[0], text
 
 
 def _expected_link(idm: InverseModel, j: int, described: Array) -> tuple[Array, str]:

@@ -14,7 +14,7 @@ from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
-from .control_law import Control, ControlLaw, Disturbances, Reference, has_controller, recorded_loop
+from .control_law import Control, ControlLaw, Disturbances, Reference, recorded_loop
 
 STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
@@ -47,7 +47,7 @@ class Friction:
         self._model, self._h, self._S = model, h, model.directions
         speed = np.maximum(fastest, 1e-9)
         self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
-        self._shaped = model.shapes.any()
+        self._shaped = bool(model.shapes)
         self._rigid: Array | None = None  # of the links in the step before
         self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
         self._hold(self._coulomb)
@@ -114,14 +114,14 @@ class Friction:
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
         """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the speed."""
-        shapes, v_s = self._model.shapes, self._v_s
+        model, v_s = self._model, self._v_s
         along = self._S.dot(rigid)
         # What sticks is held by as much as slips at the creep speed.
-        self._hold(self._coulomb + shapes.friction(v_s, along))
+        self._hold(self._coulomb + model.shape(v_s, along))
         if self._stuck:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
-        return shapes.friction(u, along), shapes.steepness(u)
+        return model.shape(u, along), model.steepness(u)
 
 
 class ClosedLoop:
@@ -169,7 +169,7 @@ class ClosedLoop:
             if cell is None:
                 acting = tau = control.torque(k, q, v)
             else:
-                tau = control.torque(k, cell.seen(k, q), v)
+                tau = control.torque(k, cell.seen(q, k), v)
                 acting = tau + cell.torque[k]
             if known is not None:
                 acting = acting + known[k]
@@ -271,9 +271,9 @@ def drive_loops(robot: Robot, J: Array) -> LoopGains:
 
     Computed torque needs a model that drives do not have: a description with it is given the second.
     """
-    if not has_controller(robot.controller) or robot.controller.structure == "computed_torque":
-        return cascaded_loops(robot, J)
     law = recorded_loop(robot)
+    if law is None or law.computed_torque:
+        return cascaded_loops(robot, J)
     return LoopGains(
         position=law.Kp,
         velocity=law.Kd,

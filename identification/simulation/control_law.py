@@ -21,11 +21,11 @@ What is recorded as feed-forward is added to u. Known torques act on the joints,
 Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
 
 import numpy as np
 
-from acquisition.robot import Controller, Robot
+from acquisition.robot import Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -52,15 +52,9 @@ class Disturbances:
     asymmetry: float = 0.0
     stribeck: float = 0.0
 
-    def seen(self, k: int, q: Array) -> Array:
-        """Position (n,) that the encoders give at the instant k, where it is q (n,)."""
-        return self._counted(q + self.position[k])
-
-    def recorded(self, q: Array) -> Array:
-        """Positions (N, n) that the encoders gave along q (N, n)."""
-        return self._counted(q + self.position)
-
-    def _counted(self, q: Array) -> Array:
+    def seen(self, q: Array, at: int | slice = slice(None)) -> Array:
+        """Positions (N, n), or of one instant (n,), that the encoders give where they are q."""
+        q = q + self.position[at]
         return np.asarray(np.rint(q / self.count) * self.count) if self.count else q
 
     def on_plant(self, model: DirectModel) -> DirectModel:
@@ -86,9 +80,10 @@ class Reference:
     q: Array
     dq: Array
     ddq: Array
-    known_torque: Array | None = field(default=None, kw_only=True)
-    feedforward: Array | None = field(default=None, kw_only=True)
-    disturbances: Disturbances | None = field(default=None, kw_only=True)
+    _: KW_ONLY
+    known_torque: Array | None = None
+    feedforward: Array | None = None
+    disturbances: Disturbances | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,42 +132,34 @@ class ControlLaw:
         return np.asarray(((self.R**2).T @ (np.abs(self.G) * self.Kp)) / (2 * np.pi * bandwidth_hz) ** 2)
 
 
-def recorded_loop(robot: Robot) -> ControlLaw:
-    """The loop of the description's `[controller]`; errors name the keys that are missing."""
-    c, n = robot.controller, robot.n
-    needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain"]
-    needed += ["integral_gain"] if c.structure in ("cascade_p_pi", "pid") else []
-    missing = [key for key in needed if getattr(c, key) is None]
-    if missing:
+def recorded_loop(robot: Robot) -> ControlLaw | None:
+    """The loop of the description's `[controller]`, None where it states none; errors name the keys that are missing."""
+    c = robot.controller
+    integrates = c.structure in ("cascade_p_pi", "pid")
+    needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain", *["integral_gain"] * integrates]
+    stated = {key: getattr(c, key) for key in (*needed, "integral_gain") if getattr(c, key) is not None}
+    if not stated:
+        return None
+    if missing := [key for key in needed if key not in stated]:
         where = f"robot {robot.name}"
         expected = f"all of {', '.join(needed)}, or none of them: then a PD of the stated bandwidth_hz stands in"
         raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
-    assert c.position_gain is not None
-    assert c.velocity_gain is not None
-    assert c.sample_rate_hz is not None
-    assert c.structure is not None
-    kp, kd = np.array(c.position_gain), np.array(c.velocity_gain)
-    ki = np.array(c.integral_gain) if c.integral_gain and c.structure in ("cascade_p_pi", "pid") else np.zeros(n)
-    cascade = c.structure.startswith("cascade")
+    structure, kp, kd = stated["structure"], np.array(stated["position_gain"]), np.array(stated["velocity_gain"])
+    ki = np.array(stated["integral_gain"]) if integrates else np.zeros(robot.n)
+    cascade = structure.startswith("cascade")
     return ControlLaw(
-        period_s=1.0 / c.sample_rate_hz,
+        period_s=1.0 / stated["sample_rate_hz"],
         R=robot.R,
         G=robot.gain,
         Kp=kp * kd if cascade else kp,
         Kd=kd,
         Ki=ki * kd if cascade else ki,
-        position_share=kp if cascade else np.ones(n),
-        feedforward=0.0 if cascade or c.structure == "pd" else 1.0,
+        position_share=kp if cascade else np.ones(robot.n),
+        feedforward=0.0 if cascade or structure == "pd" else 1.0,
         saturation=np.array([m.saturation if m.saturation is not None else np.inf for m in robot.motors]),
         velocity_estimate=c.velocity_estimate or "backward_difference",
-        computed_torque=c.structure == "computed_torque",
+        computed_torque=structure == "computed_torque",
     )
-
-
-def has_controller(controller: Controller) -> bool:
-    """Whether a description states a control law, if only in part."""
-    keys = ("structure", "sample_rate_hz", "position_gain", "velocity_gain", "integral_gain")
-    return any(getattr(controller, key) is not None for key in keys)
 
 
 def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:

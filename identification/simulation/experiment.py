@@ -31,7 +31,7 @@ from ..regression import (
     rule_cutoff_hz,
     sampled_at,
 )
-from .control_law import Reference, has_controller, recorded_loop
+from .control_law import Reference, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
@@ -86,7 +86,7 @@ class Experiment:
         self.directions, self.bandwidth_hz = problem.model.coulomb_directions, robot.bandwidth_hz
         self.reference_kind: Literal["recorded", "surrogate"] = "surrogate" if signals.q_ref is None else "recorded"
         self._cutoff_hz = rule_cutoff_hz(self.bandwidth_hz, signals.sample_rate_hz)
-        self.loop = recorded_loop(robot) if has_controller(robot.controller) else None
+        self.loop = recorded_loop(robot)
         if self.loop is not None and signals.q_ref is None:
             self.loop = replace(self.loop, gravity=True)
         _refuse_foreign_reference(problem)

@@ -21,15 +21,7 @@ from ..data import Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
 from ..regression import differentiate
-from ..simulation import (
-    ClosedLoop,
-    ControlLaw,
-    Disturbances,
-    Reference,
-    has_controller,
-    recorded_loop,
-    surrogate_loop,
-)
+from ..simulation import ClosedLoop, ControlLaw, Disturbances, Reference, recorded_loop, surrogate_loop
 
 PERIOD_S = 10.0  # of the reference, about: one period as long as a long recording would be slow, and excite little
 LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
@@ -236,7 +228,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
         done, reason = follower.follow(replace(_span(q_ref, first, sample_rate_hz), disturbances=part), bound)
         if reason:
             raise IdentificationError(f"robot {robot.name}: cannot be simulated: {reason}")
-        q[here], tau[here] = part.recorded(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
+        q[here], tau[here] = part.seen(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
         for x in (q, tau, q_ref, cell.position, cell.torque):
             let_go(x)
     return Signals(
@@ -263,9 +255,8 @@ def _span(q_ref: Array, first: int, sample_rate_hz: float) -> Reference:
 
 def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float, noise: Noise) -> ControlLaw:
     """The described control law, or a PD; a PD that sees noise has to tell the speed from it."""
-    if has_controller(robot.controller):
-        loop = recorded_loop(robot)
-    else:
+    loop = recorded_loop(robot)
+    if loop is None:
         J = inertias(model, poses_of(q_ref))
         loop = surrogate_loop(robot.bandwidth_hz, J, sample_rate_hz)
         if noise.position or noise.encoder_step:

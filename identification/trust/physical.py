@@ -81,20 +81,20 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     by_base = np.linalg.pinv(base.K)
     for part in evidence.recordings if own else evidence.recordings[:1]:
         of_part = np.array([name in part.parameters for name in estimate.names])
-        for asked in requirements(idm, shaped=False):
-            G = asked.matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
-            if not np.allclose(G @ base.K, asked.matrix, atol=1e-9) or not (G := G[..., among] * of_part).any():
+        for matrix, first, of in requirements(idm, shaped=False):
+            G = matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
+            if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., among] * of_part).any():
                 continue
             vectors = np.linalg.eigh(G @ estimate.beta)[1]
             g = np.einsum("di,ijb,dj->db", tried := np.c_[np.eye(len(G)), vectors[:, 0]].T, G, tried)
             value, half = g @ estimate.beta, _half(g, found)
             worst = int(np.argmin(value / np.maximum(half, TINY)))
-            name = asked.text + (f" in {part.problem.signals.recording}" if own else "")
-            text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {asked.unit}"
+            name = of + (f" in {part.problem.signals.recording}" if own else "")
+            text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
             furthest = (float(-value[worst] / max(half[worst], TINY)), text)
             if furthest[0] > 1:
-                of_joint = beyond.setdefault(asked.joint, {})
-                of_joint[asked.kind] = max(furthest, of_joint.get(asked.kind, furthest))
+                of_joint = beyond.setdefault(first.joint, {})
+                of_joint[first.kind] = max(furthest, of_joint.get(first.kind, furthest))
     for joint, kinds in sorted(beyond.items()):
         # One of many parameters is beyond its interval now and then; two of one joint hardly ever.
         severe = len(kinds) > 1 or any(far > SEVERE for far, _ in kinds.values())

@@ -16,7 +16,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import KnownLag, Problem, differentiate, sampled_at
-from ..simulation import Control, ControlLaw, Reference, has_controller, recorded_loop
+from ..simulation import Control, ControlLaw, Reference, recorded_loop
 from .evidence import Evidence
 from .lines import LEVELS, Figure, TrustLine
 
@@ -69,9 +69,8 @@ def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     delay is not in it.
     """
     loop = None
-    if has_controller(problem.signals.robot.controller):
-        with suppress(IdentificationError):  # described in part
-            loop = recorded_loop(problem.signals.robot)
+    with suppress(IdentificationError):  # described in part
+        loop = recorded_loop(problem.signals.robot)
     reason = _not_made(problem, loop)
     if reason is not None or loop is None:
         text = f"not made: {reason}"
