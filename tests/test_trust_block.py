@@ -217,7 +217,7 @@ def test_a_column_is_solved_with_the_others(method):
     system, n = evidence.observed.system.with_rows(evidence.used), 2
     W, Y = system.weighted(fit.estimate.weights)
     T = len(Y) // n
-    (lack,) = (x for x in missing_terms(evidence) if (x.column.kind, x.column.where) == ("drift", "of joint shoulder"))
+    (lack,) = (x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
     weight = fit.estimate.weights[0] * evidence.used[:T]
     column = np.r_[np.linspace(0, 1, T) * weight, np.zeros(T)]
     Z = evidence.Z if method == "iv" else system.W
@@ -245,12 +245,10 @@ def test_what_the_model_lacks_is_named_first(method, fault):
 
 
 def test_a_column_has_the_size_of_the_fault():
-    by_joint = {x.column.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
+    by_joint = {x.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
     assert len(by_joint) > 2
     found = [
-        x.value
-        for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])
-        if "asym" in x.column.kind
+        x.value for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind
     ]
     np.testing.assert_allclose(found, [20.0, 20.0], atol=5.0)
 
