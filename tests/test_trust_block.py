@@ -30,7 +30,6 @@ from identification.regression import Overrides
 from identification.trust import LEVELS, Evidence, Trust, TrustLine
 from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
-from identification.trust.lines import worst_first
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
     _judge_together,
@@ -39,6 +38,7 @@ from identification.trust.solution import (
     fixed_point_test,
     halves_test,
     instruments_test,
+    worst_first,
 )
 
 WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
@@ -99,7 +99,7 @@ def test_the_worst_line_is_the_verdict():
         (("ok", "caution", "not made"), "caution"),
         (("caution", "do not use", "ok"), "do not use"),
     ):
-        trust = worst_first([line(level) for level in levels], ())
+        trust = Trust(lines=worst_first([line(level) for level in levels]))
         assert trust.verdict == verdict
         assert [LEVELS.index(x.level) for x in trust.lines] == sorted(LEVELS.index(level) for level in levels)
     assert Trust(lines=(line("not made"),)).verdict == "trust"

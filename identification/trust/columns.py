@@ -17,9 +17,8 @@ from ..arrays import Array
 from ..estimation import deviations_of_sums
 from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
-from .evidence import Evidence, RecordingData
+from .evidence import Evidence, RecordingData, TrustLine
 from .lag import simulated_rates
-from .lines import TrustLine
 
 MIN_T = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square

@@ -1,6 +1,5 @@
-"""What the tests of a fit look at: everything computed on the way to the estimate, so that nothing is simulated again."""
+"""What the tests of a fit look at, computed on the way to the estimate; the lines that they give, and their verdict."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -11,11 +10,76 @@ from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
-from ..report import Assumed
-from .lines import TrustLine
+from ..report import Assumed, Level, Method, Verdict
 
-LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+ILL_CONDITIONED = (
+    "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
+)
 MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """What a test found at one joint, motor or block of time: the value, half its 95 % interval, and the value expected."""
+
+    name: str
+    value: float
+    half_width: float = 0.0
+    expected: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrustLine:
+    """One test of a fit.
+
+    Attributes:
+        test: its name, such as `lag`.
+        level: `not made` where the test could not be made, `cannot tell` where it says nothing either way.
+        text: one sentence with the figure, and what to do.
+        value: its figure, None where there is none.
+        finding: the same in a few words, for the first line of a report.
+        figures: its figures one by one, to be drawn, in `unit`.
+        far_off: whether held-out errors are so far above the trained ones that other doubts weigh more.
+    """
+
+    test: str
+    level: Level
+    text: str
+    value: float | None = None
+    finding: str = ""
+    figures: tuple[Figure, ...] = ()
+    unit: str = ""
+    far_off: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first, and what none of them tests. A test that was not made says nothing either way."""
+
+    lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
+
+    def line(self, test: str) -> TrustLine:
+        """That of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @property
+    def severe(self) -> tuple[str, ...]:
+        """Why the result is not to be used, test by test; empty where it may be."""
+        return tuple(line.text for line in self.lines if line.level == "do not use")
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst level."""
+        levels = {line.level for line in self.lines}
+        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -65,7 +129,7 @@ class Lag:
     Attributes:
         value_s, sd_s: what is corrected, and its deviation, which the intervals count; half a 95 % interval is `reach` of them.
         source: what it follows from; `prior`: what is known of it without a fit.
-        found: value and deviation by the instruments alone, and the reach; None where they say nothing, `why` not.
+        found: value and deviation by the instruments alone, and the reach; None where they say nothing.
         delay_s: time from command to torque and half its interval, where the described controller could be replayed.
         moved: (b,) by how much one deviation of the lag moves each parameter.
         recordings: their names.
@@ -77,7 +141,6 @@ class Lag:
     source: str
     prior: KnownLag
     found: tuple[float, float, float] | None
-    why: str = ""
     delay_s: tuple[float, float] | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[str, ...] = ()
@@ -115,7 +178,7 @@ class Evidence:
 
     recordings: tuple[RecordingData, ...]
     observed: Regression
-    method: Literal["ols", "wls", "iv"]
+    method: Method
     fixed_point: bool
     estimate: Estimate
     predicted: Array
@@ -180,7 +243,8 @@ class Evidence:
             return [own.scores(beta, bread, basis) for own in self._blocks(part) if len(own.QY)]
         rows = self.rows
         Q, W, Y = (part_of(x, n, part) for x in (self.estimate.Q, rows.W, rows.Y))
-        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), self._instants(part))
+        instants = [last - first for first, last in self._within(part) if last > first]
+        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), instants)
 
     def aligned(self, part: slice) -> slice:
         """The instants of the blocks of time nearest to a part of the time; the part itself where rows are held."""
@@ -202,19 +266,13 @@ class Evidence:
 
     def _within(self, part: slice) -> list[tuple[int, int]]:
         """What a part of the time has of each recording: first and last instant, counted from the recording's start."""
-        return [
-            (
-                min(max(part.start, own.start), own.stop) - own.start,
-                max(min(part.stop, own.stop), own.start) - own.start,
-            )
-            for own in slices(self.observed.parts)
+        ends = [
+            np.clip((part.start, part.stop), own.start, own.stop) - own.start for own in slices(self.observed.parts)
         ]
+        return [(int(first), int(last)) for first, last in ends]
 
     def _blocks(self, part: slice) -> list[BlockSums]:
         return [own.between(*ends) for own, ends in zip(self.blocks, self._within(part), strict=True)]
-
-    def _instants(self, part: slice) -> list[int]:
-        return [last - first for first, last in self._within(part) if last > first]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -265,47 +323,3 @@ def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Int
     among = np.array([names.index(name) for name in estimate.names])
     covariance[np.ix_(among, among)] = intervals.covariance
     return covariance
-
-
-def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
-    """What was given and what no test of `lines` sees: taken as it is."""
-    signals, several = evidence.problem.signals, evidence.problem.signals.robot.n > 1
-    robot = signals.robot
-    if robot.gain_known:
-        gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None]
-        yield Assumed(
-            "drive gains",
-            ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
-            "a wrong one scales all parameters, and fits as well"
-            + (", where it is that of all joints" if several else ""),
-        )
-    ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
-    if several:
-        yield Assumed(
-            "lengths",
-            "urdf" if robot.urdf is not None else "dh",
-            "the parameters of the links absorb an error of a length",
-        )
-    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
-    if evidence.method == "iv" and lines["replay"].level == "not made":
-        yield Assumed(
-            "control law",
-            robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
-            lines["replay"].text.removeprefix("not made: "),
-        )
-    if evidence.lags and evidence.lags[0].prior.stated:
-        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
-    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / signals.sample_rate_hz
-    if duration_s > LONG_S:
-        yield Assumed(
-            "filters",
-            f"{duration_s:.0f} s of motion",
-            "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
-        )
-    if evidence.method != "iv":
-        yield Assumed(
-            "encoder noise",
-            "below the low-pass as above",
-            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
-        )

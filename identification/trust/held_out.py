@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import slices, undetermined_parameters
-from .evidence import Evidence, part_of
-from .lines import ILL_CONDITIONED, Figure, TrustLine
+from .evidence import ILL_CONDITIONED, Evidence, Figure, TrustLine, part_of
 
 BLOCKS = 5
 FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it

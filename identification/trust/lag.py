@@ -19,8 +19,7 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
 from ..report import Level
-from .evidence import Evidence, Lag, RecordingData
-from .lines import Figure, TrustLine
+from .evidence import Evidence, Figure, Lag, RecordingData, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
@@ -105,20 +104,16 @@ def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return fast
 
 
-def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None, why: str) -> Lag:
-    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach.
-
-    `why` says why the data say nothing, where they do not.
-    """
-    if found is None or prior.stated:
-        return Lag(
-            value_s=prior.value_s, sd_s=prior.sd_s, reach=2.0, source=prior.source, prior=prior, found=found, why=why
-        )
-    value, sd, reach = found
-    if abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s):
-        return Lag(value_s=value, sd_s=sd, reach=reach, source="data", prior=prior, found=found, why=why)
-    both = prior.with_other(KnownLag(value_s=value, sd_s=sd, source="data"))
-    return Lag(value_s=both.value_s, sd_s=both.sd_s, reach=reach, source=both.source, prior=prior, found=found, why=why)
+def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
+    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach."""
+    counted, reach = prior, 2.0
+    if found is not None and not prior.stated:
+        value, sd, reach = found
+        data = KnownLag(value_s=value, sd_s=sd, source="data")
+        far = abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s)
+        counted = data if far else prior.with_other(data)
+    value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
+    return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
 def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:

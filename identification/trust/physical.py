@@ -28,8 +28,7 @@ from ..estimation import (
 from ..model import InverseModel, friction_power, nearest_consistent, requirements
 from ..regression import Problem, base_name, friction_states, recorded_power
 from ..report import Level
-from .evidence import Evidence, covariance_of_all
-from .lines import LEVELS, TrustLine
+from .evidence import LEVELS, Evidence, TrustLine, covariance_of_all
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width

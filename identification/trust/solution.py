@@ -5,7 +5,7 @@ that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long 
 in place of rows. Nothing is simulated again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +15,11 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, slices, whitened
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
+from ..report import Assumed
 from .columns import added_columns_test
-from .evidence import Evidence, RecordingData, assumed
+from .evidence import ILL_CONDITIONED, LEVELS, Evidence, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
-from .lines import ILL_CONDITIONED, Trust, TrustLine, worst_first
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
@@ -35,6 +35,7 @@ ORDER = 12  # of the autoregression that whitens a joint's residual, at most
 MISSING_PERCENT = 0.1  # of the moving rows
 HELD_SHARE = 0.3  # of held rows, that may be beside steps which do not quite make up for them
 COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or none: its encoder is slower than the log
+LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
@@ -268,6 +269,36 @@ def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
 
 
+def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+    """What was given and what no test of `lines` sees: taken as it is."""
+    signals, settings = evidence.problem.signals, evidence.problem.settings
+    robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
+    if robot.gain_known:
+        gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in motors if m.drive_gain is not None]
+        value = ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in motors}))}"
+        why = "a wrong one scales all parameters, and fits as well"
+        yield Assumed("drive gains", value, f"{why}, where it is that of all joints" if several else why)
+    ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
+    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
+    if several:
+        lengths = "dh" if robot.urdf is None else "urdf"
+        yield Assumed("lengths", lengths, "the parameters of the links absorb an error of a length")
+    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
+    if evidence.method == "iv" and lines["replay"].level == "not made":
+        law = robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in"
+        yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
+    if evidence.lags and evidence.lags[0].prior.stated:
+        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
+    if (duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz) > LONG_S:
+        why = "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here"
+        yield Assumed("filters", f"{duration_s:.0f} s of motion", why)
+    if evidence.method != "iv":
+        why = (
+            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass"
+        )
+        yield Assumed("encoder noise", "below the low-pass as above", why)
+
+
 # A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
 TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
     *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
@@ -279,4 +310,10 @@ TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
 def trust_in(evidence: Evidence) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    return worst_first(_judge_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
+    assumptions = assumed(evidence, {line.test: line for line in lines})
+    return Trust(lines=worst_first(_judge_together(lines)), assumed=tuple(assumptions))
+
+
+def worst_first(lines: list[TrustLine]) -> tuple[TrustLine, ...]:
+    """Lines by their levels."""
+    return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))
