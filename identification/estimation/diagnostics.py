@@ -11,27 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..report import TorqueError
 from .system import System, orthonormal, r_factor, slices
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MOST_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorqueError:
-    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand.
-
-    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no
-    torque. `autocorrelation` is that of the residual at a lag of one decimated sample.
-    """
-
-    name: str
-    relative_error_percent: float | None
-    moving_relative_error_percent: float | None
-    standing_relative_error_percent: float | None
-    moving_rows: int
-    standing_rows: int
-    autocorrelation: float | None
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
