@@ -6,6 +6,7 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class Intervals:
     reach: float
     covariance: Array
 
-    @property
+    @cached_property
     def half(self) -> Array:
         """(b,) half-widths."""
         return 0.5 * (self.high - self.low)

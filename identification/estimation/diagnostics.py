@@ -31,10 +31,20 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
     -------
     An error per joint and, last and under the name `all`, that of all joints.
     """
-    moving = are_moving(speed)
-    rho = tau - predicted
-    each = [_torque_error(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
-    return (*each, _torque_error("all", tau, rho, moving))
+    moving, rho = are_moving(speed), tau - predicted
+    each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
+    return tuple(
+        TorqueError(
+            name=name,
+            relative_error_percent=relative_error_percent(t, r),
+            moving_relative_error_percent=relative_error_percent(t[m], r[m]),
+            standing_relative_error_percent=relative_error_percent(t[~m], r[~m]),
+            moving_rows=int(m.sum()),
+            standing_rows=int((~m).sum()),
+            autocorrelation=lag_one(r),
+        )
+        for name, t, r, m in [*each, ("all", tau, rho, moving)]
+    )
 
 
 def are_moving(speed: Array) -> NDArray[np.bool_]:
@@ -52,18 +62,6 @@ def autocorrelation(rho: Array, lag: int) -> float | None:
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
-
-
-def _torque_error(name: str, tau: Array, rho: Array, moving: NDArray[np.bool_]) -> TorqueError:
-    return TorqueError(
-        name=name,
-        relative_error_percent=relative_error_percent(tau, rho),
-        moving_relative_error_percent=relative_error_percent(tau[moving], rho[moving]),
-        standing_relative_error_percent=relative_error_percent(tau[~moving], rho[~moving]),
-        moving_rows=int(moving.sum()),
-        standing_rows=int((~moving).sum()),
-        autocorrelation=lag_one(rho),
-    )
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:

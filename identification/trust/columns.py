@@ -17,6 +17,7 @@ from ..arrays import Array
 from ..estimation import deviations_of_sums
 from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
+from ..report import Method
 from .evidence import Evidence, RecordingData, TrustLine
 from .lag import simulated_rates
 
@@ -141,7 +142,7 @@ def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
     )
 
 
-def _motion(part: RecordingData, method: str) -> tuple[Motion, Decimation]:
+def motion_of(part: RecordingData, method: Method) -> tuple[Motion, Decimation]:
     """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
     settings = part.problem.settings
     if method == "iv" and part.simulated is not None and part.decimation is not None:
@@ -210,7 +211,7 @@ def _series(evidence: Evidence, links: DirectModel) -> Iterator[tuple[Array, ...
     """Of each recording, decimated (rows, n): |dq|, what Stribeck friction has more at low speed, positions, the root of speed
     along each direction of Coulomb friction, and friction by load.
     """
-    motions = [_motion(part, evidence.method) for part in evidence.recordings]
+    motions = [motion_of(part, evidence.method) for part in evidence.recordings]
     directions = evidence.problem.model.coulomb_directions
     fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
     for motion, decimation in motions:

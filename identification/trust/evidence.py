@@ -113,7 +113,7 @@ class RecordingData:
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
 
-    @property
+    @cached_property
     def known_lag(self) -> KnownLag:
         """What is known of its torque's lag without an estimate."""
         known, replayed = self.problem.settings.known_lag, self.replay_lag

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
+from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
 from ..report import Level
 from .evidence import Evidence, Figure, Lag, RecordingData, TrustLine
@@ -41,16 +41,8 @@ def lags_in(
 ) -> tuple[Array, Array, float]:
     """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
 
-    Parameters
-    ----------
-    parts : the recordings, simulated with the estimate.
-    groups : recordings whose torques have one lag.
-    system, Z : W, Y and instruments of all parameters.
-    estimate : by which the torques' rates go, and its weights.
-
-    Raises
-    ------
-    IdentificationError : where the instruments do not determine the lags.
+    Of the recordings simulated with the estimate, in groups of one lag, with W, Y and instruments of all parameters. Raises
+    `IdentificationError` where the instruments do not determine the lags.
     """
     rates, fast = zip(*map(simulated_rates, parts), strict=True)
     b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
@@ -72,14 +64,8 @@ def lags_in(
 
 def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
     """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups'."""
-    lengths = [rate.shape[1] for rate in rates]
-    whole, columns = -np.concatenate(rates, axis=1), []
-    for group in groups:
-        own = np.zeros(sum(lengths))
-        for k in group:
-            own[slices(lengths)[k]] = 1.0
-        columns.append((whole * own).reshape(-1))
-    return np.stack(columns, axis=1)
+    whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
+    return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
 def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:

@@ -1,8 +1,6 @@
 """Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
 
-Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
-that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums over blocks of time
-in place of rows. Nothing is simulated again.
+Nothing is simulated again.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -41,16 +39,15 @@ PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured nois
 
 def fixed_point_test(evidence: Evidence) -> TrustLine:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
+    name, why = "fixed point", evidence.unconfirmed
     if not evidence.fixed_point:
-        text = f"{evidence.unconfirmed or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
-        return TrustLine("fixed point", "do not use", text)
-    if evidence.unconfirmed is not None:
-        text = f"{evidence.unconfirmed}: check [controller]; compare with least squares"
-        return TrustLine("fixed point", "caution", text)
-    text = (
-        "settled, and the simulated robot confirms it" if evidence.method == "iv" else "least squares has one solution"
-    )
-    return TrustLine("fixed point", "ok", text)
+        text = f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
+        return TrustLine(name, "do not use", text)
+    if why is not None:
+        return TrustLine(name, "caution", f"{why}: check [controller]; compare with least squares")
+    if evidence.method != "iv":
+        return TrustLine(name, "ok", "least squares has one solution")
+    return TrustLine(name, "ok", "settled, and the simulated robot confirms it")
 
 
 def instruments_test(evidence: Evidence) -> TrustLine | None:
@@ -84,17 +81,13 @@ def units_test(evidence: Evidence) -> TrustLine:
 
 def essential_test(evidence: Evidence) -> TrustLine:
     """Whether some inertia is known to better than its own size."""
-    name, of = "essential", len(evidence.estimate.names)
-    if any(_is_inertia(evidence, base_name(one)) for one in evidence.essential):
-        return TrustLine(name, "ok", f"{len(evidence.essential)} of {of}")
+    name, base, idm = "essential", evidence.problem.base, evidence.problem.model
+    rows = [base.names.index(base_name(one)) for one in evidence.essential]
+    sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
+    if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.estimate.names)}")
     text = "no inertia has an interval narrower than itself: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
-
-
-def _is_inertia(evidence: Evidence, name: str) -> bool:
-    base, idm = evidence.problem.base, evidence.problem.model
-    sources = [idm.sources[c] for c in np.flatnonzero(base.K[base.names.index(name)])]
-    return any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
 
 
 def ends_test(evidence: Evidence) -> TrustLine:
@@ -112,10 +105,8 @@ def ends_test(evidence: Evidence) -> TrustLine:
     told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
     value = float(ends[worst])
     if value > max(BAD_END, OUTSTANDING * middle[worst]):
-        joint = evidence.problem.signals.robot.joints[worst].name
-        text = (
-            f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
-        )
+        told += f" of joint {evidence.problem.signals.robot.joints[worst].name}"
+        text = f'{told}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         return TrustLine("ends", "caution", text, value)
     return TrustLine("ends", "ok", told, value)
 
@@ -125,24 +116,19 @@ def halves_test(evidence: Evidence) -> TrustLine:
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
+    name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     if not evidence.sums_accurate:
-        return TrustLine("halves", "not made", ILL_CONDITIONED)
-    T, parts = len(evidence.observed.tau), evidence.observed.parts
-    if len(parts) > 1:  # cut between recordings
-        edges = np.cumsum(parts)[:-1]
-        cut = int(edges[np.abs(edges - T / 2).argmin()])
-    else:
-        cut = round(T / 2)
-    solved = [_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T))]
-    if any(half is None for half in solved):
-        return TrustLine(
-            "halves", "not made", "not made: a half alone does not determine the parameters; record longer"
-        )
-    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = (half for half in solved if half is not None)
+        return TrustLine(name, "not made", ILL_CONDITIONED)
+    cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
+    first, second = (_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T)))
+    if first is None or second is None:
+        text = "not made: a half alone does not determine the parameters; record longer"
+        return TrustLine(name, "not made", text)
+    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = first, second
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
     if not (sigma > 0).all():
-        return TrustLine("halves", "not made", "not made: the fit is exact")
+        return TrustLine(name, "not made", "not made: the fit is exact")
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
@@ -151,8 +137,8 @@ def halves_test(evidence: Evidence) -> TrustLine:
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
         text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
-        return TrustLine("halves", "caution", text, wald)
-    return TrustLine("halves", "ok", told, wald)
+        return TrustLine(name, "caution", text, wald)
+    return TrustLine(name, "ok", told, wald)
 
 
 def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
