@@ -171,6 +171,11 @@ class BlockSums:
     WY: Array
     edges: NDArray[np.intp]
 
+    @property
+    def total(self) -> tuple[Array, ...]:
+        """Q'Q, Q'W, Q'Y, W'W and W'Y of all blocks."""
+        return tuple(x.sum(axis=0) for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
+
     def between(self, first: int, last: int) -> "BlockSums":
         """The blocks that lie between these instants, of which both are edges."""
         a, z = np.searchsorted(self.edges, (first, last))

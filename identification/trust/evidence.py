@@ -87,7 +87,7 @@ class RecordingData:
     """A recording as a fit and its tests see it.
 
     Attributes:
-        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
+        problem: without samples where rows are reduced and recordings are several.
         regression: its W and Y.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
@@ -95,9 +95,8 @@ class RecordingData:
         t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
         parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
-        simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
-            `decimation` to the rows; None where there is none.
-        reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
+        simulated: motion of the robot simulated in it, at a multiple of the rows' rate, with `decimation` to the rows.
+        reference: of that: `surrogate` where the measured position stands in for it.
     """
 
     problem: Problem
@@ -158,21 +157,18 @@ class Evidence:
     Attributes:
         recordings: in the order of the rows.
         observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
-        method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
         unconfirmed: the status and its reason, where the method did not end in a fixed point that a simulation confirms.
         estimate: of the base parameters, fewer where only the essential ones were kept.
         predicted: (rows, n) torque that it predicts.
         used: (n rows,) samples that it rests on, joint by joint, 1 and 0: the rows of the system where these are not reduced.
-        intervals: of the estimate's parameters.
         least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
-        first_stage_F: of the instruments, None without.
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
         blocks: where rows are reduced, sums over the blocks of time of each recording.
         position_noise: whether noise of the position biases least squares; None of instrumental variables.
         looked_at: where rows are reduced, the evidence of the beginning of the first recording, which has rows.
-        lags: of the torques, those of each group of recordings alike.
+        lags: those of each group of recordings alike.
         essential: names of the parameters that the recordings determine well.
     """
 
@@ -221,11 +217,8 @@ class Evidence:
         rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
         sizes = float(np.sum(rho**2)), float(np.sum(tau**2))
         if self.blocks:
-            each = self._blocks(part)
-            QQ, QW, QY, WW, WY = (
-                np.sum([getattr(own, name).sum(axis=0) for own in each], axis=0)
-                for name in ("QQ", "QW", "QY", "WW", "WY")
-            )
+            each = [own.total for own in self._blocks(part)]
+            QQ, QW, QY, WW, WY = (sum(arrays) for arrays in zip(*each, strict=True))
             W_rho = WY - WW @ estimate.beta
         else:
             rows = self.rows
@@ -260,7 +253,7 @@ class Evidence:
         """Whether sums over blocks, of squares, still have the digits that tests need: Q'Q = 1 and Q'W bread = 1."""
         if not self.blocks:
             return True
-        QQ, QW = (sum(getattr(own, name).sum(axis=0) for own in self.blocks) for name in ("QQ", "QW"))
+        QQ, QW, *_ = (sum(arrays) for arrays in zip(*(own.total for own in self.blocks), strict=True))
         one = np.eye(len(self.estimate.beta))
         return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < MAX_SUMS_ERROR)
 
