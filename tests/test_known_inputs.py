@@ -5,7 +5,6 @@ EMPS-like records of the independent simulator: pulses are added to the controll
 
 from dataclasses import dataclass, replace
 from functools import cache
-from types import SimpleNamespace
 
 import msgspec
 import numpy as np
@@ -254,7 +253,8 @@ def test_rates_of_torques_are_those_of_the_drives():
 def test_a_spring_has_to_take_more_than_other_terms():
     def found(kind, taken_percent):
         numbers = {"value": 1.0, "t": 6.0, "taken_percent": taken_percent, "together_percent": 5.0, "moves": 0.0}
-        return MissingTerm(column=SimpleNamespace(kind=kind), **numbers).found
+        column = {"where": "", "torque": np.zeros((0, 1)), "unit": "", "advice": ""}
+        return MissingTerm(kind=kind, **column, **numbers).found
 
     assert found("offset", 5.0)
     assert not found(SPRING, 5.0)

@@ -217,7 +217,7 @@ def test_a_notebook_shows_the_report_of_a_fit(signals):
     assert page.texts[0] == report.title
     assert "<b>SCARA & Co" in report.title
     tables = [section.table for section in report.sections if section.table]
-    shown = [row for table in tables for row in ([c.heading for c in table.columns], *table.rows)]
+    shown = [row for table in tables for row in ([heading for heading, _ in table.columns], *table.rows)]
     assert page.rows == [
         [" ".join((x if isinstance(x, str) else x.text).split()) for x in row if x != ""] for row in shown
     ]

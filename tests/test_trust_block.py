@@ -30,7 +30,6 @@ from identification.regression import Overrides
 from identification.trust import LEVELS, Evidence, Trust, TrustLine
 from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
-from identification.trust.lines import worst_first
 from identification.trust.physical import physical_test
 from identification.trust.solution import (
     _judge_together,
@@ -39,6 +38,7 @@ from identification.trust.solution import (
     fixed_point_test,
     halves_test,
     instruments_test,
+    worst_first,
 )
 
 WHITE = Imperfections(encoder_noise=1e-6, torque_noise_percent=2.0)
@@ -99,7 +99,7 @@ def test_the_worst_line_is_the_verdict():
         (("ok", "caution", "not made"), "caution"),
         (("caution", "do not use", "ok"), "do not use"),
     ):
-        trust = worst_first([line(level) for level in levels], ())
+        trust = Trust(lines=worst_first([line(level) for level in levels]))
         assert trust.verdict == verdict
         assert [LEVELS.index(x.level) for x in trust.lines] == sorted(LEVELS.index(level) for level in levels)
     assert Trust(lines=(line("not made"),)).verdict == "trust"
@@ -217,7 +217,7 @@ def test_a_column_is_solved_with_the_others(method):
     system, n = evidence.observed.system.with_rows(evidence.used), 2
     W, Y = system.weighted(fit.estimate.weights)
     T = len(Y) // n
-    (lack,) = (x for x in missing_terms(evidence) if (x.column.kind, x.column.where) == ("drift", "of joint shoulder"))
+    (lack,) = (x for x in missing_terms(evidence) if (x.kind, x.where) == ("drift", "of joint shoulder"))
     weight = fit.estimate.weights[0] * evidence.used[:T]
     column = np.r_[np.linspace(0, 1, T) * weight, np.zeros(T)]
     Z = evidence.Z if method == "iv" else system.W
@@ -245,12 +245,10 @@ def test_what_the_model_lacks_is_named_first(method, fault):
 
 
 def test_a_column_has_the_size_of_the_fault():
-    by_joint = {x.column.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
+    by_joint = {x.where: x for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])}
     assert len(by_joint) > 2
     found = [
-        x.value
-        for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1])
-        if "asym" in x.column.kind
+        x.value for x in missing_terms(examined("iv", "scara", fault="asymmetric friction")[1]) if "asym" in x.kind
     ]
     np.testing.assert_allclose(found, [20.0, 20.0], atol=5.0)
 

@@ -11,8 +11,7 @@ from .results import print_results, untrusted
 
 if TYPE_CHECKING:
     from ..data import Signals
-    from ..estimation import TorqueError
-    from ..report import FitFile
+    from ..report import FitFile, TorqueError
 
 
 def add(commands: Commands) -> None:

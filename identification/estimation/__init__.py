@@ -25,7 +25,6 @@ from .consistency import (
 from .diagnostics import (
     MOVING,
     InstrumentTests,
-    TorqueError,
     are_moving,
     autocorrelation,
     chi_squared_quantile,

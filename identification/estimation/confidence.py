@@ -6,6 +6,7 @@ Lazarus, Lewis, Stock and Watson, HAR Inference: Recommendations for Practice, J
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class Intervals:
     reach: float
     covariance: Array
 
-    @property
+    @cached_property
     def half(self) -> Array:
         """(b,) half-widths."""
         return 0.5 * (self.high - self.low)
@@ -169,6 +170,11 @@ class BlockSums:
     WW: Array
     WY: Array
     edges: NDArray[np.intp]
+
+    @property
+    def total(self) -> tuple[Array, ...]:
+        """Q'Q, Q'W, Q'Y, W'W and W'Y of all blocks."""
+        return tuple(x.sum(axis=0) for x in (self.QQ, self.QW, self.QY, self.WW, self.WY))
 
     def between(self, first: int, last: int) -> "BlockSums":
         """The blocks that lie between these instants, of which both are edges."""

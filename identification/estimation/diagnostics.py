@@ -11,27 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..report import TorqueError
 from .system import System, orthonormal, r_factor, slices
 
 MOVING = 0.02  # of a joint's peak speed: below, it stands
 _MOST_TERMS = 500  # of the continued fraction: some ten are needed, and sqrt(degrees of freedom) where these are many
-
-
-@dataclass(frozen=True, kw_only=True)
-class TorqueError:
-    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand.
-
-    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no
-    torque. `autocorrelation` is that of the residual at a lag of one decimated sample.
-    """
-
-    name: str
-    relative_error_percent: float | None
-    moving_relative_error_percent: float | None
-    standing_relative_error_percent: float | None
-    moving_rows: int
-    standing_rows: int
-    autocorrelation: float | None
 
 
 def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, ...]) -> tuple[TorqueError, ...]:
@@ -47,10 +31,20 @@ def torque_errors(tau: Array, predicted: Array, speed: Array, names: tuple[str, 
     -------
     An error per joint and, last and under the name `all`, that of all joints.
     """
-    moving = are_moving(speed)
-    rho = tau - predicted
-    each = [_torque_error(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
-    return (*each, _torque_error("all", tau, rho, moving))
+    moving, rho = are_moving(speed), tau - predicted
+    each = [(name, tau[:, j], rho[:, j], moving[:, j]) for j, name in enumerate(names)]
+    return tuple(
+        TorqueError(
+            name=name,
+            relative_error_percent=relative_error_percent(t, r),
+            moving_relative_error_percent=relative_error_percent(t[m], r[m]),
+            standing_relative_error_percent=relative_error_percent(t[~m], r[~m]),
+            moving_rows=int(m.sum()),
+            standing_rows=int((~m).sum()),
+            autocorrelation=lag_one(r),
+        )
+        for name, t, r, m in [*each, ("all", tau, rho, moving)]
+    )
 
 
 def are_moving(speed: Array) -> NDArray[np.bool_]:
@@ -68,18 +62,6 @@ def autocorrelation(rho: Array, lag: int) -> float | None:
     r, following = rho[:-lag].ravel(), rho[lag:].ravel()
     size = np.linalg.norm(r) * np.linalg.norm(following)
     return float(r @ following / size) if size > 0 else None
-
-
-def _torque_error(name: str, tau: Array, rho: Array, moving: NDArray[np.bool_]) -> TorqueError:
-    return TorqueError(
-        name=name,
-        relative_error_percent=relative_error_percent(tau, rho),
-        moving_relative_error_percent=relative_error_percent(tau[moving], rho[moving]),
-        standing_relative_error_percent=relative_error_percent(tau[~moving], rho[~moving]),
-        moving_rows=int(moving.sum()),
-        standing_rows=int((~moving).sum()),
-        autocorrelation=lag_one(rho),
-    )
 
 
 def relative_error_percent(tau: Array, rho: Array) -> float | None:

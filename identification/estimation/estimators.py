@@ -7,6 +7,7 @@ scripts, and published deviations rest on it; it makes sigma smaller by b/2r (0.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -59,7 +60,7 @@ class Estimate:
     Q: Array
     bread: Array
 
-    @property
+    @cached_property
     def sigma(self) -> Array:
         """(b,) standard deviations by the formula."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
@@ -98,7 +99,7 @@ class Reduction:
 
 def ordinary_least_squares(system: System) -> Estimate:
     """beta minimises |Y - W beta| over the rows that count, all alike. Raises as `weighted_least_squares`."""
-    return _least_squares(system, np.ones(len(system.rows)))
+    return _estimated(system, np.ones(len(system.rows)))
 
 
 def weighted_least_squares(system: System) -> Estimate:
@@ -108,7 +109,7 @@ def weighted_least_squares(system: System) -> Estimate:
     ------
     IdentificationError : where no more rows count than there are parameters, or W is rank deficient.
     """
-    return _least_squares(system, joint_weights(system))
+    return _estimated(system, joint_weights(system))
 
 
 def joint_weights(system: System) -> Array:
@@ -142,34 +143,29 @@ def essential_parameters(system: System, full: Estimate, *, correlation: float, 
     ratio : 30 by default.
     """
     # Dropping columns of W is dropping columns of its R factor: each pass costs b³, not r b².
-    W, Y = system.weighted(full.weights)
-    R = r_factor(np.c_[W, Y])
-    b, r = W.shape[1], full.rows
+    R, r, b = r_factor(np.column_stack(system.weighted(full.weights))), full.rows, len(full.beta)
 
-    def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float]:
+    def solved(kept: NDArray[np.intp]) -> tuple[Array, Array, float, float]:
         some = R[:, kept]
-        return _solve(orthonormal(some / _norms(some)), some, R[:, -1])[:3]
-
-    def test(kept: NDArray[np.intp], rho_norm: float) -> tuple[float, float, float, float]:
-        dropped = b - len(kept)
-        if not dropped or not full.residual_norm > 0:
-            return (float("nan"),) * 4
-        F = (rho_norm**2 - full.residual_norm**2) / dropped / (full.residual_norm**2 / (r - b))
-        return f_tests(F, dropped, r, b, correlation)
+        return _solve(orthonormal(some / _norms(some)), some, R[:, -1])
 
     kept, tested = np.arange(b), (float("nan"),) * 4
+    beta, bread, norm, _ = solved(kept)
     while len(kept) > 1:
-        beta, bread, norm = solved(kept)
         with np.errstate(divide="ignore", invalid="ignore"):
             percent = np.sqrt(np.diag(_covariance(bread, norm, r))) / np.abs(beta)
         if percent.max() < ratio * percent.min():
             break
         fewer = np.delete(kept, percent.argmax())
-        outcome = test(fewer, solved(fewer)[2])
-        if outcome[3] < F_TEST_LEVEL:
-            break
-        kept, tested = fewer, outcome
-    reduced = _least_squares(system.with_columns(kept), full.weights)
+        beta, bread, norm, _ = solved(fewer)
+        if full.residual_norm > 0:
+            F = (norm**2 - full.residual_norm**2) / (b - len(fewer)) / (full.residual_norm**2 / (r - b))
+            outcome = f_tests(F, b - len(fewer), r, b, correlation)
+            if outcome[3] < F_TEST_LEVEL:
+                break
+            tested = outcome
+        kept = fewer
+    reduced = _estimated(system.with_columns(kept), full.weights)
     F, p, F_effective, p_effective = tested
     return Reduction(estimate=reduced, kept=kept, F=F, p_value=p, F_effective=F_effective, p_effective=p_effective)
 
@@ -190,28 +186,36 @@ def instrumental_variables(system: System, Z: Array, weights: Array) -> Estimate
     ------
     IdentificationError : where the instruments have too little in common with W, or as `weighted_least_squares` does.
     """
-    _refuse_few_rows(system)
-    W, Y = system.weighted(weights)
-    Z = Z * (weights[system.joint_of_row] * system.used)[:, None]
-    refuse_rank_deficiency(Z, system.names)
-    Q = orthonormal(Z / _norms(Z))
-    beta, bread, norm, condition = _solve(Q, W, Y)
-    if not condition < 1 / RANK_TOLERANCE:
-        raise IdentificationError(
-            "instruments and regressor have too little in common",
-            key="cond(ZᵀW)",
-            value=condition,
-            shown=f"{condition:.2g}",
-        )
-    return _estimate(system, weights, Q, (beta, bread, norm), condition)
+    return _estimated(system, weights, Z)
 
 
-def _least_squares(system: System, weights: Array) -> Estimate:
-    _refuse_few_rows(system)
+def _estimated(system: System, weights: Array, Z: Array | None = None) -> Estimate:
+    """Least squares, or with instruments Z (r, b), not weighted, instrumental variables."""
+    r, b = int(system.rows.sum()), len(system.names)
+    if r <= b:
+        raise IdentificationError(key="decimated rows", value=r, expected=f"more than the {b} parameters")
     W, Y = system.weighted(weights)
-    singular = refuse_rank_deficiency(W, system.names)
-    Q = orthonormal(W / _norms(W))
-    return _estimate(system, weights, Q, _solve(Q, W, Y)[:3], float(singular[0] / singular[-1]))
+    spanning = W if Z is None else Z * (weights[system.joint_of_row] * system.used)[:, None]
+    singular = refuse_rank_deficiency(spanning, system.names)
+    Q = orthonormal(spanning / _norms(spanning))
+    beta, bread, residual_norm, condition = _solve(Q, W, Y)
+    if Z is None:
+        condition = float(singular[0] / singular[-1])
+    elif not condition < 1 / RANK_TOLERANCE:
+        text, shown = "instruments and regressor have too little in common", f"{condition:.2g}"
+        raise IdentificationError(text, key="cond(ZᵀW)", value=condition, shown=shown)
+    return Estimate(
+        names=system.names,
+        beta=beta,
+        covariance=_covariance(bread, residual_norm, r),
+        weights=weights,
+        residual_norm=residual_norm,
+        condition_number=float(np.linalg.cond(r_factor(system.weighted(np.ones(len(weights)))[0]))),
+        condition_number_scaled=condition,
+        rows=r,
+        Q=Q,
+        bread=bread,
+    )
 
 
 def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
@@ -227,30 +231,6 @@ def _solve(Q: Array, W: Array, Y: Array) -> tuple[Array, Array, float, float]:
 def _covariance(bread: Array, residual_norm: float, rows: int) -> Array:
     """C (b, b) = s² bread breadᵀ; so many samples stand behind the rows."""
     return np.asarray(residual_norm**2 / (rows - 1) * (bread @ bread.T))
-
-
-def _estimate(
-    system: System, weights: Array, Q: Array, solution: tuple[Array, Array, float], condition_scaled: float
-) -> Estimate:
-    (beta, bread, residual_norm), r = solution, int(system.rows.sum())
-    return Estimate(
-        names=system.names,
-        beta=beta,
-        covariance=_covariance(bread, residual_norm, r),
-        weights=weights,
-        residual_norm=residual_norm,
-        condition_number=float(np.linalg.cond(r_factor(system.weighted(np.ones(len(weights)))[0]))),
-        condition_number_scaled=condition_scaled,
-        rows=r,
-        Q=Q,
-        bread=bread,
-    )
-
-
-def _refuse_few_rows(system: System) -> None:
-    r, b = int(system.rows.sum()), len(system.names)
-    if r <= b:
-        raise IdentificationError(key="decimated rows", value=r, expected=f"more than the {b} parameters")
 
 
 def _norms(W: Array) -> Array:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Estimate, InstrumentTests, Intervals, Reduction, TorqueError
+from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
-from ..report import Method, OwnTest, Status
+from ..report import Method, OwnTest, Status, TorqueError
 from ..simulation import DirectModelError, Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
 

@@ -9,7 +9,6 @@ import msgspec
 from msgspec import UNSET
 
 from ..data import Signals
-from ..estimation import TorqueError
 from ..regression import Settings, forward_backward_3db_hz
 from ..report import (
     ConsistentFile,
@@ -18,7 +17,6 @@ from ..report import (
     Doubt,
     EssentialSet,
     FitFile,
-    JointError,
     KnownLagFile,
     LagFile,
     LeftOut,
@@ -26,6 +24,7 @@ from ..report import (
     Provenance,
     RecordingOfFit,
     StandardParameter,
+    TorqueError,
     TrustLineFile,
     ValidationFile,
 )
@@ -107,7 +106,7 @@ def validation_file(
         **_on_recording(first.signals, first.settings, errors, warnings),
         fit=fit,
         recordings=each if len(each) > 1 else UNSET,
-        consistent_errors=[JointError(**vars(error)) for error in consistent] or UNSET,
+        consistent_errors=list(consistent) or UNSET,
     )
 
 
@@ -120,7 +119,7 @@ def _on_recording(
         "relative_error_percent": whole.relative_error_percent,
         "moving_relative_error_percent": whole.moving_relative_error_percent,
         "standing_relative_error_percent": whole.standing_relative_error_percent,
-        "joints": [JointError(**vars(error), unit=unit) for error, unit in zip(errors[:-1], units, strict=True)],
+        "joints": [msgspec.structs.replace(e, unit=u) for e, u in zip(errors[:-1], units, strict=True)],
         "sample_rate_hz": fs,
         "off_grid_periods": signals.off_grid,
         "cutoff_hz": cutoff_hz,

@@ -16,7 +16,6 @@ from ..data import Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
-    TorqueError,
     essential_parameters,
     instrumental_variables,
     lag_one,
@@ -25,7 +24,7 @@ from ..estimation import (
 )
 from ..model import BaseParameters
 from ..regression import Overrides, Settings, make_problem, torque_of_recording
-from ..report import Method
+from ..report import Method, TorqueError
 from ..simulation import Instruments
 from ..trust import covariance_of_all
 from .assess import evidence_of_ls, fit_of, intervals_along, intervals_of

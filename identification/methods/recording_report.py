@@ -7,9 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..data import ON_GRID, Signals
-from ..estimation import TorqueError
 from ..regression import Settings, forward_backward_3db_hz
-from ..report import Document, Number, OwnTest, Row, Section, Table, columns
+from ..report import Document, Number, OwnTest, Row, Section, Table, TorqueError, columns
 from .fit import FittedRecording
 
 ERROR_COLUMNS = ("all rows", "moving", "standing")

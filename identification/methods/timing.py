@@ -110,18 +110,17 @@ def _in_time(along: Along, solve: Solve) -> Along:
         try:
             recordings = replace(along, observed=observed).recordings
             steps, sd, reach = lags_in(recordings, groups, *observed.along(z), estimate)
-        except IdentificationError as error:
-            why = str(error)
+        except IdentificationError:
             break
         now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
-        values = [combined_lag(prior, data, "").value_s for prior, data in zip(known, found, strict=True)]
+        values = [combined_lag(prior, data).value_s for prior, data in zip(known, found, strict=True)]
         observed = _with_lags(observed, values)
         estimate = solve(z, observed)
         fs = observed.problem.signals.sample_rate_hz
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break
-    lags = [combined_lag(prior, data, why or "") for prior, data in zip(known, found, strict=True)]
+    lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
     columns, about = lag_columns(observed.observations, groups, estimate), observed.about(z)
     moves = lag_moves(about.regression, z.used, columns, estimate)
     return replace(along, observed=observed, estimate=estimate, lags=_named(observed, lags, moves))
@@ -138,7 +137,7 @@ def _not_looked_at(along: Along) -> str | None:
 
 def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
     """What is known of the lags, and what they move in least squares, which cannot find them."""
-    lags = [combined_lag(known, None, "least squares cannot tell it") for known in known_lags(observed)]
+    lags = [combined_lag(known, None) for known in known_lags(observed)]
     columns = lag_columns(observed.observations, lag_groups(observed), estimate)
     used = observed.regression.fast.T.reshape(-1).astype(float)
     return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
@@ -151,7 +150,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
     """
     (first,), found = of_beginning, []
     for group, known in zip(lag_groups(observed), known_lags(observed), strict=True):
-        lag = first if 0 in group else combined_lag(known, None, "")
+        lag = first if 0 in group else combined_lag(known, None)
         moved = first.moved / max(first.sd_s, 1e-12) * lag.sd_s
         names = tuple(observed.observations[k].problem.signals.recording for k in group)
         found.append(replace(lag, moved=moved[: len(estimate.names)], recordings=names))

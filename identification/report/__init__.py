@@ -6,6 +6,7 @@ from .comparison import (
     comparison_file,
     comparison_section,
     differences,
+    frame_lines,
 )
 from .document import (
     Cell,
@@ -36,12 +37,14 @@ from .fit_file import (
     OwnTest,
     Parameter,
     PassFile,
+    Provenance,
+    RecordingOfFit,
     StandardParameter,
     Status,
+    TorqueError,
     TrustLineFile,
+    ValidationFile,
     Verdict,
-    frame_lines,
     read_fit,
 )
-from .recording_file import JointError, Provenance, RecordingOfFit, ValidationFile
 from .renderers import check_report_file, print_whole, to_html, to_markdown, write_report

@@ -1,6 +1,7 @@
 """Two sets of parameters side by side: least squares and instrumental variables, a fit and the truth, two fits."""
 
 import math
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -60,17 +61,8 @@ def differences(a: ParameterSet, b: ParameterSet) -> list[Difference]:
             expected = f"{x.unit}, as in {a.label}"
             raise IdentificationError(place=b.label, key=f"{name}.unit", value=y.unit, expected=expected)
         off, sigma = x.value - y.value, math.hypot(x.spread, y.spread)
-        rows.append(
-            Difference(
-                name=name,
-                unit=x.unit,
-                a=x,
-                b=y,
-                off=off,
-                off_percent=100 * off / abs(y.value) if y.value else None,
-                off_sigma=off / sigma if sigma > 0 else None,
-            )
-        )
+        percent, in_sigma = 100 * off / abs(y.value) if y.value else None, off / sigma if sigma > 0 else None
+        rows.append(Difference(name=name, unit=x.unit, a=x, b=y, off=off, off_percent=percent, off_sigma=in_sigma))
     for name, y in b.parameters.items():
         if name not in partners.values():
             rows.append(Difference(name=f"{name} of {b.label}" if name in a.parameters else name, unit=y.unit, b=y))
@@ -117,8 +109,8 @@ def comparison_document(a: ParameterSet, b: ParameterSet, warnings: tuple[str, .
 
     Raises `IdentificationError`: as `differences` does.
     """
-    compared = comparison_section(a, b)
-    return Document(title=compared.title, sections=(replace(compared, title="", warnings=warnings),))
+    section = comparison_section(a, b)
+    return Document(title=section.title, sections=(replace(section, title="", warnings=warnings),))
 
 
 def comparison_section(a: ParameterSet, b: ParameterSet) -> Section:
@@ -157,3 +149,32 @@ class ComparisonFile(ResultFile, frozen=True, kw_only=True):
 def comparison_file(a: ParameterSet, b: ParameterSet) -> ComparisonFile:
     """A comparison as it goes into its JSON file."""
     return ComparisonFile(a=a.label, b=b.label, differences=differences(a, b))
+
+
+def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
+    """Compares the link frames of two fits: no lines, or one that says that they differ.
+
+    Equal names stand for different quantities then. `labels` name the two fits.
+    """
+    if not a.description or not b.description:
+        return []
+    frames = [_frames(fit.description, label) for fit, label in zip((a, b), labels, strict=True)]
+    if frames[0] == frames[1]:
+        return []
+    kinds = ["a URDF" if isinstance(one, str) else "DH rows" for one in frames]
+    which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
+    if kinds[0] != kinds[1]:
+        which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
+    compared = "parameters of links (XX to M) compare only where a link has the same frame in both"
+    return [f"the link frames differ: {which}; {compared}"]
+
+
+def _frames(description: dict[str, str], place: str) -> str | list[object]:
+    """What the link frames follow from: the URDF's text, or the DH rows."""
+    if "robot.urdf" in description:
+        return description["robot.urdf"]
+    try:
+        return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
+    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
+        expected = "the robot.toml that was fitted"
+        raise IdentificationError(place=place, key="description", value=str(error), expected=expected) from error

@@ -40,12 +40,7 @@ Cell = str | Number
 Row = tuple[Cell, ...]
 
 
-@dataclass(frozen=True)
-class Column:
-    """A column of a table; numbers stand at its right."""
-
-    heading: str
-    numeric: bool = False
+Columns = tuple[tuple[str, bool], ...]  # headings, and whether numbers are below, which stand at the right
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +50,7 @@ class Table:
     Raises `ValueError` where a row has another number of cells than there are columns.
     """
 
-    columns: tuple[Column, ...]
+    columns: Columns
     rows: tuple[Row, ...]
     total: bool = False
 
@@ -87,9 +82,9 @@ class Document:
         return replace(self, sections=(*self.sections, *sections))
 
 
-def columns(*texts: str, numbers: tuple[str, ...] = ()) -> tuple[Column, ...]:
+def columns(*texts: str, numbers: tuple[str, ...] = ()) -> Columns:
     """Columns of a table: those of `texts` by their headings, then those of `numbers`."""
-    return (*(Column(heading) for heading in texts), *(Column(heading, numeric=True) for heading in numbers))
+    return (*((heading, False) for heading in texts), *((heading, True) for heading in numbers))
 
 
 def value_form(sigma: float) -> str:

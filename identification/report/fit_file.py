@@ -1,21 +1,19 @@
-"""The JSON file of a fit: one type by which it is written and read.
+"""The JSON files of a fit and of a validation: one type by which each is written and read.
 
-Nothing here knows of the methods: who reads a file need not load what made it. Types of other rooms that go into a file go by
-their attributes' names.
+Nothing here knows of the methods: who reads a file need not load what made it.
 """
 
 import math
-import tomllib
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import msgspec
 from msgspec import UNSET, UnsetType
 
 from ..errors import IdentificationError
-from .document import FORMAT
-from .recording_file import AboveZero, OnRecording
+from .document import FORMAT, ResultFile
 
+AboveZero = Annotated[float, msgspec.Meta(gt=0)]
 Method = Literal["ols", "wls", "iv"]
 Status = Literal["solved", "converged", "not_confirmed", "max_iterations", "diverged"]
 Verdict = Literal["trust", "caution", "do not use"]
@@ -23,6 +21,29 @@ Level = Literal["do not use", "caution", "cannot tell", "not made", "ok"]
 
 NO_FIXED_POINT: tuple[Status, ...] = ("max_iterations", "diverged")
 PER_INTERVAL = 1.96  # deviations in half a 95 % interval
+
+
+class TorqueError(msgspec.Struct, frozen=True, kw_only=True):
+    """Relative torque error 100 |Y - W beta| / |Y| in percent, of all rows and of those that move and stand; the torque's unit.
+
+    A row moves where its joint is faster than 2 % of that joint's peak speed. None where there are no such rows or no torque.
+    `autocorrelation` is that of the residual at a lag of one decimated sample.
+    """
+
+    name: str = ""
+    relative_error_percent: float | None = None
+    moving_relative_error_percent: float | None = None
+    standing_relative_error_percent: float | None = None
+    moving_rows: int = 0
+    standing_rows: int = 0
+    autocorrelation: float | None = None
+    unit: str | UnsetType = UNSET
+
+    @property
+    def percent(self) -> float | None:
+        """Of the rows that move, or else of all."""
+        moving = self.moving_relative_error_percent
+        return self.relative_error_percent if moving is None else moving
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,10 +98,7 @@ class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StandardParameter(msgspec.Struct, frozen=True):
-    """A parameter of the consistent set, from the prior where the recording says less.
-
-    Base parameters have `move`, in half-widths of the fit; earlier files have none.
-    """
+    """A parameter of the consistent set, from the prior where the recording says less; `move`, in half-widths of the fit."""
 
     name: str
     value: float
@@ -91,10 +109,8 @@ class StandardParameter(msgspec.Struct, frozen=True):
 
 
 class ConsistentFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The consistent set: what was expected, how far it is from the estimate, its torque error beside the estimate's.
-
-    That distance is chi², and the largest move in half-widths of a 95 % interval; the certificate is the Newton decrement.
-    Files of earlier versions may have another weight of the prior.
+    """The consistent set: what was expected, how far it is from the estimate (chi², and the largest move in half-widths), its
+    torque error, and the Newton decrement. Files of earlier versions may have another weight of the prior.
     """
 
     prior: str
@@ -126,10 +142,7 @@ class KnownLagFile(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class LagFile(msgspec.Struct, frozen=True, kw_only=True):
-    """The lag of a recording's torque, s, positive where it is late, that a fit corrects and counts in its intervals.
-
-    It is that of other recordings of the same timing, effort objects and rate too.
-    """
+    """The lag of a recording's torque, s, positive where it is late, that a fit corrects and counts in its intervals."""
 
     value_s: float
     half_width_s: float
@@ -159,7 +172,7 @@ class Assumed(msgspec.Struct, frozen=True):
 class OwnTest(msgspec.Struct, frozen=True, kw_only=True):
     """The F test of own parameters of recordings, `names`, against shared ones: a small p says that they differ.
 
-    `F_effective` and `p_effective` count only as many independent rows as the residual's correlation leaves.
+    Those called effective count only as many independent rows as the residual's correlation leaves.
     """
 
     names: tuple[str, ...]
@@ -190,6 +203,54 @@ class DirectModelErrorFile(msgspec.Struct, frozen=True, kw_only=True):
     name: str
     position_error_percent: float | None
     torque_error_percent: float | None
+
+
+class Provenance(msgspec.Struct, frozen=True, kw_only=True):
+    """Where a result comes from: the recording by name and digest, the robot, the versions."""
+
+    recording: str
+    sha256: str
+    robot: str
+    versions: dict[str, str]
+
+
+class RecordingOfFit(msgspec.Struct, frozen=True, kw_only=True):
+    """One of several recordings of a fit or a validation. `held_out_error_percent` is that of the fit of the others; null where
+    these do not determine the parameters `undetermined`, and in a validation.
+    """
+
+    recording: str
+    sha256: str
+    sample_rate_hz: float
+    decimation: int
+    samples: tuple[int, int]
+    relative_error_percent: float | None
+    moving_relative_error_percent: float | None
+    held_out_error_percent: float | None = None
+    undetermined: list[str] = msgspec.field(default_factory=list)
+
+
+class OnRecording(ResultFile, frozen=True, kw_only=True):
+    """What a fit and a validation have in common: torque errors, of all joints and one by one, settings, warnings."""
+
+    warnings: list[str] = msgspec.field(default_factory=list)
+    relative_error_percent: float | None = None
+    moving_relative_error_percent: float | None = None
+    standing_relative_error_percent: float | None = None
+    joints: list[TorqueError] = msgspec.field(default_factory=list)
+    sample_rate_hz: AboveZero | None = None
+    off_grid_periods: float = 0.0
+    cutoff_hz: AboveZero | None = None
+    cutoff_forward_backward_3db_hz: float | None = None
+    decimation: Annotated[int, msgspec.Meta(ge=1)] | None = None
+    edges: Literal["smooth", "matlab"] | None = None
+    low_speed_percent: dict[Literal["ls", "iv"], float | None] | None = None
+    torque_lag_s: float | None = None
+    span: str = ""
+    span_rule: Literal["motion", "all"] | None = None
+    samples: tuple[int, int] | None = None
+    provenance: Provenance | None = None
+    recordings: list[RecordingOfFit] | UnsetType = UNSET
 
 
 class FitFile(OnRecording, frozen=True, kw_only=True):
@@ -238,6 +299,13 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
         return [f"{place}: {text}" for text in (*status, *(doubt.text for doubt in self.doubts if doubt.severe))]
 
 
+class ValidationFile(OnRecording, frozen=True, kw_only=True):
+    """The JSON file of `validate`: errors of a fit, by its file's name, and of its consistent set, that of all joints last."""
+
+    fit: str
+    consistent_errors: list[TorqueError] | UnsetType = UNSET
+
+
 def read_fit(path: Path) -> FitFile:
     """Read a fit's JSON file, or one of known values.
 
@@ -260,33 +328,3 @@ def read_fit(path: Path) -> FitFile:
             place=str(path), key="parameters", expected="finite values, sigmas of at least 0, low not above high"
         )
     return stored
-
-
-def frame_lines(a: FitFile, b: FitFile, labels: tuple[str, str]) -> list[str]:
-    """Compares the link frames of two fits: no lines, or one that says that they differ.
-
-    Equal names stand for different quantities then. `labels` name the two fits.
-    """
-    if not a.description or not b.description:
-        return []
-    frames = [_frames(fit.description, label) for fit, label in zip((a, b), labels, strict=True)]
-    if frames[0] == frames[1]:
-        return []
-    kinds = ["a URDF" if isinstance(one, str) else "DH rows" for one in frames]
-    which = "two different URDFs" if kinds[0] == "a URDF" else "two different DH rows"
-    if kinds[0] != kinds[1]:
-        which = f"{labels[0]} has {kinds[0]}, {labels[1]} {kinds[1]}"
-    return [
-        f"the link frames differ: {which}; parameters of links (XX to M) compare only where a link has the same frame in both"
-    ]
-
-
-def _frames(description: dict[str, str], place: str) -> str | list[object]:
-    """What the link frames follow from: the URDF's text, or the DH rows."""
-    if "robot.urdf" in description:
-        return description["robot.urdf"]
-    try:
-        return [joint["dh"] for joint in tomllib.loads(description["robot.toml"])["joint"]]
-    except (tomllib.TOMLDecodeError, KeyError, TypeError) as error:
-        expected = "the robot.toml that was fitted"
-        raise IdentificationError(place=place, key="description", value=str(error), expected=expected) from error

@@ -62,8 +62,8 @@ def _print_line(console: Console, text: str, style: str = "") -> None:
 
 def _rich_table(table: Table) -> RichTable:
     drawn = RichTable()
-    for column in table.columns:
-        drawn.add_column(Text(column.heading), justify="right" if column.numeric else "left")
+    for heading, numeric in table.columns:
+        drawn.add_column(Text(heading), justify="right" if numeric else "left")
     for number, row in enumerate(table.rows, 1):
         if table.total and number == len(table.rows):
             drawn.add_section()
@@ -98,29 +98,20 @@ def _set_close(column: Column) -> None:
 
 def to_markdown(document: Document) -> str:
     """The report as Markdown; text of the report, such as a robot's name, is never taken for markup."""
-    parts = [
-        f"# {_plain(document.title)}",
-        *(part for section in document.sections for part in _markdown_section(section)),
-    ]
+    parts = [f"# {_plain(document.title)}"]
+    for section in document.sections:
+        parts += [f"## {_plain(section.title)}"] if section.title else []
+        parts += [_markdown_table(section.table)] if section.table else []
+        lines = [f"- **warning: {_plain(text)}**" for text in section.warnings]
+        lines += [f"- {_plain(text)}" for text in section.lines]
+        parts += ["\n".join(lines)] if lines else []
     return "\n\n".join(parts) + "\n"
 
 
-def _markdown_section(section: Section) -> list[str]:
-    lines = [
-        *(f"- **warning: {_plain(text)}**" for text in section.warnings),
-        *(f"- {_plain(text)}" for text in section.lines),
-    ]
-    return [
-        *([f"## {_plain(section.title)}"] if section.title else []),
-        *([_markdown_table(section.table)] if section.table else []),
-        *(["\n".join(lines)] if lines else []),
-    ]
-
-
 def _markdown_table(table: Table) -> str:
-    rows = [[column.heading for column in table.columns], *([cell_text(cell) for cell in row] for row in table.rows)]
+    rows = [[heading for heading, _ in table.columns], *([cell_text(cell) for cell in row] for row in table.rows)]
     heading, *body = ["| " + " | ".join(_plain(text).replace("|", r"\|") for text in row) + " |" for row in rows]
-    return "\n".join([heading, f"|{'|'.join('--:' if c.numeric else '---' for c in table.columns)}|", *body])
+    return "\n".join([heading, f"|{'|'.join('--:' if numeric else '---' for _, numeric in table.columns)}|", *body])
 
 
 def _plain(text: str) -> str:
@@ -130,22 +121,17 @@ def _plain(text: str) -> str:
 
 def to_html(document: Document) -> str:
     """The report as HTML; text of the report, such as a robot's name, is never taken for markup."""
-    return "\n".join(
-        [_element("h3", document.title), *(part for section in document.sections for part in _html_section(section))]
-    )
-
-
-def _html_section(section: Section) -> list[str]:
-    return [
-        *([_element("h4", section.title)] if section.title else []),
-        *([_html_table(section.table)] if section.table else []),
-        *(_element("p", text) for text in section.lines),
-        *(_element("p", f"warning: {text}") for text in section.warnings),
-    ]
+    parts = [_element("h3", document.title)]
+    for section in document.sections:
+        parts += [_element("h4", section.title)] if section.title else []
+        parts += [_html_table(section.table)] if section.table else []
+        parts += [_element("p", text) for text in section.lines]
+        parts += [_element("p", f"warning: {text}") for text in section.warnings]
+    return "\n".join(parts)
 
 
 def _html_table(table: Table) -> str:
-    heading = "".join(_element("th", column.heading) for column in table.columns)
+    heading = "".join(_element("th", heading) for heading, _ in table.columns)
     rows = ("".join(_element("td", cell_text(cell)) for cell in row) for row in table.rows)
     return f"<table><tr>{heading}</tr>\n{''.join(f'<tr>{row}</tr>' for row in rows)}</table>"
 

@@ -7,7 +7,7 @@ instruments c is the column of the simulated motion, so that noise of the positi
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -15,11 +15,11 @@ from acquisition.robot import Joint
 
 from ..arrays import Array
 from ..estimation import deviations_of_sums
-from ..model import JointTerm, direct_model
+from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
-from .evidence import Evidence, RecordingData
+from ..report import Method
+from .evidence import Evidence, RecordingData, TrustLine
 from .lag import simulated_rates
-from .lines import TrustLine
 
 MIN_T = 5.0  # deviations that chance does not explain
 TAKEN_PERCENT = 2.0  # of the residual's square
@@ -32,41 +32,36 @@ ALIKE_PERCENT = 2.0  # of the residual's square: kinds that take as much cannot 
 MIN_INDEPENDENT_NORM = 0.02  # share of a column's norm that W must not contain for its coefficient to say anything
 
 
-@dataclass(frozen=True, eq=False)
-class _Column:
-    """A torque (T, n) that the model lacks, per unit of its coefficient, the joint or axis it belongs to, and what to do."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class MissingTerm:
+    """What the model may lack.
+
+    Attributes:
+        kind, where: what it is, and the joint or axis that it belongs to.
+        torque: (T, n) per unit of its coefficient.
+        unit, advice: of the coefficient; what to do.
+        value, t: its coefficient, and that in deviations.
+        taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
+        moves: half-widths by which it moves the essential parameter that it moves most.
+    """
 
     kind: str
     where: str
     torque: Array
     unit: str
     advice: str
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class MissingTerm:
-    """What the model may lack.
-
-    Attributes:
-        column: what it is.
-        value, t: its coefficient, and that in deviations.
-        taken_percent: share of the residual's square that it takes; `together_percent` that of all columns of its kind.
-        moves: half-widths by which it moves the essential parameter that it moves most.
-    """
-
-    column: _Column
-    value: float
-    t: float
-    taken_percent: float
-    together_percent: float
-    moves: float
+    value: float = 0.0
+    t: float = 0.0
+    taken_percent: float = 0.0
+    together_percent: float = 0.0
+    moves: float = 0.0
 
     @property
     def found(self) -> bool:
         """Whether chance does not explain it, and it matters."""
-        if self.column.kind == LAG:  # it hardly shows in the residual
+        if self.kind == LAG:  # it hardly shows in the residual
             return abs(self.t) > MIN_T and self.moves > 1
-        least = SPRING_TAKEN_PERCENT if self.column.kind == SPRING else TAKEN_PERCENT
+        least = SPRING_TAKEN_PERCENT if self.kind == SPRING else TAKEN_PERCENT
         return abs(self.t) > MIN_T and self.taken_percent > least
 
 
@@ -79,24 +74,16 @@ def added_columns_test(evidence: Evidence) -> TrustLine:
         return TrustLine(name, "not made", "not made: the model contains all that is tried")
     found = [term for term in terms if term.found]
     first = max(found or terms, key=_rank)
-    column = first.column
-    strongest = f"{column.kind} {column.where} {first.value:.3g} {column.unit}".rstrip()
+    strongest = f"{first.kind} {first.where} {first.value:.3g} {first.unit}".rstrip()
     strongest += f" (t {first.t:.1f}) takes {first.taken_percent:.1f} % of the residual"
     if not found:
-        return TrustLine(
-            name, "ok", f"none of {len(terms)} matters; the first, {strongest}{_untried(evidence)}", first.t
-        )
+        robot = evidence.problem.signals.robot
+        untried = "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
+        untried = "; one joint has no relative gain" if robot.n == 1 else untried
+        return TrustLine(name, "ok", f"none of {len(terms)} matters; the first, {strongest}{untried}", first.t)
     more = f"; {len(found) - 1} more beyond t = {MIN_T:g}" if len(found) > 1 else ""
-    finding = f"{column.kind} {column.where}{'' if column.kind in (TILT, LAG, DRIFT) else ' missing'}"
-    return TrustLine(name, "caution", f"{strongest}{more}: {column.advice}", first.t, finding=finding)
-
-
-def _untried(evidence: Evidence) -> str:
-    """Why relative gains were not tried, where they were not."""
-    robot = evidence.problem.signals.robot
-    if robot.n == 1:
-        return "; one joint has no relative gain"
-    return "" if robot.gain_known else "; relative gains not tried: the drive gains are not known"
+    finding = f"{first.kind} {first.where}{'' if first.kind in (TILT, LAG, DRIFT) else ' missing'}"
+    return TrustLine(name, "caution", f"{strongest}{more}: {first.advice}", first.t, finding=finding)
 
 
 def _rank(term: MissingTerm) -> tuple[float, float]:
@@ -105,8 +92,8 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     Asymmetric Coulomb friction is an offset as well: where both take as much, the description of the former has both. A tilt
     of gravity follows the position, as springs do.
     """
-    ahead = ALIKE_PERCENT if term.column.kind in (ASYMMETRIC, TILT) else 0.0
-    behind = 0.5 if term.column.kind == SPRING else 1.0
+    ahead = ALIKE_PERCENT if term.kind in (ASYMMETRIC, TILT) else 0.0
+    behind = 0.5 if term.kind == SPRING else 1.0
     return behind * term.together_percent + ahead, term.taken_percent
 
 
@@ -142,8 +129,8 @@ def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
         left = rows.rho - apart @ np.linalg.lstsq(z[:, own].T @ C[:, own], z[:, own].T @ rows.rho, rcond=1e-6)[0]
         together[kind] = 100 * (1 - float(left @ left) / whole)
     return tuple(
-        MissingTerm(
-            column=column,
+        replace(
+            column,
             value=float(value),
             t=float(value / s) if s > 0 else 0.0,
             taken_percent=float(percent),
@@ -155,7 +142,7 @@ def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
     )
 
 
-def _motion(part: RecordingData, method: str) -> tuple[Motion, Decimation]:
+def motion_of(part: RecordingData, method: Method) -> tuple[Motion, Decimation]:
     """The motion that columns are made of, and its decimation to the rows: simulated along instruments, else measured."""
     settings = part.problem.settings
     if method == "iv" and part.simulated is not None and part.decimation is not None:
@@ -163,138 +150,79 @@ def _motion(part: RecordingData, method: str) -> tuple[Motion, Decimation]:
     return part.problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
 
 
-def _columns(evidence: Evidence) -> Iterator[_Column]:
-    problem = evidence.problem
-    robot, idm, base = problem.signals.robot, problem.model, problem.base
-    chi = np.zeros(idm.p)
-    chi[base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
-    n, T = robot.n, len(evidence.observed.tau)
+def _columns(evidence: Evidence) -> Iterator[MissingTerm]:
+    problem, robot, idm = evidence.problem, evidence.problem.signals.robot, evidence.problem.model
+    chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
+    chi[problem.base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
+    links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
-    speed, slow, position = (np.concatenate(x) for x in zip(*_speeds(evidence), strict=True))
+    speed, slow, position, root, load = (np.concatenate(x) for x in zip(*_series(evidence, links), strict=True))
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}
-    for j, joint in enumerate(robot.joints):
-        only, effort, where = np.eye(n)[j], robot.effort_units[j], f"of joint {joint.name}"
-        resists = "viscous" in joint.terms or "coulomb" in joint.terms
-        if resists and not joint.one_sided and "asymmetric" not in joint.terms:
+
+    def of_joint(j: int, kind: str, torque: Array, unit: str, advice: str) -> MissingTerm:
+        where, torque = f"of joint {joints[j].name}", np.outer(torque, np.eye(n)[j])
+        return MissingTerm(kind=kind, where=where, torque=torque, unit=unit, advice=advice)
+
+    for j, joint in enumerate(joints):
+        terms, effort = joint.terms, efforts[j]
+        if {"viscous", "coulomb"} & set(terms) and not joint.one_sided and "asymmetric" not in terms:
+            advice = _to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too')
             resisting = value.get(f"Fc{j + 1}", 0.0) + value.get(f"Fv{j + 1}", 0.0) * speed[:, j]
-            yield _Column(
-                ASYMMETRIC,
-                where,
-                0.01 * np.outer(resisting, only),
-                "% of it",
-                _to_describe(joint, "asymmetric", 'friction = "asymmetric", which has an offset too'),
-            )
-        if "offset" not in joint.terms:
-            advice = _to_describe(joint, "offset", "offset = true")
-            yield _Column(OFFSET, where, np.tile(only, (T, 1)), effort, advice)
-        yield _Column(
-            DRIFT,
-            where,
-            np.outer(time, only),
-            f"{effort} over the recording",
-            "warm the robot up, or record a shorter motion",
-        )
-        yield _Column(
-            SPRING,
-            where,
-            np.outer(position[:, j], only),
-            f"{effort}/{joint.position_unit}",
-            "record its torque, of a spring, a hose or a weight, as known_torque",
-        )
-        if "stribeck" not in joint.terms:
-            yield _Column(
-                STRIBECK,
-                where,
-                np.outer(slow[:, j], only),
-                effort,
-                "leave out slow rows by a larger --low-speed-percent",
-            )
-    yield from _tilts(evidence, chi, position)
-    yield from _frictions(evidence, chi)
+            yield of_joint(j, ASYMMETRIC, 0.01 * resisting, "% of it", advice)
+        if "offset" not in terms:
+            yield of_joint(j, OFFSET, np.ones_like(time), effort, _to_describe(joint, "offset", "offset = true"))
+        yield of_joint(j, DRIFT, time, f"{effort} over the recording", "warm the robot up, or record a shorter motion")
+        advice = "record its torque, of a spring, a hose or a weight, as known_torque"
+        yield of_joint(j, SPRING, position[:, j], f"{effort}/{joint.position_unit}", advice)
+        if "stribeck" not in terms:
+            yield of_joint(j, STRIBECK, slow[:, j], effort, "leave out slow rows by a larger --low-speed-percent")
+    # Torque per rad that gravity is turned by about the base's x and y; of what the estimate says of the links alone.
+    for axis, about in zip(np.eye(3), "xyz", strict=True):
+        if (turned := np.cross(axis, np.array(robot.gravity))).any():
+            torque, advice = links.gravity(position, along=turned), "level the base, or set gravity_m_s2"
+            yield MissingTerm(kind=TILT, where=f"about {about}", torque=torque, unit="rad", advice=advice)
+    for along, column in zip(idm.coulomb_directions, root.T, strict=True):
+        j = int(np.flatnonzero(along)[-1])
+        if "root" not in joints[j].terms:
+            where = f"of{' the motor of' if np.count_nonzero(along) > 1 else ''} joint {joints[j].name}"
+            unit = f"{efforts[j]} ({joints[j].position_unit}/s)^-½"
+            yield MissingTerm(kind=ROOT, where=where, torque=np.outer(column, along), unit=unit, advice=SELECT)
+    yield from (
+        of_joint(j, LOAD, load[:, j], "", SELECT) for j, joint in enumerate(joints) if "load" not in joint.terms
+    )
     if (
         n > 1
         and evidence.method == "iv"
         and all(x.simulated and x.reference == "recorded" for x in evidence.recordings)
     ):
-        yield from _lags(evidence)
+        # in fast rows: beside reversals friction that rises smoothly looks like a lag
+        late = np.concatenate([(-1e-3 * rate * fast).T for rate, fast in map(simulated_rates, evidence.recordings)])
+        advice = "look at how its effort is filtered or stamped"
+        yield from (of_joint(j, LAG, late[:, j], "ms", advice) for j in range(n))
     if n > 1 and robot.gain_known:
-        yield from _gains(evidence)
+        # What the estimate predicts of a drive's torque: the coefficient is its gain over that of the others, less 1.
+        drives = evidence.observed.predicted(evidence.estimate.among(evidence.observed.system.names))
+        drives = drives - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
+        advice = "check its drive_gain and ratio against those of the other joints"
+        yield from (of_joint(j, "relative gain", 0.01 * drives[:, j], "%", advice) for j in range(n))
 
 
-def _speeds(evidence: Evidence) -> Iterator[tuple[Array, Array, Array]]:
-    """Of each recording |dq|, what Stribeck friction has more at low speed, and positions: decimated, (rows, n)."""
-    motions = [_motion(part, evidence.method) for part in evidence.recordings]
+def _series(evidence: Evidence, links: DirectModel) -> Iterator[tuple[Array, ...]]:
+    """Of each recording, decimated (rows, n): |dq|, what Stribeck friction has more at low speed, positions, the root of speed
+    along each direction of Coulomb friction, and friction by load.
+    """
+    motions = [motion_of(part, evidence.method) for part in evidence.recordings]
+    directions = evidence.problem.model.coulomb_directions
     fastest = np.max([np.abs(motion.dq).max(axis=0) for motion, _ in motions], axis=0)
     for motion, decimation in motions:
         slow = np.sign(motion.dq) * np.exp(-((motion.dq / (SLOW * np.maximum(fastest, 1e-300))) ** 2))
-        speed, slowly = (decimation.filtered(x.T).T for x in (np.abs(motion.dq), slow))
-        yield speed, slowly, decimation.kept(motion.q)
+        slip = motion.dq @ directions.T
+        root = np.sign(slip) * np.sqrt(np.abs(slip))
+        load = np.abs(links.torque(motion.q, motion.dq, motion.ddq)) * np.sign(motion.dq)
+        rounded = [decimation.filtered(x.T).T for x in (np.abs(motion.dq), slow, root, load)]
+        yield rounded[0], rounded[1], decimation.kept(motion.q), *rounded[2:]
 
 
 def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
     """What to do for a friction term, of a joint whose terms are a list or go by keys."""
     return f'add "{term}" to its friction' if isinstance(joint.friction, tuple) else f"describe it as {otherwise}"
-
-
-def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
-    """Torque per rad that gravity is turned by about the base's x and y; of what the estimate tells of the links alone."""
-    robot, idm = evidence.problem.signals.robot, evidence.problem.model
-    links = np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0)
-    gravity = np.array(robot.gravity)
-    for axis, about in zip(np.eye(3), "xyz", strict=True):
-        turned = np.cross(axis, gravity)
-        if not turned.any():
-            continue
-        torque = direct_model(idm, links).gravity(q, along=turned)
-        yield _Column(TILT, f"about {about}", torque, "rad", "level the base, or set gravity_m_s2")
-
-
-def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
-    """Friction by the root of speed along each direction of Coulomb friction, and by the load of each joint."""
-    robot, idm = evidence.problem.signals.robot, evidence.problem.model
-    links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
-    roots, loads = list[Array](), list[Array]()
-    for part in evidence.recordings:
-        motion, decimation = _motion(part, evidence.method)
-        slip = motion.dq @ idm.coulomb_directions.T
-        rigid = links.torque(motion.q, motion.dq, motion.ddq)
-        roots.append(decimation.filtered((np.sign(slip) * np.sqrt(np.abs(slip))).T).T)
-        loads.append(decimation.filtered((np.abs(rigid) * np.sign(motion.dq)).T).T)
-    root, load = np.concatenate(roots), np.concatenate(loads)
-    for along, column in zip(idm.coulomb_directions, root.T, strict=True):
-        joint = robot.joints[int(np.flatnonzero(along)[-1])]
-        where = f"of joint {joint.name}" if np.count_nonzero(along) == 1 else f"of the motor of joint {joint.name}"
-        if "root" not in joint.terms:
-            unit = f"{robot.effort_units[int(np.flatnonzero(along)[-1])]} ({joint.position_unit}/s)^-½"
-            yield _Column(ROOT, where, np.outer(column, along), unit, SELECT)
-    for j, joint in enumerate(robot.joints):
-        if "load" not in joint.terms:
-            torque = np.outer(load[:, j], np.eye(robot.n)[j])
-            yield _Column(LOAD, f"of joint {joint.name}", torque, "", SELECT)
-
-
-def _lags(evidence: Evidence) -> Iterator[_Column]:
-    """The torque's rate of each joint, in fast rows: beside reversals friction that rises smoothly looks like a lag."""
-    rates, robot = list[Array](), evidence.problem.signals.robot
-    for part in evidence.recordings:
-        rate, fast = simulated_rates(part)
-        rates.append((-1e-3 * rate * fast).T)
-    for j, joint in enumerate(robot.joints):
-        torque = np.outer(np.concatenate(rates)[:, j], np.eye(robot.n)[j])
-        advice = "look at how its effort is filtered or stamped"
-        yield _Column(LAG, f"of joint {joint.name}", torque, "ms", advice)
-
-
-def _gains(evidence: Evidence) -> Iterator[_Column]:
-    """Torque of each joint's drive that the estimate predicts: the coefficient is its gain over that of the others, less 1."""
-    observed, names = evidence.observed, evidence.observed.system.names
-    predicted = observed.predicted(evidence.estimate.among(names))
-    predicted = predicted - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
-    for j, joint in enumerate(evidence.problem.signals.robot.joints):
-        yield _Column(
-            "relative gain",
-            f"of joint {joint.name}",
-            0.01 * np.where(np.arange(predicted.shape[1]) == j, predicted, 0.0),
-            "%",
-            "check its drive_gain and ratio against those of the other joints",
-        )

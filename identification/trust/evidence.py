@@ -1,6 +1,5 @@
-"""What the tests of a fit look at: everything computed on the way to the estimate, so that nothing is simulated again."""
+"""What the tests of a fit look at, computed on the way to the estimate; the lines that they give, and their verdict."""
 
-from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal
@@ -11,11 +10,76 @@ from ..arrays import Array
 from ..data import PositionSteps
 from ..estimation import BlockSums, Estimate, Intervals, Scores, System, scores_of_recordings, slices
 from ..regression import NOTHING, Decimation, KnownLag, Motion, Problem, Regression, RowStates
-from ..report import Assumed
-from .lines import TrustLine
+from ..report import Assumed, Level, Method, Verdict
 
-LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
+LEVELS: tuple[Level, ...] = ("do not use", "caution", "cannot tell", "not made", "ok")  # worst first
+ILL_CONDITIONED = (
+    "not made: the parameters of a long recording are too ill-conditioned for it; fit a part of it, or with --essential"
+)
 MAX_SUMS_ERROR = 1e-6  # of the products of orthonormal columns, by which sums of squares may be off
+
+
+@dataclass(frozen=True, kw_only=True)
+class Figure:
+    """What a test found at one joint, motor or block of time: the value, half its 95 % interval, and the value expected."""
+
+    name: str
+    value: float
+    half_width: float = 0.0
+    expected: float = 0.0
+
+
+@dataclass(frozen=True)
+class TrustLine:
+    """One test of a fit.
+
+    Attributes:
+        test: its name, such as `lag`.
+        level: `not made` where the test could not be made, `cannot tell` where it says nothing either way.
+        text: one sentence with the figure, and what to do.
+        value: its figure, None where there is none.
+        finding: the same in a few words, for the first line of a report.
+        figures: its figures one by one, to be drawn, in `unit`.
+        far_off: whether held-out errors are so far above the trained ones that other doubts weigh more.
+    """
+
+    test: str
+    level: Level
+    text: str
+    value: float | None = None
+    finding: str = ""
+    figures: tuple[Figure, ...] = ()
+    unit: str = ""
+    far_off: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trust:
+    """All tests of a fit, worst first, and what none of them tests. A test that was not made says nothing either way."""
+
+    lines: tuple[TrustLine, ...]
+    assumed: tuple[Assumed, ...] = ()
+
+    def line(self, test: str) -> TrustLine:
+        """That of a test."""
+        return next(line for line in self.lines if line.test == test)
+
+    @property
+    def severe(self) -> tuple[str, ...]:
+        """Why the result is not to be used, test by test; empty where it may be."""
+        return tuple(line.text for line in self.lines if line.level == "do not use")
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst level."""
+        levels = {line.level for line in self.lines}
+        return "do not use" if "do not use" in levels else "caution" if "caution" in levels else "trust"
+
+    @property
+    def finding(self) -> str:
+        """The worst finding in a few words; empty where there is none."""
+        worst = self.lines[0]
+        return (worst.finding or worst.test) if worst.level in ("do not use", "caution") else ""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -23,7 +87,7 @@ class RecordingData:
     """A recording as a fit and its tests see it.
 
     Attributes:
-        problem: recording, settings and model; without samples where rows are reduced and recordings are several.
+        problem: without samples where rows are reduced and recordings are several.
         regression: its W and Y.
         poses: (P, n) positions at which the inertia matrix M is looked at.
         replay: the described control law against the recorded effort; `replay_lag` what that tells of the torque's lag.
@@ -31,9 +95,8 @@ class RecordingData:
         t_s: (rows,) instants of its decimated rows, s.
         states: some rows and the motion at them, at which friction is looked at; None where it has the usual terms alone.
         parameters: (b,) names of its base parameters among those of the system, in the order of the base parameters.
-        simulated: motion of the robot simulated in the recorded experiment, at a multiple of the rows' rate, with
-            `decimation` to the rows; None where there is none.
-        reference: `recorded`, or `surrogate` where the measured position stands in; None where nothing was simulated.
+        simulated: motion of the robot simulated in it, at a multiple of the rows' rate, with `decimation` to the rows.
+        reference: of that: `surrogate` where the measured position stands in for it.
     """
 
     problem: Problem
@@ -49,7 +112,7 @@ class RecordingData:
     decimation: Decimation | None = None
     reference: Literal["recorded", "surrogate"] | None = None
 
-    @property
+    @cached_property
     def known_lag(self) -> KnownLag:
         """What is known of its torque's lag without an estimate."""
         known, replayed = self.problem.settings.known_lag, self.replay_lag
@@ -65,7 +128,7 @@ class Lag:
     Attributes:
         value_s, sd_s: what is corrected, and its deviation, which the intervals count; half a 95 % interval is `reach` of them.
         source: what it follows from; `prior`: what is known of it without a fit.
-        found: value and deviation by the instruments alone, and the reach; None where they say nothing, `why` not.
+        found: value and deviation by the instruments alone, and the reach; None where they say nothing.
         delay_s: time from command to torque and half its interval, where the described controller could be replayed.
         moved: (b,) by how much one deviation of the lag moves each parameter.
         recordings: their names.
@@ -77,7 +140,6 @@ class Lag:
     source: str
     prior: KnownLag
     found: tuple[float, float, float] | None
-    why: str = ""
     delay_s: tuple[float, float] | None = None
     moved: Array = field(default_factory=lambda: np.zeros(0))
     recordings: tuple[str, ...] = ()
@@ -95,27 +157,24 @@ class Evidence:
     Attributes:
         recordings: in the order of the rows.
         observed: W and Y of all decimated rows; reduced to QR factors for long recordings.
-        method: by which the estimate was found.
         fixed_point: whether the method ended in one; always of least squares.
         unconfirmed: the status and its reason, where the method did not end in a fixed point that a simulation confirms.
         estimate: of the base parameters, fewer where only the essential ones were kept.
         predicted: (rows, n) torque that it predicts.
         used: (n rows,) samples that it rests on, joint by joint, 1 and 0: the rows of the system where these are not reduced.
-        intervals: of the estimate's parameters.
         least_squares: weighted least squares of all base parameters on the same recordings.
         Z: (r, b) instruments of all base parameters in the rows of W, None after least squares.
-        first_stage_F: of the instruments, None without.
         factors: where rows are reduced and recordings several, the reduced system and instruments of each.
         blocks: where rows are reduced, sums over the blocks of time of each recording.
         position_noise: whether noise of the position biases least squares; None of instrumental variables.
         looked_at: where rows are reduced, the evidence of the beginning of the first recording, which has rows.
-        lags: of the torques, those of each group of recordings alike.
+        lags: those of each group of recordings alike.
         essential: names of the parameters that the recordings determine well.
     """
 
     recordings: tuple[RecordingData, ...]
     observed: Regression
-    method: Literal["ols", "wls", "iv"]
+    method: Method
     fixed_point: bool
     estimate: Estimate
     predicted: Array
@@ -158,11 +217,8 @@ class Evidence:
         rho, tau = (x[part] * counts for x in (self.observed.tau - self.predicted, self.observed.tau))
         sizes = float(np.sum(rho**2)), float(np.sum(tau**2))
         if self.blocks:
-            each = self._blocks(part)
-            QQ, QW, QY, WW, WY = (
-                np.sum([getattr(own, name).sum(axis=0) for own in each], axis=0)
-                for name in ("QQ", "QW", "QY", "WW", "WY")
-            )
+            each = [own.total for own in self._blocks(part)]
+            QQ, QW, QY, WW, WY = (sum(arrays) for arrays in zip(*each, strict=True))
             W_rho = WY - WW @ estimate.beta
         else:
             rows = self.rows
@@ -180,7 +236,8 @@ class Evidence:
             return [own.scores(beta, bread, basis) for own in self._blocks(part) if len(own.QY)]
         rows = self.rows
         Q, W, Y = (part_of(x, n, part) for x in (self.estimate.Q, rows.W, rows.Y))
-        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), self._instants(part))
+        instants = [last - first for first, last in self._within(part) if last > first]
+        return scores_of_recordings(Q @ basis, bread, (Y - W @ beta).reshape(n, -1), instants)
 
     def aligned(self, part: slice) -> slice:
         """The instants of the blocks of time nearest to a part of the time; the part itself where rows are held."""
@@ -196,25 +253,19 @@ class Evidence:
         """Whether sums over blocks, of squares, still have the digits that tests need: Q'Q = 1 and Q'W bread = 1."""
         if not self.blocks:
             return True
-        QQ, QW = (sum(getattr(own, name).sum(axis=0) for own in self.blocks) for name in ("QQ", "QW"))
+        QQ, QW, *_ = (sum(arrays) for arrays in zip(*(own.total for own in self.blocks), strict=True))
         one = np.eye(len(self.estimate.beta))
         return bool(max(np.abs(QQ - one).max(), np.abs(QW @ self.estimate.bread - one).max()) < MAX_SUMS_ERROR)
 
     def _within(self, part: slice) -> list[tuple[int, int]]:
         """What a part of the time has of each recording: first and last instant, counted from the recording's start."""
-        return [
-            (
-                min(max(part.start, own.start), own.stop) - own.start,
-                max(min(part.stop, own.stop), own.start) - own.start,
-            )
-            for own in slices(self.observed.parts)
+        ends = [
+            np.clip((part.start, part.stop), own.start, own.stop) - own.start for own in slices(self.observed.parts)
         ]
+        return [(int(first), int(last)) for first, last in ends]
 
     def _blocks(self, part: slice) -> list[BlockSums]:
         return [own.between(*ends) for own, ends in zip(self.blocks, self._within(part), strict=True)]
-
-    def _instants(self, part: slice) -> list[int]:
-        return [last - first for first, last in self._within(part) if last > first]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -265,47 +316,3 @@ def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Int
     among = np.array([names.index(name) for name in estimate.names])
     covariance[np.ix_(among, among)] = intervals.covariance
     return covariance
-
-
-def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
-    """What was given and what no test of `lines` sees: taken as it is."""
-    signals, several = evidence.problem.signals, evidence.problem.signals.robot.n > 1
-    robot = signals.robot
-    if robot.gain_known:
-        gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in robot.motors if m.drive_gain is not None]
-        yield Assumed(
-            "drive gains",
-            ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in robot.motors}))}",
-            "a wrong one scales all parameters, and fits as well"
-            + (", where it is that of all joints" if several else ""),
-        )
-    ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
-    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
-    if several:
-        yield Assumed(
-            "lengths",
-            "urdf" if robot.urdf is not None else "dh",
-            "the parameters of the links absorb an error of a length",
-        )
-    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
-    if evidence.method == "iv" and lines["replay"].level == "not made":
-        yield Assumed(
-            "control law",
-            robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in",
-            lines["replay"].text.removeprefix("not made: "),
-        )
-    if evidence.lags and evidence.lags[0].prior.stated:
-        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
-    duration_s = len(evidence.observed.tau) * evidence.problem.settings.decimation / signals.sample_rate_hz
-    if duration_s > LONG_S:
-        yield Assumed(
-            "filters",
-            f"{duration_s:.0f} s of motion",
-            "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here",
-        )
-    if evidence.method != "iv":
-        yield Assumed(
-            "encoder noise",
-            "below the low-pass as above",
-            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass",
-        )

@@ -5,7 +5,7 @@ others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums
 parameters undetermined: the others are factored anew.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import slices, undetermined_parameters
-from .evidence import Evidence, part_of
-from .lines import ILL_CONDITIONED, Figure, TrustLine
+from .evidence import ILL_CONDITIONED, Evidence, Figure, TrustLine, part_of
 
 BLOCKS = 5
 FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
@@ -48,27 +47,24 @@ def held_out_test(evidence: Evidence) -> TrustLine:
         return _recordings_line(evidence, held_out_recordings(evidence))
     if not evidence.sums_accurate:
         return TrustLine(name, "not made", ILL_CONDITIONED)
-    sums, estimate = [evidence.sums(part) for part in _blocks(len(evidence.observed.tau), BLOCKS)], evidence.estimate
-    rows, b = [one.rows for one in sums], len(estimate.beta)
-    if sum(rows) - max(rows) <= b:
-        return TrustLine(
-            name,
-            "not made",
-            f"not made: {sum(rows) - max(rows)} rows outside a block for {b} parameters; record longer",
-        )
+    edges, estimate = np.linspace(0, len(evidence.observed.tau), BLOCKS + 1).round().astype(int), evidence.estimate
+    sums = [evidence.sums(slice(first, last)) for first, last in pairwise(edges)]
+    outside, b = sum(one.rows for one in sums) - max(one.rows for one in sums), len(estimate.beta)
+    if outside <= b:
+        text = f"not made: {outside} rows outside a block for {b} parameters; record longer"
+        return TrustLine(name, "not made", text)
     A, c = sum(one.QW for one in sums), sum(one.QY for one in sums)
-    d = np.linalg.norm(A, axis=0)
-    trained, held, size, figures = 0.0, 0.0, 0.0, []
+    d, squares, figures = np.linalg.norm(A, axis=0), np.zeros(3), []
     for number, one in enumerate(sums, 1):
         beta = np.linalg.lstsq((A - one.QW) / d, c - one.QY, rcond=1e-12)[0] / d
-        own, other, torque = one.rho_rho, one.error(beta - estimate.beta), one.tau_tau
-        trained, held, size = trained + own, held + other, size + torque
-        if torque > 0:
-            percents = (100 * np.sqrt(other / torque), 100 * np.sqrt(own / torque))
-            figures.append(Figure(name=f"block {number}", value=float(percents[0]), expected=float(percents[1])))
-    if not size > 0:
+        own = np.array([one.error(beta - estimate.beta), one.rho_rho, one.tau_tau])
+        squares += own
+        if one.tau_tau > 0:
+            held, trained = (float(x) for x in 100 * np.sqrt(own[:2] / one.tau_tau))
+            figures.append(Figure(name=f"block {number}", value=held, expected=trained))
+    if not squares[2] > 0:
         return TrustLine(name, "not made", "not made: no torque")
-    error, training = 100 * float(np.sqrt(held / size)), 100 * float(np.sqrt(trained / size))
+    error, training = (100 * float(np.sqrt(x / squares[2])) for x in squares[:2])
     text = f"error {error:.3g} % held out, {training:.3g} % trained"
     return _line(evidence, text, (error, training), "record longer", figures)
 
@@ -81,7 +77,8 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
     if len(evidence.recordings) == 1:
         return (None,)
     names, weights = evidence.estimate.names, evidence.estimate.weights
-    rows = [_rows_of(evidence, k) for k in range(len(evidence.recordings))]
+    n, parts = evidence.observed.tau.shape[1], slices(evidence.observed.parts)
+    rows = [_rows_of(evidence, k) for k in range(len(parts))]
     factors = [np.linalg.qr(np.c_[Z, W, Y] * weights[joint][:, None], mode="r") for Z, W, Y, joint in rows]
     found = []
     for k, (_, W, Y, _) in enumerate(rows):
@@ -90,14 +87,18 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
         beta, undetermined = _solved(
             np.concatenate(others)[:, kept], tuple(name for name, o in zip(names, own, strict=True) if not o)
         )
-        torque, trained = _torque_of(evidence, k), float(np.linalg.norm(Y - W @ evidence.estimate.beta))
-        error = None
-        if beta is not None:
+        # Y is another torque, where W is linearised
+        counts = part_of(evidence.used, n, parts[k]).reshape(n, -1).T
+        torque = float(np.linalg.norm(evidence.observed.tau[parts[k]] * counts))
+        trained = float(np.linalg.norm(Y - W @ evidence.estimate.beta))
+        error_percent = None
+        if beta is not None and torque > 0:
             rho = Y - W[:, ~own] @ beta
-            error = float(np.linalg.norm(rho - W[:, own] @ np.linalg.lstsq(W[:, own], rho)[0] if own.any() else rho))
+            rho = rho - W[:, own] @ np.linalg.lstsq(W[:, own], rho)[0] if own.any() else rho
+            error_percent = 100 * float(np.linalg.norm(rho)) / torque
         found.append(
             HeldOut(
-                error_percent=100 * error / torque if error is not None and torque > 0 else None,
+                error_percent=error_percent,
                 trained_percent=100 * trained / torque if torque > 0 else None,
                 undetermined=tuple(undetermined),
                 torque=torque,
@@ -120,14 +121,6 @@ def _rows_of(evidence: Evidence, k: int) -> tuple[Array, Array, Array, NDArray[n
     return Z[:, among] * used[:, None], W[:, among] * used[:, None], Y * used, joints
 
 
-def _torque_of(evidence: Evidence, k: int) -> float:
-    """Norm of recording k's torque in the rows that count; Y is another torque, where W is linearised."""
-    observed = evidence.observed
-    part, n = slices(observed.parts)[k], observed.tau.shape[1]
-    counts = part_of(evidence.used, n, part).reshape(n, -1).T
-    return float(np.linalg.norm(observed.tau[part] * counts))
-
-
 def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
     """Parameters (b,) from weighted rows [Z W Y], or the names of those that they do not determine."""
     b = len(names)
@@ -145,22 +138,19 @@ def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
 
 def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> TrustLine:
     """The line of several recordings: their errors held out, and those that the others cannot predict."""
-    test, held, trained, figures, without = "held-out blocks", 0.0, 0.0, [], []
+    squares, figures, without = np.zeros(3), [], []
     for part, one in zip(evidence.recordings, found, strict=True):
         assert one is not None
-        name = part.problem.signals.recording
-        if one.error_percent is None or one.trained_percent is None:
+        name, held, trained = part.problem.signals.recording, one.error_percent, one.trained_percent
+        if held is None or trained is None:
             why = f"{', '.join(one.undetermined[:8])} undetermined" if one.undetermined else "it has no torque"
             without.append(f"{name} cannot be predicted by the others: {why}")
             continue
-        held, trained = (
-            x + (p * one.torque) ** 2 for x, p in ((held, one.error_percent), (trained, one.trained_percent))
-        )
-        figures.append(Figure(name=name, value=one.error_percent, expected=one.trained_percent))
+        squares += (one.torque * np.array([held, trained, 1.0])) ** 2
+        figures.append(Figure(name=name, value=held, expected=trained))
     if not figures:
-        return TrustLine(test, "cannot tell", "; ".join(without))
-    torque = sum(one.torque**2 for one in found if one is not None and one.error_percent is not None)
-    error, training = float(np.sqrt(held / torque)), float(np.sqrt(trained / torque))
+        return TrustLine("held-out blocks", "cannot tell", "; ".join(without))
+    error, training = (float(np.sqrt(x / squares[2])) for x in squares[:2])
     text = "; ".join([f"error {error:.3g} % of recordings held out, {training:.3g} % trained", *without])
     return _line(evidence, text, (error, training), "record more", figures)
 
@@ -173,18 +163,6 @@ def _line(evidence: Evidence, text: str, errors: tuple[float, float], cure: str,
     text += f": the fit does not carry over: {cure}, with more varied motion, or fit with --essential"
     if evidence.problem.signals.robot.gain_known:
         text += ", or take the parameters of --consistent, which carry over better"
-    return TrustLine(
-        "held-out blocks",
-        "caution",
-        text,
-        errors[0],
-        finding="does not carry over",
-        figures=shown,
-        unit="%",
-        far_off=errors[0] > FAR_FACTOR * errors[1],
-    )
-
-
-def _blocks(T: int, count: int) -> list[slice]:
-    edges = np.linspace(0, T, count + 1).round().astype(int)
-    return [slice(a, b) for a, b in pairwise(edges)]
+    far, finding = errors[0] > FAR_FACTOR * errors[1], "does not carry over"
+    line = TrustLine("held-out blocks", "caution", text, errors[0], finding, figures=shown, unit="%")
+    return replace(line, far_off=far)

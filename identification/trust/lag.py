@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, System, instrumental_variables, intervals, slices, whitened
+from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
 from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
 from ..report import Level
-from .evidence import Evidence, Lag, RecordingData
-from .lines import Figure, TrustLine
+from .evidence import Evidence, Figure, Lag, RecordingData, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
@@ -42,16 +41,8 @@ def lags_in(
 ) -> tuple[Array, Array, float]:
     """How much later (K,) than they are corrected by, in s, the torques are, their deviations, and those in half an interval.
 
-    Parameters
-    ----------
-    parts : the recordings, simulated with the estimate.
-    groups : recordings whose torques have one lag.
-    system, Z : W, Y and instruments of all parameters.
-    estimate : by which the torques' rates go, and its weights.
-
-    Raises
-    ------
-    IdentificationError : where the instruments do not determine the lags.
+    Of the recordings simulated with the estimate, in groups of one lag, with W, Y and instruments of all parameters. Raises
+    `IdentificationError` where the instruments do not determine the lags.
     """
     rates, fast = zip(*map(simulated_rates, parts), strict=True)
     b, lengths, columns = len(system.names), [rate.shape[1] for rate in rates], lag_columns(parts, groups, estimate)
@@ -73,14 +64,8 @@ def lags_in(
 
 def _by_group(rates: Sequence[Array], groups: Groups) -> Array:
     """Columns (r, K) of the rates (n, rows) of each recording, zero in the rows of other groups'."""
-    lengths = [rate.shape[1] for rate in rates]
-    whole, columns = -np.concatenate(rates, axis=1), []
-    for group in groups:
-        own = np.zeros(sum(lengths))
-        for k in group:
-            own[slices(lengths)[k]] = 1.0
-        columns.append((whole * own).reshape(-1))
-    return np.stack(columns, axis=1)
+    whole, recording = -np.concatenate(rates, axis=1), np.repeat(range(len(rates)), [rate.shape[1] for rate in rates])
+    return np.stack([(whole * np.isin(recording, group)).reshape(-1) for group in groups], axis=1)
 
 
 def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
@@ -105,20 +90,16 @@ def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return fast
 
 
-def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None, why: str) -> Lag:
-    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach.
-
-    `why` says why the data say nothing, where they do not.
-    """
-    if found is None or prior.stated:
-        return Lag(
-            value_s=prior.value_s, sd_s=prior.sd_s, reach=2.0, source=prior.source, prior=prior, found=found, why=why
-        )
-    value, sd, reach = found
-    if abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s):
-        return Lag(value_s=value, sd_s=sd, reach=reach, source="data", prior=prior, found=found, why=why)
-    both = prior.with_other(KnownLag(value_s=value, sd_s=sd, source="data"))
-    return Lag(value_s=both.value_s, sd_s=both.sd_s, reach=reach, source=both.source, prior=prior, found=found, why=why)
+def combined_lag(prior: KnownLag, found: tuple[float, float, float] | None) -> Lag:
+    """The lag of a group from what is known of it and what the data say: value and deviation, s, and the interval's reach."""
+    counted, reach = prior, 2.0
+    if found is not None and not prior.stated:
+        value, sd, reach = found
+        data = KnownLag(value_s=value, sd_s=sd, source="data")
+        far = abs(value - prior.value_s) > APART * np.hypot(sd, prior.sd_s)
+        counted = data if far else prior.with_other(data)
+    value_s, sd_s, source = counted.value_s, counted.sd_s, counted.source
+    return Lag(value_s=value_s, sd_s=sd_s, reach=reach, source=source, prior=prior, found=found)
 
 
 def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estimate) -> Array:

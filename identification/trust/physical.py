@@ -26,10 +26,10 @@ from ..estimation import (
     weighted_least_squares,
 )
 from ..model import InverseModel, friction_power, nearest_consistent, requirements
-from ..regression import Problem, base_name, friction_states, recorded_power
+from ..regression import base_name, friction_states, recorded_power
 from ..report import Level
-from .evidence import Evidence, covariance_of_all
-from .lines import LEVELS, TrustLine
+from .columns import motion_of
+from .evidence import LEVELS, Evidence, TrustLine, covariance_of_all
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width
@@ -75,7 +75,7 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
     among = np.array([base.names.index(base_name(name)) for name in estimate.names])
     poses = np.concatenate([part.poses for part in evidence.recordings])
     findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
-    findings += _driving_findings(evidence, estimate, found)
+    findings += _driving_findings(evidence, base.columns[among], estimate, found)
     own = any("@" in name for name in estimate.names)
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
@@ -85,9 +85,7 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
             G = matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
             if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., among] * of_part).any():
                 continue
-            vectors = np.linalg.eigh(G @ estimate.beta)[1]
-            g = np.einsum("di,ijb,dj->db", tried := np.c_[np.eye(len(G)), vectors[:, 0]].T, G, tried)
-            value, half = g @ estimate.beta, _half(g, found)
+            _, value, half = _along_directions(G, estimate.beta, found)
             worst = int(np.argmin(value / np.maximum(half, TINY)))
             name = of + (f" in {part.problem.signals.recording}" if own else "")
             text = f"{name} = {value[worst]:.4g} ± {half[worst]:.2g} {first.unit}"
@@ -108,14 +106,25 @@ def _half(g: Array, found: Intervals) -> Array:
     return np.asarray(found.reach * np.sqrt(np.maximum(np.einsum("...b,bc,...c->...", g, found.covariance, g), 0.0)))
 
 
-def _driving_findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> list[Finding]:
+def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, Array, Array]:
+    """Directions v (..., d + 1, d) tried of the matrices G beta, of G (..., d, d, b), v'(G beta)v, and its half-widths."""
+    M = G @ beta
+    vectors = np.linalg.eigh(0.5 * (M + M.swapaxes(-1, -2)))[1]
+    alone = np.broadcast_to(np.eye(M.shape[-1]), M.shape)
+    v = np.concatenate([alone, vectors[..., None, :, 0]], axis=-2)
+    g = np.einsum("...di,...ijb,...dj->...db", v, G, v)
+    return v, g @ beta, _half(g, found)
+
+
+def _driving_findings(
+    evidence: Evidence, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
+) -> list[Finding]:
     """Whether friction of further terms would drive a joint moving alone, or joints that share motors, at recorded speeds.
 
     No single term tells that: the root of speed may be below zero where viscous friction makes up for it. Constant offsets are
     no friction. A recording's own parameters are judged at its own speeds.
     """
-    idm, base, robot = evidence.problem.model, evidence.problem.base, evidence.problem.model.robot
-    columns = base.columns[[base.names.index(base_name(name)) for name in estimate.names]]
+    idm, robot = evidence.problem.model, evidence.problem.model.robot
     worst: dict[int, tuple[float, float, float, float]] = {}  # by joint: in half-widths, speed, power, half-width
     for part in evidence.recordings:
         of_part = np.array([name in part.parameters for name in estimate.names])
@@ -145,21 +154,14 @@ def _inertia_findings(
     idm: InverseModel, columns: NDArray[np.intp], beta: Array, found: Intervals, q: Array
 ) -> tuple[list[Finding], float]:
     """No finding where M is positive at all poses (P, n); and its lowest eigenvalue."""
-    P, n = q.shape
     zero = np.zeros_like(q)
     at_rest = idm.regressor(q, zero, zero)[:, :, columns]  # M e_j = IDM(q, 0, e_j) - IDM(q, 0, 0), linear in beta
-    G = np.stack(
-        [idm.regressor(q, zero, zero + np.eye(n)[j])[:, :, columns] - at_rest for j in range(n)], axis=2
-    )  # (P, n, n, b)
+    alone = [idm.regressor(q, zero, zero + e)[:, :, columns] for e in np.eye(q.shape[1])]
+    G = np.stack([one - at_rest for one in alone], axis=2)  # (P, n, n, b)
     M = G @ beta
-    values, vectors = np.linalg.eigh(0.5 * (M + M.transpose(0, 2, 1)))
-    least = float(values[:, 0].min())
-    if least > 0:
+    if (least := float(np.linalg.eigvalsh(0.5 * (M + M.transpose(0, 2, 1)))[:, 0].min())) > 0:
         return [], least
-    directions = np.concatenate([np.tile(np.eye(n), (P, 1, 1)), vectors[:, None, :, 0]], axis=1)  # (P, n + 1, n)
-    g = np.einsum("pdi,pijb,pdj->pdb", directions, G, directions)
-    lowest = g @ beta
-    half = _half(g, found)
+    directions, lowest, half = _along_directions(G, beta, found)
     with np.errstate(divide="ignore", invalid="ignore"):
         worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape)
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
@@ -178,7 +180,8 @@ def _gravity_findings(evidence: Evidence) -> list[Finding]:
     problem, idm, columns = evidence.problem, evidence.problem.model, evidence.problem.base.columns
     if evidence.observed.reduced:
         return []
-    q = np.concatenate([_positions(part.problem) for part in evidence.recordings])
+    measured = [motion_of(part, "wls") for part in evidence.recordings]
+    q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
     of_links = np.array([idm.is_link_parameter(c) for c in columns])
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
@@ -201,12 +204,6 @@ def _gravity_findings(evidence: Evidence) -> list[Finding]:
     text = f"the torques fit a model without gravity better: {left[1]:.3g} % left against {left[0]:.3g} %: "
     text += "efforts with the robot's weight taken out, values that are no torques, or a wrong gravity_m_s2"
     return [("caution", text)]
-
-
-def _positions(problem: Problem) -> Array:
-    """Low-passed positions (rows, n) at the instants of a recording's rows."""
-    settings = problem.settings
-    return settings.decimator.kept(problem.motion.between(settings.start, settings.stop, settings.cutoff_hz).q)
 
 
 def consistent_test(evidence: Evidence) -> TrustLine:

@@ -6,7 +6,7 @@ stands on both sides, and is not seen.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import KnownLag, Problem, differentiate, sampled_at
 from ..simulation import Control, ControlLaw, Reference, recorded_loop
-from .evidence import Evidence
-from .lines import LEVELS, Figure, TrustLine
+from .evidence import LEVELS, Evidence, Figure, TrustLine
 
 DRIVE_DELAY_S = 0.0005  # deviation of the time from a command to its torque
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
@@ -29,22 +28,6 @@ LAG_PASSES = 3  # of Gauss and Newton, from there
 FURTHEST_STEP = 10.0  # samples that one of them may go
 MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the law's with the wrong sign
 STILL = 1e-9  # of the largest: a joint whose law gives less than this is not compared
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Replay:
-    """By joint, (n,) each; NaN for a joint whose law gives nothing.
-
-    gain, lag, lag_sd: the recorded effort is gain times the replayed one, `lag` samples later; its deviation, of white noise.
-    `error_percent`: what the described law leaves of it as it is, its gain one, in percent of it; `left_percent`: what the
-    gain leaves. Lag, and the integral that the law started with, are taken out of both.
-    """
-
-    gain: Array
-    lag: Array
-    lag_sd: Array
-    error_percent: Array
-    left_percent: Array
 
 
 def replay_test(evidence: Evidence) -> TrustLine:
@@ -68,34 +51,43 @@ def replay_line(problem: Problem) -> tuple[TrustLine, KnownLag | None]:
     That needs no estimate. A command acts from its tick to the next one, half a period later in the mean, and the drive's own
     delay is not in it.
     """
-    loop = None
+    signals, reason, loop = problem.signals, "[controller] describes no control law, or not all of one", None
     with suppress(IdentificationError):  # described in part
-        loop = recorded_loop(problem.signals.robot)
-    reason = _not_made(problem, loop)
-    if reason is not None or loop is None:
-        text = f"not made: {reason}"
-        return TrustLine("replay", "not made", text), None
+        loop = recorded_loop(signals.robot)
+    if signals.q_ref is None:
+        reason, loop = "the recording has no reference", None
+    elif signals.of_drives:
+        reason = "the drives have loops of their own, which interpolate the reference between two SYNCs"
+        loop = None
+    elif loop is not None and loop.computed_torque:
+        reason, loop = "computed torque has the robot's own model in it", None
+    if loop is None:
+        return TrustLine("replay", "not made", f"not made: {reason}"), None
     found = replay(problem, loop)
-    line = _line([joint.name for joint in problem.signals.robot.joints], found)
-    alike = np.nan_to_num(found.left_percent, nan=np.inf) <= ERROR_PERCENT
+    _, lag, lag_sd, _, left = found
+    line = _line([joint.name for joint in signals.robot.joints], found)
+    alike = np.nan_to_num(left, nan=np.inf) <= ERROR_PERCENT
     if not alike.any():
         return line, None
-    fs = problem.signals.sample_rate_hz
-    value_s = float(found.lag[alike].mean()) / fs - 0.5 * loop.period_s
-    sd_s = float(np.hypot(found.lag_sd[alike].max() / fs, DRIVE_DELAY_S))
+    value_s = float(lag[alike].mean()) / signals.sample_rate_hz - 0.5 * loop.period_s
+    sd_s = float(np.hypot(lag_sd[alike].max() / signals.sample_rate_hz, DRIVE_DELAY_S))
     return line, KnownLag(value_s=value_s, sd_s=sd_s, source="the replay of the described controller")
 
 
-def replay(problem: Problem, loop: ControlLaw) -> Replay:
-    """Gains, lags and errors of the described law, behind the decimation that torques go through."""
+def replay(problem: Problem, loop: ControlLaw) -> Array:
+    """Gains, lags, their deviations and two errors (5, n) of the described law, behind the decimation that torques go through.
+
+    The recorded effort is gain times the replayed one, `lag` samples later, whose deviation is of white noise. Errors are in
+    percent of the effort: what the law leaves as it is, its gain one, and what the gain leaves. Lag, and the integral that the
+    law started with, are taken out of both. NaN for a joint whose law gives nothing.
+    """
     effort, replayed = _efforts(problem, loop)
     size = np.abs(replayed).max(axis=0)
-    acts = size > STILL * max(size.max(), np.abs(effort).max())
-    integrates = bool(loop.Ki.any())
-    found = np.full((5, len(acts)), np.nan)
-    for j in np.flatnonzero(acts):
+    found = np.full((5, len(size)), np.nan)
+    for j in np.flatnonzero(size > STILL * max(size.max(), np.abs(effort).max())):
+        integrates = bool(loop.Ki.any())
         found[:, j] = _compared(problem, effort[:, j : j + 1], replayed[:, j : j + 1], integrates=integrates)
-    return Replay(gain=found[0], lag=found[1], lag_sd=found[2], error_percent=found[3], left_percent=found[4])
+    return found
 
 
 def _compared(
@@ -165,32 +157,21 @@ def _stop(problem: Problem) -> int:
     return min(settings.stop, settings.start + round(REPLAYED_S * problem.signals.sample_rate_hz))
 
 
-def _not_made(problem: Problem, loop: ControlLaw | None) -> str | None:
-    if problem.signals.q_ref is None:
-        return "the recording has no reference"
-    if problem.signals.of_drives:
-        return "the drives have loops of their own, which interpolate the reference between two SYNCs"
-    if loop is None:
-        return "[controller] describes no control law, or not all of one"
-    if loop.computed_torque:
-        return "computed torque has the robot's own model in it"
-    return None
-
-
-def _line(names: list[str], found: Replay) -> TrustLine:
+def _line(names: list[str], found: Array) -> TrustLine:
+    gains, lag, _, error, left = found
     figures = tuple(
         Figure(name=name, value=float(gain), expected=1.0)
-        for name, gain in zip(names, found.gain, strict=True)
+        for name, gain in zip(names, gains, strict=True)
         if np.isfinite(gain)
     )
     if not figures:
         return TrustLine("replay", "cannot tell", "the described law gives nothing")
-    off, error = np.nan_to_num(np.abs(found.gain - 1)), np.nan_to_num(found.error_percent)
-    mirrored = (found.gain < 0) & (found.left_percent < MIRRORED_PERCENT)
+    off, error = np.nan_to_num(np.abs(gains - 1)), np.nan_to_num(error)
+    mirrored = (gains < 0) & (left < MIRRORED_PERCENT)
     worst = int(np.argmax(np.maximum(np.maximum(off / GAIN_OFF, error / ERROR_PERCENT), 1e9 * mirrored)))
-    gain = float(found.gain[worst])
+    gain = float(gains[worst])
     text = f"joint {names[worst]}: recorded effort = {gain:.4g} x what the described controller gives"
-    text += f", {error[worst]:.2g} % off it, {found.lag[worst]:.2f} samples late"
+    text += f", {error[worst]:.2g} % off it, {lag[worst]:.2f} samples late"
     if mirrored.any():
         return TrustLine("replay", "do not use", f"{text}: look at the sign of its effort", gain, figures=figures)
     if off[worst] > GAIN_OFF or error[worst] > ERROR_PERCENT:

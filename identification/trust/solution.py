@@ -1,11 +1,9 @@
 """Tests of how the estimate came about: fixed point, instruments, parts of the rows on their own; and the whole trust block.
 
-Parts are solved with the factors at hand: with A = QᵀW, the rows of a part add A_k = Q_kᵀW_k and Q_kᵀY_k to the whole, so
-that the estimate of the others solves (A - A_k) beta = QᵀY - Q_kᵀY_k. Long recordings have such sums over blocks of time
-in place of rows. Nothing is simulated again.
+Nothing is simulated again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,11 +13,11 @@ from ..errors import IdentificationError
 from ..estimation import Estimate, are_moving, estimate_deviations, f_tail, instrumental_variables, slices, whitened
 from ..model import JointTerm
 from ..regression import base_name, standing_joints
+from ..report import Assumed
 from .columns import added_columns_test
-from .evidence import Evidence, RecordingData, assumed
+from .evidence import ILL_CONDITIONED, LEVELS, Evidence, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
-from .lines import ILL_CONDITIONED, Trust, TrustLine, worst_first
 from .physical import consistent_test, physical_test
 from .replay import replay_test
 
@@ -35,21 +33,21 @@ ORDER = 12  # of the autoregression that whitens a joint's residual, at most
 MISSING_PERCENT = 0.1  # of the moving rows
 HELD_SHARE = 0.3  # of held rows, that may be beside steps which do not quite make up for them
 COARSE_PERCENT = 0.4  # of a joint's moving steps that are double or none: its encoder is slower than the log
+LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters round off
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
 def fixed_point_test(evidence: Evidence) -> TrustLine:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
+    name, why = "fixed point", evidence.unconfirmed
     if not evidence.fixed_point:
-        text = f"{evidence.unconfirmed or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
-        return TrustLine("fixed point", "do not use", text)
-    if evidence.unconfirmed is not None:
-        text = f"{evidence.unconfirmed}: check [controller]; compare with least squares"
-        return TrustLine("fixed point", "caution", text)
-    text = (
-        "settled, and the simulated robot confirms it" if evidence.method == "iv" else "least squares has one solution"
-    )
-    return TrustLine("fixed point", "ok", text)
+        text = f"{why or 'no fixed point'}: check signs, gains, bandwidth_hz; record faster motion"
+        return TrustLine(name, "do not use", text)
+    if why is not None:
+        return TrustLine(name, "caution", f"{why}: check [controller]; compare with least squares")
+    if evidence.method != "iv":
+        return TrustLine(name, "ok", "least squares has one solution")
+    return TrustLine(name, "ok", "settled, and the simulated robot confirms it")
 
 
 def instruments_test(evidence: Evidence) -> TrustLine | None:
@@ -83,17 +81,13 @@ def units_test(evidence: Evidence) -> TrustLine:
 
 def essential_test(evidence: Evidence) -> TrustLine:
     """Whether some inertia is known to better than its own size."""
-    name, of = "essential", len(evidence.estimate.names)
-    if any(_is_inertia(evidence, base_name(one)) for one in evidence.essential):
-        return TrustLine(name, "ok", f"{len(evidence.essential)} of {of}")
+    name, base, idm = "essential", evidence.problem.base, evidence.problem.model
+    rows = [base.names.index(base_name(one)) for one in evidence.essential]
+    sources = [idm.sources[c] for c in np.flatnonzero(base.K[rows].any(axis=0))]
+    if any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources):
+        return TrustLine(name, "ok", f"{len(evidence.essential)} of {len(evidence.estimate.names)}")
     text = "no inertia has an interval narrower than itself: record faster, longer motion"
     return TrustLine(name, "caution", text, finding="no inertia is determined")
-
-
-def _is_inertia(evidence: Evidence, name: str) -> bool:
-    base, idm = evidence.problem.base, evidence.problem.model
-    sources = [idm.sources[c] for c in np.flatnonzero(base.K[base.names.index(name)])]
-    return any(not isinstance(x, JointTerm) or x.kind == "rotor" for x in sources)
 
 
 def ends_test(evidence: Evidence) -> TrustLine:
@@ -111,10 +105,8 @@ def ends_test(evidence: Evidence) -> TrustLine:
     told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
     value = float(ends[worst])
     if value > max(BAD_END, OUTSTANDING * middle[worst]):
-        joint = evidence.problem.signals.robot.joints[worst].name
-        text = (
-            f'{told} of joint {joint}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
-        )
+        told += f" of joint {evidence.problem.signals.robot.joints[worst].name}"
+        text = f'{told}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         return TrustLine("ends", "caution", text, value)
     return TrustLine("ends", "ok", told, value)
 
@@ -124,24 +116,19 @@ def halves_test(evidence: Evidence) -> TrustLine:
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
     """
+    name, T, cuts = "halves", len(evidence.observed.tau), np.cumsum(evidence.observed.parts)[:-1]
     if not evidence.sums_accurate:
-        return TrustLine("halves", "not made", ILL_CONDITIONED)
-    T, parts = len(evidence.observed.tau), evidence.observed.parts
-    if len(parts) > 1:  # cut between recordings
-        edges = np.cumsum(parts)[:-1]
-        cut = int(edges[np.abs(edges - T / 2).argmin()])
-    else:
-        cut = round(T / 2)
-    solved = [_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T))]
-    if any(half is None for half in solved):
-        return TrustLine(
-            "halves", "not made", "not made: a half alone does not determine the parameters; record longer"
-        )
-    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = (half for half in solved if half is not None)
+        return TrustLine(name, "not made", ILL_CONDITIONED)
+    cut = int(cuts[np.abs(cuts - T / 2).argmin()]) if len(cuts) else round(T / 2)  # recordings are not cut
+    first, second = (_part_solved(evidence, part) for part in (slice(0, cut), slice(cut, T)))
+    if first is None or second is None:
+        text = "not made: a half alone does not determine the parameters; record longer"
+        return TrustLine(name, "not made", text)
+    (beta_1, C_1, B_1), (beta_2, C_2, B_2) = first, second
     b, off = len(beta_1), beta_2 - beta_1
     sigma = np.sqrt(np.diag(C_1 + C_2))
     if not (sigma > 0).all():
-        return TrustLine("halves", "not made", "not made: the fit is exact")
+        return TrustLine(name, "not made", "not made: the fit is exact")
     u = off / sigma
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
@@ -150,8 +137,8 @@ def halves_test(evidence: Evidence) -> TrustLine:
     told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
         text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
-        return TrustLine("halves", "caution", text, wald)
-    return TrustLine("halves", "ok", told, wald)
+        return TrustLine(name, "caution", text, wald)
+    return TrustLine(name, "ok", told, wald)
 
 
 def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
@@ -268,6 +255,36 @@ def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
 
 
+def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+    """What was given and what no test of `lines` sees: taken as it is."""
+    signals, settings = evidence.problem.signals, evidence.problem.settings
+    robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
+    if robot.gain_known:
+        gains = [f"{m.drive_gain:g} {m.drive_gain_unit}" for m in motors if m.drive_gain is not None]
+        value = ", ".join(gains) or f"torques recorded in {' and '.join(sorted({m.recorded_unit for m in motors}))}"
+        why = "a wrong one scales all parameters, and fits as well"
+        yield Assumed("drive gains", value, f"{why}, where it is that of all joints" if several else why)
+    ratios = ", ".join(f"{x:g}" for x in np.diag(robot.R))
+    yield Assumed("ratios", ratios, "positions and torques at the joints are made with them")
+    if several:
+        lengths = "dh" if robot.urdf is None else "urdf"
+        yield Assumed("lengths", lengths, "the parameters of the links absorb an error of a length")
+    yield Assumed("sample rate", f"{signals.sample_rate_hz:g} Hz", "speeds and accelerations scale with it")
+    if evidence.method == "iv" and lines["replay"].level == "not made":
+        law = robot.controller.structure or f"a PD of {robot.bandwidth_hz:g} Hz stands in"
+        yield Assumed("control law", law, lines["replay"].text.removeprefix("not made: "))
+    if evidence.lags and evidence.lags[0].prior.stated:
+        yield Assumed("lag", f"{evidence.lags[0].value_s:g} s", "stated by torque_lag_s")
+    if (duration_s := len(evidence.observed.tau) * settings.decimation / signals.sample_rate_hz) > LONG_S:
+        why = "intervals count noise; what filters round off, about 0.1 % of a parameter, is as much here"
+        yield Assumed("filters", f"{duration_s:.0f} s of motion", why)
+    if evidence.method != "iv":
+        why = (
+            "least squares is biased by noise of the position, of which position noise sees what is above the low-pass"
+        )
+        yield Assumed("encoder noise", "below the low-pass as above", why)
+
+
 # A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
 TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
     *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
@@ -279,4 +296,10 @@ TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
 def trust_in(evidence: Evidence) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
-    return worst_first(_judge_together(lines), tuple(assumed(evidence, {line.test: line for line in lines})))
+    assumptions = assumed(evidence, {line.test: line for line in lines})
+    return Trust(lines=worst_first(_judge_together(lines)), assumed=tuple(assumptions))
+
+
+def worst_first(lines: list[TrustLine]) -> tuple[TrustLine, ...]:
+    """Lines by their levels."""
+    return tuple(sorted(lines, key=lambda line: LEVELS.index(line.level)))

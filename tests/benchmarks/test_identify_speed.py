@@ -29,8 +29,7 @@ from identification.model.base import known_parameters
 from identification.regression import Overrides
 from identification.study import Study
 from identification.study.study import one_run
-from identification.trust import trust_in
-from identification.trust.lines import worst_first
+from identification.trust import Trust, trust_in
 
 pytestmark = pytest.mark.skipif(
     "--benchmark-enable" not in sys.argv, reason="a benchmark: run `pytest tests/benchmarks -s --benchmark-enable`"
@@ -129,7 +128,7 @@ def test_the_trust_block_beside_the_fit(tx40, capsys):
         patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or trust_in(evidence))
         identify_iv(signals, Overrides(), Iteration())
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(assess, "trust_in", lambda evidence: worst_first([]))
+        patch.setattr(assess, "trust_in", lambda evidence: Trust(lines=()))
         found, fit_s = ratio(
             lambda: trust_in(replace(seen[0])), lambda: identify_iv(signals, Overrides(), Iteration()), rounds=5
         )
