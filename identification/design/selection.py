@@ -22,9 +22,19 @@ from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, identify_ls, in_known_time, observe_all
 from ..regression import Linearised, Overrides, Problem, alike, leave_out_untold
-from .parts import parts_of, predictable
-from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
-from .trials import Trial, Trials, usual_estimate
+from .trials import (
+    TRIED,
+    TermSet,
+    Trial,
+    Trials,
+    described_terms,
+    everywhere,
+    parts_of,
+    predictable,
+    tried_terms,
+    usual_estimate,
+    with_terms,
+)
 
 LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
 
@@ -58,8 +68,7 @@ class TermChoice:
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
         """The recommended terms by joint, as the list `friction` of a description has them."""
-        lists = described_terms(self.robot, self.recommended.terms)
-        return {joint.name: terms for joint, terms in zip(self.robot.joints, lists, strict=True)}
+        return described_terms(self.robot, self.recommended.terms)
 
 
 @one_thread
