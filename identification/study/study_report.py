@@ -187,7 +187,7 @@ def _plain(value: Any) -> Any:
 
 def _run_json(run: Run, b: int) -> dict[str, Any]:
     """A run with what each fit estimates, null where there is none, beside what the fit says of itself."""
-    content = _plain(run)
+    content: dict[str, Any] = _plain(run)
     content |= {name: content["drawn"][name] for name in ("cutoff", "start", "gain_error")}
     content["positive"] = run.iv is not None and run.iv.positive
     for kind in ("ls", "iv"):
