@@ -36,8 +36,6 @@ from .trials import (
     with_terms,
 )
 
-LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TermChoice:
@@ -94,11 +92,10 @@ def choose_terms(
     parts, unpredicted = predictable(parts_of(linearised, names), about)
     trials = Trials(linearised, parts)
     usual = trials.of(everywhere(robot.joints, frozenset()))
-    level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
     for terms in _for_all_joints(robot):
         say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
         trials.of(everywhere(robot.joints, terms))
-    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), level, say)
+    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), say)
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         recordings=recordings,
@@ -106,7 +103,7 @@ def choose_terms(
         held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
-        recommended=recommended(found, level),
+        recommended=recommended(found),
         left_out=(*trials.left_out.values(), *unpredicted.values()),
     )
 
@@ -134,9 +131,9 @@ def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[Fricti
     return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
 
 
-def recommended(trials: Iterable[Trial], level: float) -> Trial:
-    """The smallest set within one standard error of the best, of those whose terms all exclude 0 at a level."""
-    able = sorted((trial for trial in trials if trial.significant(level)), key=lambda trial: trial.score)
+def recommended(trials: Iterable[Trial]) -> Trial:
+    """The smallest set within one standard error of the best, of those whose terms are all sure."""
+    able = sorted((trial for trial in trials if trial.sure == trial.terms), key=lambda trial: trial.score)
     best = able[0]
 
     def near(trial: Trial) -> bool:
@@ -167,19 +164,19 @@ def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:
         yield from (frozenset(chosen) for chosen in combinations(able, size))
 
 
-def _joint_by_joint(trials: Trials, everything: Trial, level: float, say: Callable[[str], None]) -> None:
+def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None]) -> None:
     """Try sets that differ between joints; `trials` has them all in the end."""
     best = min(trials.done, key=lambda trial: trial.score)
-    now = trials.of(_kept(trials, best, level))
+    now = trials.of(best.sure)
     for j, term in _places(everything.terms):
-        if term not in now.terms[j] and _sure(trials, everything, j, term, level):
+        if term not in now.terms[j] and term in everything.sure[j]:
             say(f"set {len(trials.done) + 1}: {term} at joint {j + 1}")
             wider = trials.of(_changed(now.terms, j, now.terms[j] | {term}))
-            if wider.score < now.score and wider.significant(level):
+            if wider.score < now.score and wider.sure == wider.terms:
                 now = wider
     while True:
-        pruned = trials.of(_kept(trials, now, level))
-        now = pruned if pruned.score <= now.score or not now.significant(level) else now
+        pruned = trials.of(now.sure)
+        now = pruned if pruned.score <= now.score or now.sure != now.terms else now
         # The size of a term is its value in deviations, the larger where it has two parameters.
         sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
         for j, term in sorted(sizes, key=sizes.__getitem__):
@@ -198,15 +195,3 @@ def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
 
 def _changed(terms: TermSet, j: int, more: frozenset[FrictionTerm]) -> TermSet:
     return (*terms[:j], more, *terms[j + 1 :])
-
-
-def _kept(trials: Trials, trial: Trial, level: float) -> TermSet:
-    """The set without the terms whose intervals contain 0."""
-    return tuple(
-        frozenset(term for term in more if _sure(trials, trial, j, term, level)) for j, more in enumerate(trial.terms)
-    )
-
-
-def _sure(trials: Trials, trial: Trial, j: int, term: FrictionTerm, level: float) -> bool:
-    """Whether the interval of a parameter of the term excludes 0."""
-    return any(trial.excludes_zero(name, level) for name in trials.parameters[j, term])

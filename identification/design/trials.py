@@ -33,6 +33,7 @@ from ..model import BaseParameters, InverseModel, JointTerm
 from ..regression import Linearised, Regression, base_name, load_passes
 
 FIFTHS = 5  # of one recording
+LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
 LEAST = 2  # parts of which a mean has a standard error
 USUAL: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
 TRIED: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")  # in the order of a description's list
@@ -152,7 +153,7 @@ class Trial:
         lag_one: of the fit's weighted residual; None where it is zero.
         condition_number_scaled: of its weighted W, columns of norm one.
         t: by added parameter, its value in deviations; `freedom` those of their Student's t.
-        names_of_terms: the parameters of each added term.
+        sure: the terms that have a parameter whose interval excludes 0.
     """
 
     terms: TermSet
@@ -163,7 +164,7 @@ class Trial:
     condition_number_scaled: float
     t: dict[str, float]
     freedom: int
-    names_of_terms: tuple[tuple[str, ...], ...]
+    sure: TermSet
 
     @property
     def count(self) -> int:
@@ -179,15 +180,6 @@ class Trial:
     def held_out_error_percent(self) -> float:
         """Mean of the parts'."""
         return float(np.nanmean(self.held_out_percents))
-
-    def significant(self, level: float) -> bool:
-        """Whether each added term has a parameter whose interval of that `level` (0.95, say) excludes 0."""
-        return all(any(self.excludes_zero(name, level) for name in names) for names in self.names_of_terms)
-
-    def excludes_zero(self, name: str, level: float) -> bool:
-        """Whether the interval of a parameter does; that of load friction must lie above, no friction falls with the load."""
-        t = self.t[name] if name.startswith("mu") else abs(self.t[name])
-        return t > t_quantile(0.5 + level / 2, self.freedom)
 
 
 class Trials:
@@ -234,7 +226,12 @@ class Trials:
         Q = W @ estimate.bread  # W bread has orthonormal columns: bread breadᵀ = (WᵀW)⁻¹
         found = intervals(replace(estimate, Q=Q), weighted.T.reshape(-1), self.plain.tau.shape[1], self.plain.parts)
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
+            values = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
+        t = {name: float(x) for name, x in zip(estimate.names, values, strict=True) if name not in self._usual}
+        level = 1 - LEVEL / max(1, sum(len(names) for names in self.parameters.values()))
+        limit = t_quantile(0.5 + level / 2, found.freedom)
+        # An interval of load friction must lie above 0: no friction falls with the load.
+        beyond = {name for name, x in t.items() if (x if name.startswith("mu") else abs(x)) > limit}
         return Trial(
             terms=terms,
             fitted_error_percent=float("nan") if error is None else error,
@@ -242,9 +239,12 @@ class Trials:
             scores=np.array([score for score, _ in held]),
             lag_one=lag_one(weighted),
             condition_number_scaled=estimate.condition_number_scaled,
-            t={name: float(x) for name, x in zip(estimate.names, t, strict=True) if name not in self._usual},
+            t=t,
             freedom=found.freedom,
-            names_of_terms=tuple(self.parameters[j, term] for j, more in enumerate(terms) for term in more),
+            sure=tuple(
+                frozenset(term for term in more if beyond.intersection(self.parameters[j, term]))
+                for j, more in enumerate(terms)
+            ),
         )
 
     def _held_out(self, terms: TermSet, part: Part, start: int) -> tuple[float, float]:
