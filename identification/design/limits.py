@@ -31,11 +31,6 @@ class Series:
     period_s: float
     harmonics: int
 
-    @property
-    def K(self) -> int:
-        """Coefficients of a joint."""
-        return 2 * self.harmonics - 1
-
     @cached_property
     def _null_spaces(self) -> tuple[Array, Array]:
         """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
@@ -59,7 +54,7 @@ class Series:
     def basis(self, samples: int) -> Motion:
         """Matrices (N, K) of position, speed and acceleration at N instants of a period, from its begin: q_j = A x_j."""
         t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
-        position, speed, acceleration = self.reference(np.eye(self.K)).at(t_s)
+        position, speed, acceleration = self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
         return position, speed, acceleration
 
 
@@ -82,11 +77,9 @@ class Limits:
     of a speed, and has no jumps.
 
     Attributes:
-        robot: whose limits they are.
         middle: (n,) of the joints' ranges.
         most: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
         model: with the parameters that the torque is computed by; None where there are none.
-        effort: the limits of the efforts.
         coulomb: (m,) what friction with a sign takes of each at most: of Coulomb, of Stribeck, by the root of speed.
         share: of all limits that may be used.
         obstacles: pairs of shapes that keep a margin; None where there are none.
@@ -209,9 +202,10 @@ def limits_of(
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
-            problem = f"{name}: Coulomb friction of {friction:.4g} {unit}"
             expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
-            raise IdentificationError(problem, place=place, expected=expected)
+            raise IdentificationError(
+                f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
+            )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

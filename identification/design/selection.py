@@ -21,7 +21,7 @@ from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, identify_ls, in_known_time, observe_all
-from ..regression import Linearised, Overrides, Problem, alike, leave_out_untold
+from ..regression import Linearised, Overrides, alike, leave_out_untold
 from .trials import (
     TRIED,
     TermSet,
@@ -43,7 +43,6 @@ class TermChoice:
 
     Attributes:
         recordings: in the order given.
-        problem: the identification with all terms that are tried; of several recordings that of the first.
         held_out: names of the parts that were held out, recordings or fifths of one.
         trials: of all sets; `usual` of that without any.
         recommended: the smallest set that predicts about as well as the best.
@@ -51,7 +50,6 @@ class TermChoice:
     """
 
     recordings: tuple[Signals, ...]
-    problem: Problem
     held_out: tuple[str, ...]
     trials: tuple[Trial, ...]
     usual: Trial
@@ -87,7 +85,7 @@ def choose_terms(
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
-    linearised = _told(observed.linearised)
+    linearised = _identifiable(observed.linearised)
     about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
     parts, unpredicted = predictable(parts_of(linearised, names), about)
     trials = Trials(linearised, parts)
@@ -99,7 +97,6 @@ def choose_terms(
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         recordings=recordings,
-        problem=linearised.problem,
         held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
@@ -143,17 +140,16 @@ def recommended(trials: Iterable[Trial]) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _told(linearised: Linearised) -> Linearised:
-    """W and Y without the terms that the recordings cannot tell with all others at hand."""
+def _identifiable(linearised: Linearised) -> Linearised:
+    """W and Y without the terms that cannot be identified with all others at hand."""
     linearised = leave_out_untold(linearised)
     while load := linearised.load:
         names = linearised.parameters.names
-        beta = usual_estimate(linearised).among(names)
-        among = [names[place] for place in linearised.load_places(load)]
-        untold = alike(linearised.problem, linearised.at(beta).system, among)
-        if not untold:
+        about = linearised.at(usual_estimate(linearised).among(names))
+        dependent = alike(linearised.problem, about.system, [names[place] for place in linearised.load_places(load)])
+        if not dependent:
             break
-        linearised = linearised.without(untold)
+        linearised = linearised.without(dependent)
     return linearised
 
 
@@ -171,7 +167,7 @@ def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None
     for j, term in _places(everything.terms):
         if term not in now.terms[j] and term in everything.sure[j]:
             say(f"set {len(trials.done) + 1}: {term} at joint {j + 1}")
-            wider = trials.of(_changed(now.terms, j, now.terms[j] | {term}))
+            wider = trials.of(_toggled(now.terms, j, term))
             if wider.score < now.score and wider.sure == wider.terms:
                 now = wider
     while True:
@@ -181,7 +177,7 @@ def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None
         sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
         for j, term in sorted(sizes, key=sizes.__getitem__):
             say(f"set {len(trials.done) + 1}: without {term} at joint {j + 1}")
-            narrower = trials.of(_changed(now.terms, j, now.terms[j] - {term}))
+            narrower = trials.of(_toggled(now.terms, j, term))
             if narrower.score <= now.score:
                 now = narrower
                 break
@@ -193,5 +189,6 @@ def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
     return [(j, term) for j, more in enumerate(terms) for term in TRIED if term in more]
 
 
-def _changed(terms: TermSet, j: int, more: frozenset[FrictionTerm]) -> TermSet:
-    return (*terms[:j], more, *terms[j + 1 :])
+def _toggled(terms: TermSet, j: int, term: FrictionTerm) -> TermSet:
+    """The set with this term at a joint, or without it where it is there."""
+    return (*terms[:j], terms[j] ^ {term}, *terms[j + 1 :])
