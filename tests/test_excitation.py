@@ -14,11 +14,9 @@ from test_limits import URDF_ARM, URDF_TOML
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, fourier_reference, load_robot, robot_from_files, table_reference
 from identification.commands import main
-from identification.design import design, excitation_document, knowledge_of, search
-from identification.design.information import Information
-from identification.design.knowledge import earlier_information, torque_noise
-from identification.design.limits import limits_of
-from identification.design.series import Series, motion_of
+from identification.design import ExcitationSettings, excitation_document, excite, knowledge_of, search
+from identification.design.information import Information, earlier_information, torque_noise
+from identification.design.limits import Series, limits_of, motion_of
 from identification.errors import IdentificationError
 from identification.model import (
     InverseModel,
@@ -39,6 +37,7 @@ from identification.view.robot_drawing import excitation_scene
 
 SCARA, TX40 = robot_named("scara"), robot_named("tx40")
 SERIES = Series(period_s=4.0, harmonics=4)
+K = 2 * SERIES.harmonics - 1  # free coefficients of a joint
 
 
 def with_text(name, old, new, count=-1):
@@ -82,7 +81,7 @@ def random_x(robot, series=SERIES, seed=0, share=0.6):
 
 
 def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
-    x = np.random.default_rng(0).standard_normal((3, SERIES.K))
+    x = np.random.default_rng(0).standard_normal((3, K))
     reference = SERIES.reference(x)
     q, dq, ddq = reference.at(np.array([0.0, SERIES.period_s]))
     assert np.abs(dq).max() < 1e-12 * np.abs(x).max() * 100
@@ -92,7 +91,7 @@ def test_a_series_begins_and_ends_at_rest_and_is_what_its_basis_says():
     at = reference.at(np.arange(50) * SERIES.period_s / 50)
     for given, expected in zip(motion_of(x, SERIES.basis(50)), at, strict=True):
         assert given == pytest.approx(expected)
-    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == SERIES.K  # nothing is left out twice
+    assert np.linalg.matrix_rank(np.concatenate(SERIES.basis(50)[:1])) == K  # nothing is left out twice
 
 
 @pytest.mark.slow
@@ -112,7 +111,7 @@ def test_the_gradient_is_that_of_differences(robot):
     directions = [*rng.standard_normal((6, *x.shape)) / math.sqrt(x.size)]
     for j in range(robot.n):
         directions.append(np.zeros(x.shape))
-        directions[-1][j, rng.integers(SERIES.K)] = 1.0
+        directions[-1][j, rng.integers(K)] = 1.0
     for d in directions:
         far, near = ((value(x + k * h * d) - value(x - k * h * d)) / (2 * k * h) for k in (2, 1))
         by_differences = (4 * near - far) / 3  # Richardson
@@ -196,11 +195,11 @@ def test_information_is_that_of_least_squares():
 @pytest.fixture(scope="module")
 def tx40_excitation():
     robot = with_text("tx40", "following_error_deg = 15\n", "following_error_deg = 15\neffort_nm = 60\n", 1)
-    settings = design.Settings(period_s=5.0, harmonics=5, periods=1)
+    settings = ExcitationSettings(period_s=5.0, harmonics=5, periods=1)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
         said = []
-        found = design.excite(robot, settings, knowledge_of(robot)[0], "here", said.append)
+        found = excite(robot, settings, knowledge_of(robot)[0], "here", said.append)
     return robot, found, said
 
 
@@ -230,11 +229,11 @@ def test_the_reference_keeps_its_limits_between_the_samples_of_the_search(tx40_e
 
 
 def test_the_same_seed_gives_the_same_reference():
-    settings = design.Settings(period_s=2.0, harmonics=3, seed=4)
+    settings = ExcitationSettings(period_s=2.0, harmonics=3, seed=4)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
         one, two, other = (
-            design.excite(SCARA, replace(settings, seed=seed), knowledge_of(SCARA)[0], "here") for seed in (4, 4, 5)
+            excite(SCARA, replace(settings, seed=seed), knowledge_of(SCARA)[0], "here") for seed in (4, 4, 5)
         )
     assert np.array_equal(one.table()[1], two.table()[1])
     assert not np.array_equal(one.table()[1], other.table()[1])
@@ -265,7 +264,7 @@ def test_a_search_that_makes_no_parameter_worse_goes_before_one_of_less_criterio
     monkeypatch.setattr(search, "best_series", lambda problem, start, say: start)
     information = SimpleNamespace(sigma=lambda motion: next(sigmas))
     limits = limits_of(SCARA, None, 0.8, "here")
-    problem = search.Problem(series=SERIES, information=information, limits=limits, plain=np.ones(2))
+    problem = search.SearchProblem(series=SERIES, information=information, limits=limits, plain=np.ones(2))
     x, sigma = search.best_of_searches(problem, 1, "here", lambda text: None)
     assert x is starts[2]
     assert sigma.tolist() == [0.8, 0.95]
@@ -276,7 +275,7 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     with pytest.raises(
         IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is left by .* --seed"
     ):
-        design.excite(SCARA, design.Settings(period_s=2.0, harmonics=3), knowledge_of(SCARA)[0], "here")
+        excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), knowledge_of(SCARA)[0], "here")
 
 
 @pytest.mark.parametrize(
@@ -299,7 +298,7 @@ def test_what_cannot_be_is_refused_in_one_line(text, settings, says, monkeypatch
     monkeypatch.setattr(search, "STARTS", 1)
     knowledge, _ = knowledge_of(robot)
     with pytest.raises((IdentificationError, AcquisitionError)) as caught:
-        design.excite(robot, design.Settings(**settings), knowledge, "here")
+        excite(robot, ExcitationSettings(**settings), knowledge, "here")
     assert says in str(caught.value)
     assert "\n" not in str(caught.value)
 
@@ -311,7 +310,7 @@ def test_gravity_that_a_joint_cannot_hold_is_refused():
     with pytest.raises(
         IdentificationError, match=r"joint joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"
     ):
-        design.excite(robot, design.Settings(), knowledge_of(robot)[0], "here")
+        excite(robot, ExcitationSettings(), knowledge_of(robot)[0], "here")
 
 
 def test_without_parameters_the_torque_is_said_not_to_be_checked():
@@ -321,7 +320,7 @@ def test_without_parameters_the_torque_is_said_not_to_be_checked():
     assert knowledge.beta is None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
-        found = design.excite(robot, design.Settings(period_s=2.0, harmonics=2), knowledge, "here")
+        found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge, "here")
     assert found.warnings == ("torque was not checked: neither a fit nor [parameters] give it",)
     assert found.noise.tolist() == [1.0, 1.0]
 
@@ -475,8 +474,8 @@ def test_a_search_starts_where_the_links_are_far_apart():
 
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
     monkeypatch.setattr(search, "STARTS", 1)
-    robot, settings = capsules("", 0.95), design.Settings(period_s=4.0, harmonics=4, seed=2)
-    found = design.excite(robot, settings, knowledge_of(robot)[0], "here")
+    robot, settings = capsules("", 0.95), ExcitationSettings(period_s=4.0, harmonics=4, seed=2)
+    found = excite(robot, settings, knowledge_of(robot)[0], "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]
     s = np.linspace(0.2, 1.0, 81)
     apart = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min() - 0.95 - 0.1

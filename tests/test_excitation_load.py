@@ -8,10 +8,9 @@ from test_excitation import SERIES, modelled, random_x
 from test_friction_terms import ALL, USUAL, described, upright
 
 from acquisition.robot import fourier_reference, robot_from_files
-from identification.design import Settings, excite, knowledge_of, search
-from identification.design.knowledge import earlier_information
-from identification.design.limits import limits_of
-from identification.design.series import motion_of
+from identification.design import ExcitationSettings, excite, knowledge_of, search
+from identification.design.information import earlier_information
+from identification.design.limits import limits_of, motion_of
 from identification.model import sliding_apart, torque_of_links, truth
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
@@ -64,7 +63,7 @@ def test_load_friction_is_said_to_be_left_out_of_the_criterion(known, monkeypatc
     if not known:
         text = text.split("[parameters]")[0]
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    found = excite(robot, Settings(period_s=2.0, harmonics=2), knowledge_of(robot)[0], "here")
+    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge_of(robot)[0], "here")
     assert not {"mu1", "mu2"} & set(found.base.names)
     assert found.warnings[-1].startswith("load friction (mu1, mu2) is not in the criterion")
     assert (found.beta is not None) == known

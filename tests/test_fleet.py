@@ -72,9 +72,9 @@ def fits(monkeypatch):
     """Names of the recordings that are fitted."""
     names = []
 
-    def counted(signals, *arguments, **options):
-        names.append(signals.recording)
-        return identify(signals, *arguments, **options)
+    def counted(recordings, *arguments, **options):
+        names.extend(source.recording for source in recordings.sources)
+        return identify(recordings, *arguments, **options)
 
     monkeypatch.setattr(fleet_module, "identify", counted)
     return names

@@ -16,7 +16,9 @@ from acquisition.errors import AcquisitionError
 from acquisition.robot import robot_from_files
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, processes, signals_from_arrays
-from identification.design import Trials, choose_terms, friction_of_joints, parts_of, with_friction, with_terms
+from identification.design import choose_terms, friction_of_joints, with_terms
+from identification.design.friction_report import with_friction
+from identification.design.trials import Trials, parts_of
 from identification.estimation import System
 from identification.export import mechanism_of
 from identification.export.losses import random_states, sayable
@@ -674,7 +676,7 @@ def splits(signals, terms):
     fifths, T = parts_of(linearised, ["log.mcap"]), len(linearised.plain.tau)
     first = np.arange(T) < T // 2
     halves = [dataclasses.replace(fifths[0], rows=rows) for rows in (first, ~first)]
-    return Trials(linearised, fifths).held_out_percents(terms, [*halves, *fifths]).mean()
+    return Trials(linearised, [*halves, *fifths]).of(terms).held_out_error_percent
 
 
 @pytest.mark.slow

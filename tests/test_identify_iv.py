@@ -19,7 +19,7 @@ from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters, direct_model, not_positive, truth
 from identification.regression import Overrides
 from identification.simulation import recorded_loop
-from identification.study import Noise, Run, closed_loop, random_reference, summaries
+from identification.study import Noise, Run, RunFit, RunSettings, closed_loop, random_reference, summaries
 
 RAW = Overrides(cutoff_hz=0)
 SCARA = REPLAY / "scara" / "session.mcap"
@@ -396,12 +396,15 @@ def test_a_study_in_which_nothing_converges_says_so(capsys, tmp_path):
 
 def test_a_study_counts_what_is_called_converged_and_should_not_be():
     nan, true = np.full(2, np.nan), np.array([1.0, 2.0])
-    good = Run(
-        number=0, cutoff=5.0, start=1.0, gain_error=1.0, status="converged", positive=True, passes=2, error_ls=0.01,
-        error_iv=0.02, error_tuned_ls=0.01, beta_ls=true, beta_iv=true, sigma_ls=nan, sigma_iv=nan,
+    drawn = RunSettings(cutoff=5.0, start=1.0, gain_error=1.0, seed=1, controller="described", noise=Noise())
+    fit = RunFit(
+        beta=true, sigma=nan, error=0.02, verdict="trust", doubts=(), low=nan, high=nan,
+        essential=np.ones(2, dtype=bool), positive=True,
     )  # fmt: skip
-    wrong, lost = dataclasses.replace(good, error_iv=0.06), dataclasses.replace(good, positive=False)
-    honest = dataclasses.replace(lost, status="diverged", error_iv=0.06)
+    good = Run(number=0, drawn=drawn, status="converged", passes=2, error_tuned_ls=0.01, iv=fit)
+    wrong = dataclasses.replace(good, iv=dataclasses.replace(fit, error=0.06))
+    lost = dataclasses.replace(good, iv=dataclasses.replace(fit, positive=False))
+    honest = dataclasses.replace(lost, status="diverged", iv=dataclasses.replace(fit, error=0.06, positive=False))
     for run, share in ((good, 0.0), (wrong, 20.0), (lost, 20.0), (honest, 0.0)):
         iv = summaries([good, good, good, good, run], true)[1]
         assert (iv.method, iv.false_percent) == ("iv", share)

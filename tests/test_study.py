@@ -6,29 +6,26 @@ import numpy as np
 import pytest
 from conftest import robot_named
 
-from identification.study import FALSE_TRUST, INSIDE, Judged, Noise, Run, Study, false_trust, summaries
+from identification.study import FALSE_TRUST, INSIDE, Noise, Run, RunFit, RunSettings, Study, false_trust, summaries
 from identification.study import study as study_module
-from identification.study.study import Draw, draw, one_run, told_robot
+from identification.study.study import draw, one_run, robot_given_to_fit
 
 TRUE = np.array([1.0, 2.0])
 NAN = np.full(2, np.nan)
 QUIET = Noise()
 
 
-def judged(off: tuple[float, float], verdict: str = "trust", **others: object) -> Judged:
+def judged(off: tuple[float, float], verdict: str = "trust", **others: object) -> RunFit:
     """Of intervals with half-widths of 0.1, off the truth by so many of them."""
     middle = TRUE + 0.1 * np.array(off)
     known = {"doubts": (), "essential": np.array([True, False]), "positive": True}
-    return Judged(verdict=verdict, low=middle - 0.1, high=middle + 0.1, **{**known, **others})
+    known |= {"beta": TRUE, "sigma": NAN, "error": 0.1, "low": middle - 0.1, "high": middle + 0.1, **others}
+    return RunFit(verdict=verdict, **known)
 
 
-def run(one: Judged | None, noise: Noise = QUIET, gain_error: float = 1.0, **others: object) -> Run:
-    drawn = Draw(cutoff=5.0, start=1.0, gain_error=gain_error, seed=1, controller="described", noise=noise)
-    return Run(
-        number=0, cutoff=5.0, start=1.0, gain_error=gain_error, status="converged", positive=True, error_ls=0.1, error_iv=0.1,
-        error_tuned_ls=0.1, beta_ls=TRUE, beta_iv=TRUE, sigma_ls=NAN, sigma_iv=NAN,
-        drawn=drawn, ls=None, iv=one, **others,
-    )  # fmt: skip
+def run(one: RunFit, noise: Noise = QUIET, gain_error: float = 1.0) -> Run:
+    drawn = RunSettings(cutoff=5.0, start=1.0, gain_error=gain_error, seed=1, controller="described", noise=noise)
+    return Run(number=0, drawn=drawn, status="converged", error_tuned_ls=0.1, iv=one)
 
 
 @pytest.mark.parametrize(
@@ -45,7 +42,7 @@ def run(one: Judged | None, noise: Noise = QUIET, gain_error: float = 1.0, **oth
 )
 def test_false_trust_is_trust_in_what_is_far_off_or_no_robot(one, wrong):
     assert false_trust(one, TRUE) == wrong
-    other = replace(run(judged((0.0, 0.0))), beta_iv=1.1 * TRUE)
+    other = run(judged((0.0, 0.0), beta=1.1 * TRUE))
     iv = summaries([run(one), other], TRUE)[1]
     assert (iv.verdicts, iv.false_trust) == (2, int(wrong))
     assert iv.trusted == 1 + (one.verdict == "trust")
@@ -68,9 +65,9 @@ def test_false_caution_is_that_of_clean_runs_alone():
 
 
 def test_coverage_counts_all_parameters_of_the_printed_intervals():
-    runs = [run(judged((0.5, -0.9))), run(judged((1.1, 0.0))), run(judged((0.0, -2.0)))]
-    spread = [replace(one, beta_iv=TRUE + k * np.array([0.1, 0.2])) for k, one in zip((-1, 0, 1), runs, strict=True)]
-    iv = summaries(spread, TRUE)[1]
+    offs = {-1: (0.5, -0.9), 0: (1.1, 0.0), 1: (0.0, -2.0)}
+    runs = [run(judged(off, beta=TRUE + k * np.array([0.1, 0.2]))) for k, off in offs.items()]
+    iv = summaries(runs, TRUE)[1]
     assert iv.coverage_percent == pytest.approx(100 * 4 / 6)
     assert iv.half_over_spread == pytest.approx(np.median([0.1 / (1.96 * 0.1), 0.1 / (1.96 * 0.2)]))
 
@@ -94,10 +91,10 @@ def test_a_run_draws_the_same_each_time_and_everything_where_it_is_asked_to():
 
 def test_what_the_fit_is_told_of_the_controller():
     robot = robot_named("emps")
-    drawn = Draw(cutoff=5.0, start=1.0, gain_error=0.5, seed=1, controller="described", noise=Noise())
-    assert told_robot(robot, drawn).controller.velocity_gain == (0.5 * 243.45,)
-    assert told_robot(robot, drawn).controller.position_gain == (160.18,)  # a rate, of a cascade
-    nothing = told_robot(robot, replace(drawn, controller="none")).controller
+    drawn = RunSettings(cutoff=5.0, start=1.0, gain_error=0.5, seed=1, controller="described", noise=Noise())
+    assert robot_given_to_fit(robot, drawn).controller.velocity_gain == (0.5 * 243.45,)
+    assert robot_given_to_fit(robot, drawn).controller.position_gain == (160.18,)  # a rate, of a cascade
+    nothing = robot_given_to_fit(robot, replace(drawn, controller="none")).controller
     assert (nothing.structure, nothing.bandwidth_hz) == (None, 10.0)
 
 
@@ -105,8 +102,8 @@ def test_a_run_has_the_intervals_and_verdicts_of_its_fits():
     study = Study(cutoffs=(5.0,), gain_errors=(1.0,), noise=Noise(effort_percent=1.0), duration_s=4.0)
     found = one_run(robot_named("scara").files, study, 1)
     assert found.drawn.modelled
-    for one, beta in ((found.ls, found.beta_ls), (found.iv, found.beta_iv)):
-        np.testing.assert_allclose(0.5 * (one.low + one.high), beta)
+    for one in (found.ls, found.iv):
+        np.testing.assert_allclose(0.5 * (one.low + one.high), one.beta)
         assert (one.high > one.low).all()
         assert one.positive
         assert one.essential.any()

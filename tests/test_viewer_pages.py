@@ -27,7 +27,7 @@ from identification.model import InverseModel
 from identification.regression import Overrides
 from identification.report import Parameter, ParameterSet, differences
 from identification.report.comparison import difference_lines
-from identification.study import Run
+from identification.study import Noise, Run, RunFit, RunSettings
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
@@ -413,22 +413,17 @@ def test_a_study_joins_the_two_methods_of_a_run_and_draws_their_medians():
     true = np.array([1.0, 2.0])
 
     def a_run(number, cutoff, ls, iv, status="converged"):
-        some = dict.fromkeys(("sigma_ls", "sigma_iv"), np.full(2, 0.1))
-        beta = {name: true + 0.01 * rng.standard_normal(2) for name in ("beta_ls", "beta_iv")}
-        return Run(
-            number=number,
-            cutoff=cutoff,
-            start=0.0,
-            gain_error=0.0,
-            status=status,
-            error_ls=ls,
-            error_iv=iv,
-            **beta,
-            **some,
-        )
+        def fit(error):
+            beta = true + 0.01 * rng.standard_normal(2)
+            ends = {"low": beta - 0.2, "high": beta + 0.2}
+            known = {"verdict": "trust", "doubts": (), "essential": np.ones(2, dtype=bool), "positive": True}
+            return RunFit(beta=beta, sigma=np.full(2, 0.1), error=error, **ends, **known)
+
+        drawn = RunSettings(cutoff=cutoff, start=0.0, gain_error=0.0, seed=1, controller="described", noise=Noise())
+        return Run(number=number, drawn=drawn, status=status, ls=fit(ls), iv=None if iv is None else fit(iv))
 
     runs = [a_run(k, 5.0, ls, iv) for k, (ls, iv) in enumerate([(0.1, 0.01), (0.2, 0.03), (0.3, 0.02)])]
-    runs += [a_run(3, 0.0, 0.9, 0.05), a_run(4, 0.0, 0.8, 0.07), a_run(5, 0.0, 0.7, float("nan"), "diverged")]
+    runs += [a_run(3, 0.0, 0.9, 0.05), a_run(4, 0.0, 0.8, 0.07), a_run(5, 0.0, 0.7, None, "diverged")]
     drawing = study_drawing(runs, true)
     assert (len(drawing.crosses), len(drawing.dots)) == (6, 5)
     ends = [tuple(map(tuple, s)) for s, c, _ in drawing.strokes if c == GREY]

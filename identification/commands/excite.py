@@ -11,7 +11,7 @@ from .robots import add_robot, robot_of
 
 
 def add(commands: Commands) -> None:
-    """Declare the command; options have the names of the fields of `Settings`."""
+    """Declare the command; options have the names of the fields of `ExcitationSettings`."""
     parser = commands.add_parser(
         "excite", help="a reference that tells most of a robot's parameters, within its limits"
     )
@@ -66,10 +66,10 @@ def run(options: argparse.Namespace) -> None:
 
         from acquisition.files import write_columns
 
-        from ..design import Settings, excitation_document, excite, knowledge_of
+        from ..design import ExcitationSettings, excitation_document, excite, knowledge_of
 
         robot = robot_of(options, moves=True)
-        settings = from_options(Settings, options)
+        settings = from_options(ExcitationSettings, options)
         knowledge, warnings = knowledge_of(
             robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
         )

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> None:
     with work_of(options, study.runs) as work:
         each = run_study(robot, study, work)
         runs = list(track(each, "runs", study.runs, console=err, transient=True, disable=not err.is_terminal))
-    if not any(run.error_ls > 0 for run in runs):
+    if not any(run.ls for run in runs):
         raise IdentificationError(f"no run can be fitted: {runs[0].reason}", place=str(options.robot))
     document = study_document(robot.name, study, runs, true)
     try:

@@ -39,7 +39,7 @@ class Signals:
         q: (N, n) measured joint positions, rad or m.
         q_ref: (N, n) reference positions, or None.
         effort: (N, n) joint torques in N m, forces in N; in A or V where the drive gain is not known.
-        track: (start, stop) sample range of the recorded tracking phase, or None.
+        track: (start, stop) sample range of the tracking phase, or None.
         recording, sha256: file name of the recording, and its digest.
         health: the recorder's counters by name: t_s (k,) from the first sample, and the counts (k,).
         extras: the drives' extra objects: t_s (k,) from the first sample, and the values (k,) as they were recorded.

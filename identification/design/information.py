@@ -1,19 +1,144 @@
-"""What a motion tells of the base parameters: the A-optimal criterion relative to a plain reference, and its gradient.
+"""What is known of a robot before a motion, and what the motion tells of its base parameters.
 
 The information of a motion is M = sum of W'W / s², s the torque noise of each joint; the deviations of the parameters are
-sigma = sqrt(diag(inv(M))). The criterion is log(mean((sigma / sigma of a plain reference)²)).
+sigma = sqrt(diag(inv(M))). The A-optimal criterion is log(mean((sigma / sigma of a plain reference)²)).
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from acquisition.robot import Robot
+
 from ..arrays import Array
+from ..data import Signals, load_signals
 from ..errors import IdentificationError
-from ..model import SLIDING, BaseParameters, InverseModel, JointTerm, regressor_gradient
-from .series import Motion
+from ..methods import stored_beta
+from ..model import (
+    SLIDING,
+    BaseParameters,
+    DirectModel,
+    InverseModel,
+    JointTerm,
+    base_parameters,
+    load_parameters,
+    regressor_gradient,
+    truth,
+)
+from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
+from ..report import read_fit
+from .limits import Motion
+
+NOISE_SHARE = 0.02  # of a joint's rms torque, where no noise is known
+SAMPLE_RATE_HZ = 1000.0  # of a recording, where nothing states one
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Knowledge:
+    """What is known of the robot beforehand.
+
+    Attributes:
+        beta: (b,) base parameters that the torque is computed by; None where there are none.
+        beta_from: their origin, in words.
+        noise: (n,) stated deviation of the torque; None where none is.
+        noise_share: (n,) the same of a fit's rows, as shares of the rms torque; None without a fit.
+        recordings: whose information adds to that of the reference.
+        folder: of the description, where collision meshes of its URDF are looked for first.
+    """
+
+    beta: Array | None = None
+    beta_from: str = ""
+    noise: Array | None = None
+    noise_share: Array | None = None
+    recordings: Sequence[Signals] = ()
+    folder: Path | None = None
+
+
+def knowledge_of(
+    robot: Robot,
+    folder: Path | None = None,
+    *,
+    fit: Path | None = None,
+    noise: Sequence[float] | None = None,
+    after: Sequence[Path] = (),
+) -> tuple[Knowledge, list[str]]:
+    """What files and options know of a robot: a fit's parameters, else those of the description.
+
+    Returns what is known, and warnings about the fit. Raises `IdentificationError`: where a file cannot be read, or is
+    not of this robot.
+    """
+    if noise is not None and len(noise) not in (1, robot.n):
+        expected = f"one number, or one for each of {robot.n} joints"
+        raise IdentificationError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
+    model = InverseModel(robot)
+    base = base_parameters(model)
+    known = Knowledge(
+        beta=truth(model, base) if fit is None and robot.parameters else None,
+        beta_from="[parameters]",
+        noise=None if noise is None else np.ones(robot.n) * noise,
+        recordings=[load_signals(path) for path in after],
+        folder=folder,
+    )
+    if fit is None:
+        return known, []
+    stored = read_fit(fit)
+    share, errors = None, stored.joints
+    if len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors):
+        # r rows of correlation rho are worth r (1 - rho)/(1 + rho) independent ones.
+        rho = np.clip([e.autocorrelation or 0.0 for e in errors], 0.0, 0.95)
+        share = 0.01 * np.array([e.percent for e in errors]) * np.sqrt((1 + rho) / (1 - rho))
+    known = replace(known, beta=stored_beta(stored, base, str(fit)), beta_from=fit.name, noise_share=share)
+    return known, stored.warnings_of(str(fit))
+
+
+def torque_noise(
+    robot: Robot, model: DirectModel | None, knowledge: Knowledge, motions: Sequence[Motion]
+) -> tuple[Array, str]:
+    """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
+
+    A stated one; else the error of a fit, in percent of the torque along `motions`, larger where it is correlated from row
+    to row; else a share of that torque; else 1 for each joint, if no parameters give a torque.
+    """
+    if knowledge.noise is not None:
+        return knowledge.noise, "as stated"
+    if model is None:
+        return np.ones(robot.n), "1 N m or N for each joint, for want of better"
+    tau = np.concatenate([model.torque(*motion) for motion in motions])
+    rms = np.sqrt(np.mean(tau**2, axis=0))
+    rms = np.maximum(rms, 1e-6 * rms.max(initial=1e-9))
+    if knowledge.noise_share is None:
+        return NOISE_SHARE * rms, f"{100 * NOISE_SHARE:g} % of the rms torque of the plain references"
+    return np.maximum(knowledge.noise_share, 1e-6) * rms, "the torque error of the fit"
+
+
+def rows_per_s(robot: Robot) -> float:
+    """Rows of the fit of a recording per second, by the rule of decimation."""
+    rate_hz = robot.controller.sample_rate_hz or SAMPLE_RATE_HZ
+    if robot.bus is not None:
+        rate_hz = 1 / robot.bus.sync_period_s
+    return rate_hz / decimation_rule(rate_hz, robot.bandwidth_hz)
+
+
+def earlier_information(base: BaseParameters, noise: Array, recordings: Sequence[Signals]) -> Array:
+    """Sum of W'W / s² (b, b) over the rows of earlier recordings that count; `base` has no load friction.
+
+    Raises `IdentificationError` where a recording is of a robot with other base parameters, or cannot be fitted.
+    """
+    M = np.zeros((base.b, base.b))
+    for signals in recordings:
+        problem = make_problem(signals, Overrides())
+        own = problem.base.without(load_parameters(problem.base))
+        known = (own.names, own.units, own.expressions)
+        if known != (base.names, base.units, base.expressions):
+            expected = "a recording of the described robot: its base parameters are others"
+            raise IdentificationError(place=signals.recording, key="robot", value=signals.robot.name, expected=expected)
+        W, _ = regression_of_recording(replace(problem, base=own)).system.weighted(1 / noise)
+        M += W.T @ W
+    return M
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

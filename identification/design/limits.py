@@ -1,4 +1,4 @@
-"""The limits that a reference keeps, as shares of what they allow: position, speed, acceleration, effort."""
+"""Motions as Fourier series from rest to rest, and their limits: position, speed, acceleration, effort, distances."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -6,16 +6,67 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.robot import EffortLimits, Robot, effort_limits
+from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limits
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel, Obstacles, sliding_apart, torque_of_links
-from .series import Motion
 
 MARGIN_M = 0.02  # that links keep from each other and from the ground
 FAR_M = 0.2  # from which on a distance does not matter
 KINDS = ("position", "speed", "acceleration")
+
+Motion = tuple[Array, Array, Array]
+"""Position, speed and acceleration, each (N, n), in rad or m; of a basis (N, K)."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Series:
+    """Periodic Fourier series whose speed and acceleration are zero at the ends of the period.
+
+    A joint's series has K = 2 H - 1 coefficients: its position at the ends, and those of a basis of the null space of the two
+    conditions. A motion of n joints is x (n, K).
+    """
+
+    period_s: float
+    harmonics: int
+
+    @cached_property
+    def _null_spaces(self) -> tuple[Array, Array]:
+        """(H, H - 1) each: sine coefficients with zero speed, cosine coefficients with zero acceleration at the ends."""
+        k = np.arange(1, self.harmonics + 1, dtype=float)
+        # With coefficients s/k, harmonics of equal s have equal speeds: the speed is sum(s), the acceleration sum(k s).
+        return _complement(np.ones_like(k)) / k[:, None], _complement(k) / k[:, None]
+
+    def reference(self, x: Array) -> FourierReference:
+        """The series with the coefficients x (n, K)."""
+        H = self.harmonics
+        sine, cosine = self._null_spaces
+        return FourierReference(
+            period_s=self.period_s, center=x[:, 0], sine=x[:, 1:H] @ sine.T, cosine=x[:, H:] @ cosine.T
+        )
+
+    def coefficients(self, reference: FourierReference) -> Array:
+        """x (n, K) of a reference that is such a series."""
+        sine, cosine = (np.linalg.pinv(basis) for basis in self._null_spaces)
+        return np.concatenate([reference.center[:, None], reference.sine @ sine.T, reference.cosine @ cosine.T], axis=1)
+
+    def basis(self, samples: int) -> Motion:
+        """Matrices (N, K) of position, speed and acceleration at N instants of a period, from its begin: q_j = A x_j."""
+        t_s = np.arange(samples, dtype=np.float64) * (self.period_s / samples)
+        position, speed, acceleration = self.reference(np.eye(2 * self.harmonics - 1)).at(t_s)
+        return position, speed, acceleration
+
+
+def motion_of(x: Array, basis: Motion) -> Motion:
+    """q, dq, ddq (N, n) of the coefficients x (n, K)."""
+    q, dq, ddq = (A @ x.T for A in basis)
+    return q, dq, ddq
+
+
+def _complement(v: Array) -> Array:
+    """Orthonormal basis (H, H - 1) of the vectors square to v (H,)."""
+    return np.asarray(np.linalg.qr(v[:, None], mode="complete")[0][:, 1:])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -26,11 +77,9 @@ class Limits:
     of a speed, and has no jumps.
 
     Attributes:
-        robot: whose limits they are.
         middle: (n,) of the joints' ranges.
         most: (3, n) half the range, the speed, the acceleration, each times the share that may be used.
         model: with the parameters that the torque is computed by; None where there are none.
-        effort: the limits of the efforts.
         coulomb: (m,) what friction with a sign takes of each at most: of Coulomb, of Stribeck, by the root of speed.
         share: of all limits that may be used.
         obstacles: pairs of shapes that keep a margin; None where there are none.
@@ -153,9 +202,10 @@ def limits_of(
         coulomb = np.abs(limits.directions @ model.directions.T) @ sliding
     for name, unit, friction, limit in zip(limits.names, limits.units, coulomb, limits.limits, strict=True):
         if friction >= share * limit:
-            problem = f"{name}: Coulomb friction of {friction:.4g} {unit}"
             expected = f"less than {100 * share:g} % of the effort limit of {limit:.4g} {unit}"
-            raise IdentificationError(problem, place=place, expected=expected)
+            raise IdentificationError(
+                f"{name}: Coulomb friction of {friction:.4g} {unit}", place=place, expected=expected
+            )
     motion = np.array([[joint.si(kind) for joint in robot.joints] for kind in KINDS[1:]])
     most = share * np.concatenate([np.ptp(ranges, axis=1)[None] / 2, motion])
     return Limits(

@@ -16,8 +16,7 @@ from acquisition.robot import FourierReference, fourier_reference
 from ..arrays import Array
 from ..errors import IdentificationError
 from .information import Information
-from .limits import FAR_M, MARGIN_M, Limits
-from .series import Motion, Series, motion_of
+from .limits import FAR_M, MARGIN_M, Limits, Motion, Series, motion_of
 
 SAMPLES_PER_PERIOD = 15  # of the highest harmonic
 WINDOW = 3  # samples that a search looks at the largest share of
@@ -37,12 +36,8 @@ BISECTIONS = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Problem:
-    """What is searched: a series of which a criterion is least within limits.
-
-    Attributes:
-        plain: (b,) deviations that the criterion is relative to.
-    """
+class SearchProblem:
+    """What is searched: a series of which a criterion, relative to the deviations `plain` (b,), is least within limits."""
 
     series: Series
     information: Information
@@ -55,7 +50,7 @@ class Problem:
         return SAMPLES_PER_PERIOD * self.series.harmonics
 
 
-def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
+def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
     """Coefficients (n, K) of the best of several searches that keeps the limits between samples too, and deviations (b,).
 
     The best has the least criterion; one that makes no deviation larger than `WORST` times the plain one goes before others.
@@ -69,7 +64,7 @@ def best_of_searches(problem: Problem, seed: int, place: str, say: Callable[[str
         say(text)
         try:
             start = _start(problem, STARTS * seed + i)
-            x = best_series(problem, start, partial(_tell, say, text))
+            x = best_series(problem, start, partial(_say_criterion, say, text))
             fine = motion_of(x, finer)
             most, name = problem.limits.largest(fine)
             if most > 1 + TOLERANCE:
@@ -99,7 +94,7 @@ def random_within(limits: Limits, series: Series, seed: int) -> FourierReference
     return series.reference(x)
 
 
-def _start(problem: Problem, seed: int) -> Array:
+def _start(problem: SearchProblem, seed: int) -> Array:
     """Coefficients (n, K) of a random reference within a share of the limits, its links as far apart as may be."""
     limits, series = problem.limits, problem.series
     x = START_SHARE * series.coefficients(random_within(limits, series, FIRST_SEED + seed))
@@ -117,11 +112,11 @@ def _roomiest(limits: Limits, seed: int) -> Array:
     return np.asarray(poses[int(np.maximum(used, limits.nearness(poses, FAR_M + MARGIN_M)).argmin())])
 
 
-def _tell(say: Callable[[str], None], text: str, criterion: float) -> None:
+def _say_criterion(say: Callable[[str], None], text: str, criterion: float) -> None:
     say(f"{text}: deviations {math.exp(criterion / 2):.2f} times those of the plain reference")
 
 
-def best_series(problem: Problem, start: Array, say: Callable[[float], None]) -> Array:
+def best_series(problem: SearchProblem, start: Array, say: Callable[[float], None]) -> Array:
     """Coefficients x (n, K) of least criterion; limits are kept between the samples too, or as nearly as can be.
 
     The search knows nothing of distances: what it finds is moved towards `start`, which keeps all limits, until it keeps
@@ -137,7 +132,7 @@ def best_series(problem: Problem, start: Array, say: Callable[[float], None]) ->
 class _Search:
     """The criterion and the limits as functions of the coefficients z (n K,), in units in which all have like effects."""
 
-    def __init__(self, problem: Problem, say: Callable[[float], None]) -> None:
+    def __init__(self, problem: SearchProblem, say: Callable[[float], None]) -> None:
         self._problem, self._say, self._basis = problem, say, problem.series.basis(problem.samples)
         self._value = math.inf
         # A coefficient of 1 takes its joint to the first limit.

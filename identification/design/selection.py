@@ -21,12 +21,20 @@ from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, identify_ls, in_known_time, observe_all
-from ..regression import Linearised, Overrides, Problem, alike, leave_out_untold
-from .parts import parts_of, predictable
-from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
-from .trials import Trial, Trials, usual_estimate
-
-LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
+from ..regression import Linearised, Overrides, alike, leave_out_untold
+from .trials import (
+    TRIED,
+    TermSet,
+    Trial,
+    Trials,
+    described_terms,
+    everywhere,
+    parts_of,
+    predictable,
+    tried_terms,
+    usual_estimate,
+    with_terms,
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,7 +43,6 @@ class TermChoice:
 
     Attributes:
         recordings: in the order given.
-        problem: the identification with all terms that are tried; of several recordings that of the first.
         held_out: names of the parts that were held out, recordings or fifths of one.
         trials: of all sets; `usual` of that without any.
         recommended: the smallest set that predicts about as well as the best.
@@ -43,7 +50,6 @@ class TermChoice:
     """
 
     recordings: tuple[Signals, ...]
-    problem: Problem
     held_out: tuple[str, ...]
     trials: tuple[Trial, ...]
     usual: Trial
@@ -58,8 +64,7 @@ class TermChoice:
     @property
     def described(self) -> dict[str, tuple[FrictionTerm, ...]]:
         """The recommended terms by joint, as the list `friction` of a description has them."""
-        lists = described_terms(self.robot, self.recommended.terms)
-        return {joint.name: terms for joint, terms in zip(self.robot.joints, lists, strict=True)}
+        return described_terms(self.robot, self.recommended.terms)
 
 
 @one_thread
@@ -80,24 +85,22 @@ def choose_terms(
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
-    linearised = _told(observed.linearised)
+    linearised = _identifiable(observed.linearised)
     about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
     parts, unpredicted = predictable(parts_of(linearised, names), about)
     trials = Trials(linearised, parts)
     usual = trials.of(everywhere(robot.joints, frozenset()))
-    level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
     for terms in _for_all_joints(robot):
         say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
         trials.of(everywhere(robot.joints, terms))
-    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), level, say)
+    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), say)
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         recordings=recordings,
-        problem=linearised.problem,
         held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
-        recommended=recommended(found, level),
+        recommended=recommended(found),
         left_out=(*trials.left_out.values(), *unpredicted.values()),
     )
 
@@ -125,9 +128,9 @@ def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[Fricti
     return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
 
 
-def recommended(trials: Iterable[Trial], level: float) -> Trial:
-    """The smallest set within one standard error of the best, of those whose terms all exclude 0 at a level."""
-    able = sorted((trial for trial in trials if trial.significant(level)), key=lambda trial: trial.score)
+def recommended(trials: Iterable[Trial]) -> Trial:
+    """The smallest set within one standard error of the best, of those whose terms are all sure."""
+    able = sorted((trial for trial in trials if trial.sure == trial.terms), key=lambda trial: trial.score)
     best = able[0]
 
     def near(trial: Trial) -> bool:
@@ -137,17 +140,16 @@ def recommended(trials: Iterable[Trial], level: float) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _told(linearised: Linearised) -> Linearised:
-    """W and Y without the terms that the recordings cannot tell with all others at hand."""
+def _identifiable(linearised: Linearised) -> Linearised:
+    """W and Y without the terms that cannot be identified with all others at hand."""
     linearised = leave_out_untold(linearised)
     while load := linearised.load:
         names = linearised.parameters.names
-        beta = usual_estimate(linearised).among(names)
-        among = [names[place] for place in linearised.load_places(load)]
-        untold = alike(linearised.problem, linearised.at(beta).system, among)
-        if not untold:
+        about = linearised.at(usual_estimate(linearised).among(names))
+        dependent = alike(linearised.problem, about.system, [names[place] for place in linearised.load_places(load)])
+        if not dependent:
             break
-        linearised = linearised.without(untold)
+        linearised = linearised.without(dependent)
     return linearised
 
 
@@ -158,24 +160,24 @@ def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:
         yield from (frozenset(chosen) for chosen in combinations(able, size))
 
 
-def _joint_by_joint(trials: Trials, everything: Trial, level: float, say: Callable[[str], None]) -> None:
+def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None]) -> None:
     """Try sets that differ between joints; `trials` has them all in the end."""
     best = min(trials.done, key=lambda trial: trial.score)
-    now = trials.of(_kept(trials, best, level))
+    now = trials.of(best.sure)
     for j, term in _places(everything.terms):
-        if term not in now.terms[j] and _sure(trials, everything, j, term, level):
+        if term not in now.terms[j] and term in everything.sure[j]:
             say(f"set {len(trials.done) + 1}: {term} at joint {j + 1}")
-            wider = trials.of(_changed(now.terms, j, now.terms[j] | {term}))
-            if wider.score < now.score and wider.significant(level):
+            wider = trials.of(_toggled(now.terms, j, term))
+            if wider.score < now.score and wider.sure == wider.terms:
                 now = wider
     while True:
-        pruned = trials.of(_kept(trials, now, level))
-        now = pruned if pruned.score <= now.score or not now.significant(level) else now
+        pruned = trials.of(now.sure)
+        now = pruned if pruned.score <= now.score or now.sure != now.terms else now
         # The size of a term is its value in deviations, the larger where it has two parameters.
         sizes = {at: max(abs(now.t[name]) for name in trials.parameters[at]) for at in _places(now.terms)}
         for j, term in sorted(sizes, key=sizes.__getitem__):
             say(f"set {len(trials.done) + 1}: without {term} at joint {j + 1}")
-            narrower = trials.of(_changed(now.terms, j, now.terms[j] - {term}))
+            narrower = trials.of(_toggled(now.terms, j, term))
             if narrower.score <= now.score:
                 now = narrower
                 break
@@ -187,17 +189,6 @@ def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
     return [(j, term) for j, more in enumerate(terms) for term in TRIED if term in more]
 
 
-def _changed(terms: TermSet, j: int, more: frozenset[FrictionTerm]) -> TermSet:
-    return (*terms[:j], more, *terms[j + 1 :])
-
-
-def _kept(trials: Trials, trial: Trial, level: float) -> TermSet:
-    """The set without the terms whose intervals contain 0."""
-    return tuple(
-        frozenset(term for term in more if _sure(trials, trial, j, term, level)) for j, more in enumerate(trial.terms)
-    )
-
-
-def _sure(trials: Trials, trial: Trial, j: int, term: FrictionTerm, level: float) -> bool:
-    """Whether the interval of a parameter of the term excludes 0."""
-    return any(trial.excludes_zero(name, level) for name in trials.parameters[j, term])
+def _toggled(terms: TermSet, j: int, term: FrictionTerm) -> TermSet:
+    """The set with this term at a joint, or without it where it is there."""
+    return (*terms[:j], terms[j] ^ {term}, *terms[j + 1 :])

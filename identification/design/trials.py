@@ -1,15 +1,19 @@
 """What a set of friction terms is worth on recordings: its fit, and how well parts held out are predicted.
 
-All sets share W: its columns are those of all terms at all joints. A part is predicted by the fit of the others; load
-friction goes by the links' torque of that fit. The score of a part is the sum of squared residuals of moving rows, each
-divided by its joint's s_j of the fit with the usual terms.
+All sets share W: its columns are those of all terms at all joints. A part is a fifth of one recording, or one of several; it
+is predicted by the fit of the others, load friction by the links' torque of that fit. The score of a part is the sum of
+squared residuals of moving rows, each divided by its joint's s_j of the fit with the usual terms.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
+
+from acquisition.robot import FrictionTerm, Joint, Robot
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -22,11 +26,120 @@ from ..estimation import (
     ordinary_least_squares,
     relative_error_percent,
     t_quantile,
+    undetermined_parameters,
     weighted_least_squares,
 )
+from ..model import BaseParameters, InverseModel, JointTerm
 from ..regression import Linearised, Regression, base_name, load_passes
-from .parts import Mask, Part
-from .sets import TermSet, parameters_of
+
+FIFTHS = 5  # of one recording
+LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
+LEAST = 2  # parts of which a mean has a standard error
+USUAL: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
+TRIED: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")  # in the order of a description's list
+TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, what it has beside the usual terms
+Mask = NDArray[np.bool_]
+
+
+def usual_terms(joint: Joint) -> tuple[FrictionTerm, ...]:
+    """The terms that a joint has in any set: those of viscous, coulomb and offset that are described.
+
+    Friction that is two for the two directions has an offset in it: in its place stands friction that is one, and an offset.
+    """
+    described = ("viscous", "coulomb", "offset") if joint.one_sided else joint.terms
+    return tuple(term for term in USUAL if term in described)
+
+
+def tried_terms(joint: Joint) -> frozenset[FrictionTerm]:
+    """What is tried beside the usual terms: Stribeck friction where its speed is stated."""
+    return frozenset(term for term in TRIED if term != "stribeck" or joint.si("stribeck_speed") is not None)
+
+
+def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
+    """By joint, the list of terms that a description has for the set."""
+    return {
+        joint.name: (*usual_terms(joint), *(term for term in TRIED if term in more))
+        for joint, more in zip(robot.joints, terms, strict=True)
+    }
+
+
+def with_terms(robot: Robot, terms: TermSet) -> Robot:
+    """The robot with these friction terms in place of the described ones."""
+    lists = described_terms(robot, terms)
+    joints = (
+        msgspec.structs.replace(joint, friction=lists[joint.name], viscous=None, coulomb=None, offset=None)
+        for joint in robot.joints
+    )
+    return replace(robot, joints=tuple(joints))
+
+
+def parameters_of(model: InverseModel, base: BaseParameters) -> dict[tuple[int, FrictionTerm], tuple[str, ...]]:
+    """By joint and tried term, its base parameters: two where a motor turns with several joints."""
+    found: dict[tuple[int, FrictionTerm], tuple[str, ...]] = {}
+    for name, column in zip(base.names, base.columns, strict=True):
+        source = model.sources[column]
+        for term in TRIED:
+            if isinstance(source, JointTerm) and source.kind == term:
+                key = int("".join(filter(str.isdigit, name))) - 1, term
+                found[key] = (*found.get(key, ()), name)
+    return found
+
+
+def everywhere(joints: Sequence[Joint], kinds: frozenset[FrictionTerm]) -> TermSet:
+    """These terms at all joints that may have them."""
+    return tuple(kinds & tried_terms(joint) for joint in joints)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Part:
+    """Rows that are held out together.
+
+    Attributes:
+        rows: (T,) whether an instant is in the part.
+        own: (b,) whether only this part has a parameter, such as Off1@A: the others know nothing of it, and it is fitted there.
+    """
+
+    name: str
+    rows: Mask
+    own: Mask
+
+
+def parts_of(linearised: Linearised, names: Sequence[str]) -> tuple[Part, ...]:
+    """Fifths of a recording, or each of several; `names` are those of the recordings in the order of their rows."""
+    parameters, lengths = linearised.parameters, linearised.plain.parts
+    instants, edges = np.arange(sum(lengths)), np.cumsum([0, *lengths])
+    owned = [["@" in name and name in of for name in parameters.names] for of in parameters.of]
+    if len(lengths) == 1:
+        edges = np.linspace(0, len(instants), FIFTHS + 1).round().astype(int)
+        names, owned = [f"fifth {k + 1}" for k in range(FIFTHS)], [[False] * len(parameters.names)] * FIFTHS
+    spans = [(begin <= instants) & (instants < end) for begin, end in pairwise(edges)]
+    return tuple(
+        Part(name=name, rows=rows, own=np.array(own)) for name, rows, own in zip(names, spans, owned, strict=True)
+    )
+
+
+def predictable(parts: Sequence[Part], observed: Regression) -> tuple[tuple[Part, ...], dict[str, str]]:
+    """The parts whose parameters the others determine; and of each other one a line that says it, by its name.
+
+    `observed` has all terms that are tried. Raises `IdentificationError` where fewer than two are left.
+    """
+    found, refused = [], dict[str, str]()
+    for part in parts:
+        counts = (observed.fast & ~part.rows[:, None]).T.reshape(-1)
+        names = tuple(name for name, own in zip(observed.system.names, part.own, strict=True) if not own)
+        if lost := undetermined_parameters(observed.system.W[counts][:, ~part.own], names):
+            refused[part.name] = f"{part.name} cannot be predicted by the others: {', '.join(lost[:8])} undetermined"
+        else:
+            found.append(part)
+    if len(found) < LEAST:
+        text = "; ".join(refused.values())
+        expected = "recordings that each move all joints, or one of them: its fifths are then held out"
+        if len(observed.parts) == 1:
+            expected = "motion of all joints in all fifths of the recording"
+        raise IdentificationError(
+            text, key="parts held out", value=len(found), expected=f"at least {LEAST}: {expected}"
+        )
+    return tuple(found), refused
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -34,14 +147,13 @@ class Trial:
     """A set of terms on recordings.
 
     Attributes:
-        terms: by joint, beside the usual ones.
         fitted_error_percent: relative torque error of moving rows, of the fit of all of them.
         held_out_percents: (k,) the same of each part by the fit of the others; NaN where nothing moves.
         scores: (k,) by part.
         lag_one: of the fit's weighted residual; None where it is zero.
         condition_number_scaled: of its weighted W, columns of norm one.
         t: by added parameter, its value in deviations; `freedom` those of their Student's t.
-        names_of_terms: the parameters of each added term.
+        sure: the terms that have a parameter whose interval excludes 0.
     """
 
     terms: TermSet
@@ -52,7 +164,7 @@ class Trial:
     condition_number_scaled: float
     t: dict[str, float]
     freedom: int
-    names_of_terms: tuple[tuple[str, ...], ...]
+    sure: TermSet
 
     @property
     def count(self) -> int:
@@ -69,15 +181,6 @@ class Trial:
         """Mean of the parts'."""
         return float(np.nanmean(self.held_out_percents))
 
-    def significant(self, level: float) -> bool:
-        """Whether each added term has a parameter whose interval of that `level` (0.95, say) excludes 0."""
-        return all(any(self.excludes_zero(name, level) for name in names) for names in self.names_of_terms)
-
-    def excludes_zero(self, name: str, level: float) -> bool:
-        """Whether the interval of a parameter does; that of load friction must lie above, no friction falls with the load."""
-        t = self.t[name] if name.startswith("mu") else abs(self.t[name])
-        return t > t_quantile(0.5 + level / 2, self.freedom)
-
 
 class Trials:
     """Trials of sets of terms; each set is tried once."""
@@ -87,8 +190,8 @@ class Trials:
         self.linearised, self.plain, self.parts = linearised, linearised.plain, parts
         self.parameters = parameters_of(linearised.problem.model, linearised.problem.base)
         self._names = linearised.parameters.names
-        self._usual = usual_columns(linearised)
-        self._weights = usual_estimate(linearised).weights
+        usual = usual_estimate(linearised)
+        self._usual, self._weights = usual.names, usual.weights
         self._moving = are_moving(self.plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
         self._done: dict[TermSet, Trial] = {}
@@ -114,10 +217,6 @@ class Trials:
             self._done[terms] = self._judged(terms, observed, estimate)
         return self._done[terms]
 
-    def held_out_percents(self, terms: TermSet, parts: Sequence[Part]) -> Array:
-        """Relative error, percent, of the moving rows of each part by the fit of the other rows."""
-        return np.array([self._held_out(terms, part, -2 - k)[1] for k, part in enumerate(parts)])
-
     def _judged(self, terms: TermSet, observed: Regression, estimate: Estimate) -> Trial:
         held = [self._held_out(terms, part, k) for k, part in enumerate(self.parts)]
         rho = self._residual(observed, estimate)
@@ -127,8 +226,12 @@ class Trials:
         Q = W @ estimate.bread  # W bread has orthonormal columns: bread breadᵀ = (WᵀW)⁻¹
         found = intervals(replace(estimate, Q=Q), weighted.T.reshape(-1), self.plain.tau.shape[1], self.plain.parts)
         with np.errstate(divide="ignore", invalid="ignore"):
-            t = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
-        usual = {self._names[i] for i in np.flatnonzero(self._usual)}
+            values = np.nan_to_num(estimate.beta / found.sigma, nan=0.0)
+        t = {name: float(x) for name, x in zip(estimate.names, values, strict=True) if name not in self._usual}
+        level = 1 - LEVEL / max(1, sum(len(names) for names in self.parameters.values()))
+        limit = t_quantile(0.5 + level / 2, found.freedom)
+        # An interval of load friction must lie above 0: no friction falls with the load.
+        beyond = {name for name, x in t.items() if (x if name.startswith("mu") else abs(x)) > limit}
         return Trial(
             terms=terms,
             fitted_error_percent=float("nan") if error is None else error,
@@ -136,9 +239,12 @@ class Trials:
             scores=np.array([score for score, _ in held]),
             lag_one=lag_one(weighted),
             condition_number_scaled=estimate.condition_number_scaled,
-            t={name: float(x) for name, x in zip(estimate.names, t, strict=True) if name not in usual},
+            t=t,
             freedom=found.freedom,
-            names_of_terms=tuple(self.parameters[j, term] for j, more in enumerate(terms) for term in more),
+            sure=tuple(
+                frozenset(term for term in more if beyond.intersection(self.parameters[j, term]))
+                for j, more in enumerate(terms)
+            ),
         )
 
     def _held_out(self, terms: TermSet, part: Part, start: int) -> tuple[float, float]:
@@ -165,8 +271,8 @@ class Trials:
         return np.asarray((system.Y - system.W @ own).reshape(rho.shape[1], -1).T)
 
     def _columns(self, terms: TermSet) -> NDArray[np.intp]:
-        names = {name for j, more in enumerate(terms) for term in more for name in self.parameters[j, term]}
-        return np.flatnonzero(self._usual | np.isin(self._names, list(names)))
+        added = [name for j, more in enumerate(terms) for term in more for name in self.parameters[j, term]]
+        return np.flatnonzero(np.isin(self._names, [*self._usual, *added]))
 
     def _fit(self, columns: NDArray[np.intp], rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
         """Least squares of some parameters in the rows (T,), and which load friction did not settle."""
@@ -186,15 +292,11 @@ class Trials:
         return observed, estimate, unsettled
 
 
-def usual_columns(linearised: Linearised) -> Mask:
-    """(b,) which parameters are of the usual terms, not of those that are tried."""
-    tried = parameters_of(linearised.problem.model, linearised.problem.base).values()
-    return ~np.isin(linearised.parameters.names, [name for names in tried for name in names])
-
-
 def usual_estimate(linearised: Linearised) -> Estimate:
-    """Weighted least squares of the usual terms."""
-    return weighted_least_squares(linearised.plain.system.with_columns(np.flatnonzero(usual_columns(linearised))))
+    """Weighted least squares of the usual terms, without those that are tried."""
+    tried = parameters_of(linearised.problem.model, linearised.problem.base).values()
+    usual = ~np.isin(linearised.parameters.names, [name for names in tried for name in names])
+    return weighted_least_squares(linearised.plain.system.with_columns(np.flatnonzero(usual)))
 
 
 def _factor(system: System, weights: Array) -> System:

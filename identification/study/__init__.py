@@ -4,7 +4,7 @@ from .demo import description, rehearse
 from .fleet import FleetSettings, Row, Value, found_recordings, method_of, run_fleet
 from .fleet_report import ControlChart, Drift, control_limits, drifts, fleet_document, write_table
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth, write_signals
-from .study import Judged, Run, Study, run_study
+from .study import Run, RunFit, RunSettings, Study, run_study
 from .study_report import (
     FALSE_ERROR,
     FALSE_TRUST,

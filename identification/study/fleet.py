@@ -27,13 +27,7 @@ NOT_FOUND = "{}: a worker does not find it: expected a folder that all workers r
 
 @dataclass(frozen=True, kw_only=True)
 class FleetSettings:
-    """What all recordings of a fleet are fitted with.
-
-    Attributes:
-        method: of the fits.
-        overrides: settings in place of those of the descriptions.
-        description: content of the files of a description in place of the recordings' own, by name; None for their own.
-    """
+    """What all recordings of a fleet are fitted with; `description` as that of a `RecordingFile`."""
 
     method: Method = "wls"
     overrides: Overrides = field(default_factory=Overrides)
@@ -60,14 +54,11 @@ class Row(msgspec.Struct, frozen=True, kw_only=True):
 
     Attributes:
         folder: of the fleet that the recording was found under; `file` its path, or the folder of several.
-        sha256: `digest_of` the files, empty where one cannot be read.
+        sha256: `digest_of` the files; empty where one cannot be read, as is the name of the robot.
         start: when the recording began, None where nothing says so.
-        robot: its name, empty where the recording cannot be read.
         status: of the fit, `failed` or `copy`; `reason` says why there is no fit.
-        verdict: of the fit, empty without one.
         error_percent, moving_error_percent, standing_error_percent: relative torque errors of all rows, of those of moving
             joints and of the others.
-        parameters: by name, empty without a fit.
     """
 
     folder: str
@@ -109,8 +100,7 @@ def fit_row(sources: tuple[RecordingFile, ...], settings: FleetSettings, row: Ro
         if digest_of([signals.sha256 for signals in loaded]) != row.sha256:
             expected = "a finished recording"
             raise IdentificationError("has changed since the run began", place=row.file, expected=expected)
-        given = loaded[0] if len(loaded) == 1 else Recordings(sources=loaded)
-        return _fitted(row, identify(given, settings.overrides, method=settings.method))
+        return _fitted(row, identify(Recordings(sources=loaded), settings.overrides, method=settings.method))
     except (AcquisitionError, IdentificationError, OSError, MemoryError) as error:
         reason = str(error) or type(error).__name__
     except Exception as error:  # one recording that shows a mistake of this program must not end a run of days

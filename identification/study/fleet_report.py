@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from acquisition.files import atomic_write
@@ -30,31 +31,28 @@ def write_table(path: Path, rows: Sequence[Row]) -> None:
     import pyarrow
     import pyarrow.parquet
 
-    stamp = pyarrow.timestamp("us", tz="UTC")
     fields = [pyarrow.field(name, pyarrow.string()) for name in _TEXTS]
-    fields.insert(3, pyarrow.field("start", stamp))
+    fields.insert(3, pyarrow.field("start", pyarrow.timestamp("us", tz="UTC")))
     fields += [pyarrow.field(name, pyarrow.float64()) for name in _ERRORS]
-    values = [[getattr(row, field.name) for row in rows] for field in fields]
     units = {name: value.unit for row in rows for name, value in row.parameters.items()}
     for name, unit in units.items():
-        for end, key in (("", "value"), ("_low", "low"), ("_high", "high")):
-            fields.append(pyarrow.field(f"{name}{end}", pyarrow.float64(), metadata={"unit": unit}))
-            values.append([getattr(row.parameters[name], key) if name in row.parameters else None for row in rows])
-    arrays = [pyarrow.array(column, field.type) for column, field in zip(values, fields, strict=True)]
-    table = pyarrow.Table.from_arrays(arrays, schema=pyarrow.schema(fields))
+        metadata = {"unit": unit}
+        fields += [pyarrow.field(f"{name}{end}", pyarrow.float64(), metadata=metadata) for end in ("", "_low", "_high")]
+    cells = [msgspec.structs.asdict(row) for row in rows]
+    for cell, row in zip(cells, rows, strict=True):
+        for name, value in row.parameters.items():
+            cell |= {name: value.value, f"{name}_low": value.low, f"{name}_high": value.high}
+    table = pyarrow.Table.from_pylist(cells, schema=pyarrow.schema(fields))
     with atomic_write(path) as partial:
         pyarrow.parquet.write_table(table, partial)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ControlChart:
-    """One number of each fit over time.
+    """A parameter, or the error of moving rows in %, of each of k fits over time.
 
     Attributes:
-        name, unit: of a parameter, or the error of moving rows in %.
-        files: (k,) recordings.
-        t_s: (k,) seconds from the first fit; `x` (k,) the numbers.
-        low, high: (k,) 95 % intervals; NaN where there are none.
+        t_s: (k,) seconds from the first fit; `x` the numbers, `low`, `high` their 95 % intervals, NaN where there are none.
         limits: centre, lower and upper control limit; None where fits are too few.
     """
 
@@ -80,10 +78,7 @@ class ControlChart:
 class Drift:
     """The charts of a robot in a folder: the error of moving rows first, then its parameters.
 
-    Attributes:
-        name: of the folder and the robot.
-        rows: (k,) those that are charted: fits whose verdict is not `do not use` and whose start is known.
-        charts: of these.
+    `rows` are those that are charted: fits whose verdict is not `do not use` and whose start is known.
     """
 
     name: str
@@ -114,9 +109,12 @@ def drifts(rows: Sequence[Row]) -> list[Drift]:
         fits.sort(key=lambda fit: (fit[0], fit[1].file))
         t_s = np.array([(start - fits[0][0]).total_seconds() for start, _ in fits])
         charted = tuple(row for _, row in fits)
-        errors = {k: row.moving_error_percent for k, row in enumerate(charted) if row.moving_error_percent is not None}
-        without_ends = {k: Value(value=x, low=np.nan, high=np.nan, unit="%") for k, x in errors.items()}
-        charts = [_chart(ERROR, without_ends, t_s, charted)]
+        errors = {
+            k: Value(value=row.moving_error_percent, low=None, high=None, unit="%")
+            for k, row in enumerate(charted)
+            if row.moving_error_percent is not None
+        }
+        charts = [_chart(ERROR, errors, t_s, charted)]
         for name in dict.fromkeys(name for row in charted for name in row.parameters):
             values = {k: row.parameters[name] for k, row in enumerate(charted) if name in row.parameters}
             charts.append(_chart(name, values, t_s, charted))
@@ -156,23 +154,18 @@ def fleet_document(rows: Sequence[Row]) -> Document:
     )
     head = columns("start, UTC", "recording", "status", "verdict", numbers=("moving error %", "error %"))
     reasons = tuple(f"{row.file}: {row.status}: {row.reason}" for row in rows if row.reason)
-    fitted = sum(row.is_fitted for row in rows)
-    series = drifts(rows)
+    recordings = Section(table=Table(columns=head, rows=shown), warnings=reasons)
     return Document(
-        title=f"recordings: {len(rows)}, fitted: {fitted}",
-        sections=(
-            Section(table=Table(columns=head, rows=shown), warnings=reasons),
-            *(_drift_section(drift) for drift in series),
-        ),
+        title=f"recordings: {len(rows)}, fitted: {sum(row.is_fitted for row in rows)}",
+        sections=(recordings, *map(_drift_section, drifts(rows))),
     )
 
 
 def _drift_section(drift: Drift) -> Section:
     title = f"drift: {drift.name}"
     if len(drift.rows) < FEWEST:
-        return Section(
-            title=title, lines=(f"fits that can be charted: {len(drift.rows)}; control limits need {FEWEST}",)
-        )
+        few = f"fits that can be charted: {len(drift.rows)}; control limits need {FEWEST}"
+        return Section(title=title, lines=(few,))
     rows = tuple(
         (
             chart.name,

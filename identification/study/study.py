@@ -6,7 +6,7 @@ start and told of a wrong controller, by least squares and by instrumental varia
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -52,7 +52,7 @@ class Study:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Draw:
+class RunSettings:
     """What one run has; `seed` is that of its reference and noise."""
 
     cutoff: float
@@ -68,7 +68,7 @@ class Draw:
         return self.noise.modelled and (self.gain_error == 1.0 or self.controller == "none")
 
 
-def draw(study: Study, number: int, bandwidth_hz: float) -> Draw:
+def draw(study: Study, number: int, bandwidth_hz: float) -> RunSettings:
     """What run `number` of a study has: the same number gives the same."""
     rng = np.random.default_rng([study.seed, number])
     cutoff, start = float(rng.choice(study.cutoffs)), float(rng.choice(study.starts))
@@ -79,7 +79,7 @@ def draw(study: Study, number: int, bandwidth_hz: float) -> Draw:
     else:
         noise, controllers = study.noise, study.controllers
     controller = controllers[rng.integers(len(controllers))]
-    return Draw(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
+    return RunSettings(cutoff=cutoff, start=start, gain_error=gain_error, seed=seed, controller=controller, noise=noise)
 
 
 def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> Noise:
@@ -108,7 +108,7 @@ def _any_noise(noise: Noise, rng: np.random.Generator, bandwidth_hz: float) -> N
     )
 
 
-def told_robot(robot: Robot, drawn: Draw) -> Robot:
+def robot_given_to_fit(robot: Robot, drawn: RunSettings) -> Robot:
     """The robot with its controller as the fit is told it: gains off by a factor, or nothing but a bandwidth, off by it."""
     c, factor = robot.controller, drawn.gain_error
     if drawn.controller == "none":
@@ -126,22 +126,31 @@ def told_robot(robot: Robot, drawn: Draw) -> Robot:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Judged:
-    """What a fit says of itself, and what is true of it.
+class RunFit:
+    """The fit of a run by one method: what it says of itself, and what is true of it. Vectors are (b,).
 
     Attributes:
+        error: |beta - true| / |true| over all parameters.
         verdict: of its tests; `doubts` the names of those that say caution or worse, not made ones apart.
-        low, high: (b,) its 95 % intervals.
-        essential: (b,) which parameters the recording determines well.
+        low, high: its 95 % intervals.
+        essential: which parameters the recording determines well.
         positive: whether M of the estimate is positive on the reference.
     """
 
+    beta: Array
+    sigma: Array
+    error: float
     verdict: str
     doubts: tuple[str, ...]
     low: Array
     high: Array
     essential: NDArray[np.bool_]
     positive: bool
+
+    @property
+    def half(self) -> Array:
+        """(b,) half-widths of the intervals."""
+        return 0.5 * (self.high - self.low)
 
     def off(self, true: Array) -> Array:
         """(b,) distances of the true values from the middles of the intervals, in half-widths."""
@@ -151,31 +160,20 @@ class Judged:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One run. Errors are |beta - true| / |true| over all parameters; vectors are (b,).
+    """One run, and its fits where there are any.
 
-    `positive` says whether M of the estimate is positive on the reference; `error_tuned_ls` is that of least squares on the
-    same recording at the rule's cut-off. A method that gives no estimate has NaN; `reason` says why a status of IV is not
-    `converged`. `drawn` has the rest of what the run was made with, `ls` and `iv` what each fit says of itself.
+    `status` and `passes` are those of IV, `reason` says why it is not `converged` or why there is no fit; `error_tuned_ls` is
+    the error of least squares on the same recording at the rule's cut-off.
     """
 
     number: int
-    cutoff: float
-    start: float
-    gain_error: float
+    drawn: RunSettings
     status: str = "diverged"
     reason: str | None = None
     passes: int = 0
-    positive: bool = False
-    error_ls: float = float("nan")
-    error_iv: float = float("nan")
     error_tuned_ls: float = float("nan")
-    beta_ls: Array
-    beta_iv: Array
-    sigma_ls: Array
-    sigma_iv: Array
-    drawn: Draw | None = None
-    ls: Judged | None = None
-    iv: Judged | None = None
+    ls: RunFit | None = None
+    iv: RunFit | None = None
 
 
 def run_study(robot: Robot, study: Study, work: Work) -> Iterator[Run]:
@@ -211,45 +209,30 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         low_speed_percent=study.low_speed_percent,
     )
     J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
-    nan = np.full(base.b, np.nan)
-    run = Run(
-        number=number,
-        cutoff=drawn.cutoff,
-        start=drawn.start,
-        gain_error=drawn.gain_error,
-        beta_ls=nan,
-        beta_iv=nan,
-        sigma_ls=nan,
-        sigma_iv=nan,
-        drawn=drawn,
-    )
+    run = Run(number=number, drawn=drawn)
 
-    def error(fit: Fit) -> float:
-        return float(np.linalg.norm(fit.beta - true) / np.linalg.norm(true))
-
-    def results(kind: str, fit: Fit) -> dict[str, Any]:
-        model = direct_model(idm, base.standard_parameters(fit.beta))
-        judged = Judged(
+    def result(fit: Fit) -> RunFit:
+        return RunFit(
+            beta=fit.beta,
+            sigma=fit.estimate.sigma,
+            error=float(np.linalg.norm(fit.beta - true) / np.linalg.norm(true)),
             verdict=fit.trust.verdict,
             doubts=tuple(line.test for line in fit.trust.lines if line.level in ("do not use", "caution")),
             low=fit.intervals.low,
             high=fit.intervals.high,
             essential=np.isin(np.arange(base.b), fit.essential.kept),
-            positive=not_positive(model, poses) is None,
+            positive=not_positive(direct_model(idm, base.standard_parameters(fit.beta)), poses) is None,
         )
-        found = {"error": error(fit), "beta": fit.beta, "sigma": fit.estimate.sigma}
-        return {**{f"{name}_{kind}": x for name, x in found.items()}, kind: judged}
 
     try:
         signals = closed_loop(robot, q_ref, fs, noise=drawn.noise, seed=drawn.seed)
-        signals = replace(signals, robot=told_robot(robot, drawn))
+        signals = replace(signals, robot=robot_given_to_fit(robot, drawn))
         ls = tuned = identify_ls(signals, overrides)
         if drawn.cutoff != CUTOFF_PER_BANDWIDTH:
             tuned = identify_ls(signals, replace(overrides, cutoff_hz=CUTOFF_PER_BANDWIDTH * bandwidth_hz))
-        run = replace(run, error_tuned_ls=error(tuned), **results("ls", ls))
+        run = replace(run, error_tuned_ls=result(tuned).error, ls=result(ls))
         iv = identify_iv(signals, overrides, Iteration(inertias=drawn.start * J))
-    except IdentificationError as problem:
-        return replace(run, reason=str(problem))
+    except IdentificationError as error:
+        return replace(run, reason=str(error))
     assert iv.iv is not None
-    run = replace(run, status=iv.status, reason=iv.iv.reason, passes=len(iv.iv.passes), **results("iv", iv))
-    return replace(run, positive=run.iv is not None and run.iv.positive)
+    return replace(run, status=iv.status, reason=iv.iv.reason, passes=len(iv.iv.passes), iv=result(iv))

@@ -14,12 +14,33 @@ from ..arrays import Array
 from ..methods import Fit
 from ..model import BaseParameters
 from ..report import Document, Number, ResultFile, Row, Section, Table, columns, value_form
-from .study import Judged, Run, Study
+from .study import Run, RunFit, Study
 
 FALSE_ERROR = 5.0  # times the error of least squares at the rule's cut-off
 FALSE_TRUST = 3.0  # half-widths that an essential parameter may be off for `trust`
 INSIDE = 2.0  # half-widths within which nothing is wrong
 NORMAL = 1.96  # half-width of 95 % of a normal distribution, in deviations
+# By heading of a table: the field of a `Summary`, and its format.
+ESTIMATES = {
+    "runs": ("runs", "d"),
+    "bias %": ("bias_percent", ".3f"),
+    "spread %": ("spread_percent", ".3f"),
+    "median error %": ("median_error_percent", ".3f"),
+    "worst error %": ("worst_error_percent", ".3f"),
+    "sigma / spread": ("sigma_over_spread", ".2f"),
+    "converged %": ("converged_percent", ".1f"),
+    "passes": ("mean_passes", ".1f"),
+    "false %": ("false_percent", ".1f"),
+}
+VERDICTS = {
+    "coverage %": ("coverage_percent", ".1f"),
+    "half-width /\n1.96 spread": ("half_over_spread", ".2f"),
+    "fits": ("verdicts", "d"),
+    "trust": ("trusted", "d"),
+    "false trust": ("false_trust", "d"),
+    "clean": ("clean", "d"),
+    "false caution": ("false_caution", "d"),
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,17 +82,15 @@ class Summary:
 def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
     """One summary per cut-off and method; `true` (b,) are the values simulated with."""
     found = []
-    for cutoff in sorted({r.cutoff for r in runs}, key=lambda c: c or np.inf):
-        here = [r for r in runs if r.cutoff == cutoff]
+    for cutoff in sorted({r.drawn.cutoff for r in runs}, key=lambda c: c or np.inf):
+        here = [r for r in runs if r.drawn.cutoff == cutoff]
         settled = [r for r in here if r.status == "converged"]
-        false = [r for r in settled if not (r.positive and r.error_iv <= FALSE_ERROR * r.error_tuned_ls)]
-        solved = [r for r in here if np.isfinite(r.error_ls)]
-        for method, kind, used in (("wls", "ls", solved), ("iv", "iv", settled)):
-            every = [(r, judged) for r in here if (judged := getattr(r, kind)) is not None]
-            intervals = [judged for r in used if (judged := getattr(r, kind)) is not None]
-            inside = [one.off(true) <= 1 for one in intervals]
-            halves = np.array([0.5 * (one.high - one.low) for one in intervals] or [np.full(len(true), np.nan)])
-            beta, sigma, errors = (_stacked(used, f"{name}_{kind}", true) for name in ("beta", "sigma", "error"))
+        false = [r for r in settled if r.iv and not (r.iv.positive and r.iv.error <= FALSE_ERROR * r.error_tuned_ls)]
+        for method, kind in (("wls", "ls"), ("iv", "iv")):
+            every: list[tuple[Run, RunFit]] = [(r, fit) for r in here if (fit := getattr(r, kind)) is not None]
+            used = [fit for r, fit in every if method == "wls" or r.status == "converged"]
+            beta, sigma, errors, half = (_stacked(used, name, true) for name in ("beta", "sigma", "error", "half"))
+            inside = [fit.off(true) <= 1 for fit in used]
             spread = beta.std(axis=0, ddof=1) if len(used) > 1 else np.full(len(true), np.nan)
             found.append(
                 Summary(
@@ -87,32 +106,31 @@ def summaries(runs: Sequence[Run], true: Array) -> list[Summary]:
                     mean_passes=float(np.mean([r.passes for r in settled])) if method == "iv" and settled else None,
                     false_percent=100 * len(false) / len(here) if method == "iv" else None,
                     coverage_percent=float(100 * np.mean(inside)) if inside else np.nan,
-                    half_over_spread=float(np.median(np.median(halves, axis=0) / (NORMAL * spread))),
+                    half_over_spread=float(np.median(np.median(half, axis=0) / (NORMAL * spread))),
                     verdicts=len(every),
-                    trusted=sum(judged.verdict == "trust" for _, judged in every),
-                    false_trust=sum(false_trust(judged, true) for _, judged in every),
-                    clean=sum(clean(r, judged, true) for r, judged in every),
-                    false_caution=sum(clean(r, judged, true) and bool(judged.doubts) for r, judged in every),
+                    trusted=sum(fit.verdict == "trust" for _, fit in every),
+                    false_trust=sum(false_trust(fit, true) for _, fit in every),
+                    clean=sum(clean(r, fit, true) for r, fit in every),
+                    false_caution=sum(clean(r, fit, true) and bool(fit.doubts) for r, fit in every),
                 )
             )
     return found
 
 
-def _stacked(runs: Sequence[Run], name: str, true: Array) -> Array:
-    """An attribute of all runs (runs, ...); a row of NaN where there are no runs."""
-    return np.array([getattr(run, name) for run in runs]) if runs else np.full((1, len(true)), np.nan)
+def _stacked(fits: Sequence[RunFit], name: str, true: Array) -> Array:
+    """An attribute of all fits (fits, ...); a row of NaN where there are none."""
+    return np.array([getattr(fit, name) for fit in fits]) if fits else np.full((1, len(true)), np.nan)
 
 
-def false_trust(judged: Judged, true: Array) -> bool:
+def false_trust(fit: RunFit, true: Array) -> bool:
     """Whether a fit says `trust` and should not: an essential parameter far off, or M not positive."""
-    wrong = not judged.positive or bool((judged.off(true)[judged.essential] > FALSE_TRUST).any())
-    return judged.verdict == "trust" and wrong
+    wrong = not fit.positive or bool((fit.off(true)[fit.essential] > FALSE_TRUST).any())
+    return fit.verdict == "trust" and wrong
 
 
-def clean(run: Run, judged: Judged, true: Array) -> bool:
-    """Whether there is nothing to be cautious of: the fit is told all but the noise, and is right."""
-    modelled = run.drawn is not None and run.drawn.modelled
-    return modelled and judged.positive and bool((judged.off(true)[judged.essential] <= INSIDE).all())
+def clean(run: Run, fit: RunFit, true: Array) -> bool:
+    """Whether there is nothing to be cautious of: the fit knows everything except the noise, and is right."""
+    return run.drawn.modelled and fit.positive and bool((fit.off(true)[fit.essential] <= INSIDE).all())
 
 
 class BaseParameter(msgspec.Struct, frozen=True, kw_only=True):
@@ -154,17 +172,29 @@ def base_file(base: BaseParameters, robot: Robot, true: Array | None = None) -> 
 
 def study_file(study: Study, runs: Sequence[Run], base: BaseParameters, true: Array) -> StudyFile:
     """A study as it goes into its JSON file, `true` (b,) are the values of the parameters `base`."""
-
-    def plain(value: Any) -> Any:
-        return msgspec.to_builtins(value, enc_hook=lambda numbers: numbers.tolist())
-
     return StudyFile(
-        study=plain(study),
+        study=_plain(study),
         parameters=list(base.names),
         true=true.tolist(),
-        summaries=plain(summaries(runs, true)),
-        runs=plain(runs),
+        summaries=_plain(summaries(runs, true)),
+        runs=[_run_json(run, base.b) for run in runs],
     )
+
+
+def _plain(value: Any) -> Any:
+    return msgspec.to_builtins(value, enc_hook=lambda numbers: numbers.tolist())
+
+
+def _run_json(run: Run, b: int) -> dict[str, Any]:
+    """A run with what each fit estimates, null where there is none, beside what the fit says of itself."""
+    content: dict[str, Any] = _plain(run)
+    content |= {name: content["drawn"][name] for name in ("cutoff", "start", "gain_error")}
+    content["positive"] = run.iv is not None and run.iv.positive
+    for kind in ("ls", "iv"):
+        fit = content[kind] or {}
+        for name, missing in (("error", None), ("beta", [None] * b), ("sigma", [None] * b)):
+            content[f"{name}_{kind}"] = fit.pop(name, missing)
+    return content
 
 
 def base_document(base: BaseParameters, robot: Robot, true: Array | None = None) -> Document:
@@ -215,54 +245,31 @@ def truth_document(robot: str, fits: Sequence[Fit], true: Array) -> Document:
 def study_document(robot: str, study: Study, runs: Sequence[Run], true: Array) -> Document:
     """A study's summaries, one row per cut-off and method, and what it varied."""
     rows = summaries(runs, true)
-    percents = ("bias %", "spread %", "median error %", "worst error %")
-    shares = ("sigma / spread", "converged %", "passes", "false %")
-    estimates = Table(
-        columns=columns("cut-off", "method", numbers=("runs", *percents, *shares)),
-        rows=tuple(
-            (
-                *_of(s),
-                Number(s.runs, "d"),
-                Number(s.bias_percent, ".3f"),
-                Number(s.spread_percent, ".3f"),
-                Number(s.median_error_percent, ".3f"),
-                Number(s.worst_error_percent, ".3f"),
-                Number(s.sigma_over_spread, ".2f"),
-                *("" if x is None else Number(x, ".1f") for x in (s.converged_percent, s.mean_passes, s.false_percent)),
-            )
-            for s in rows
-        ),
-    )
-    counts = ("fits", "trust", "false trust", "clean", "false caution")
-    trust = Table(
-        columns=columns("cut-off", "method", numbers=("coverage %", "half-width /\n1.96 spread", *counts)),
-        rows=tuple(
-            (
-                *_of(s),
-                Number(s.coverage_percent, ".1f"),
-                Number(s.half_over_spread, ".2f"),
-                *(Number(x, "d") for x in (s.verdicts, s.trusted, s.false_trust, s.clean, s.false_caution)),
-            )
-            for s in rows
-        ),
-    )
     return Document(
         title=f"{robot}: {len(runs)} runs",
         sections=(
-            Section(table=estimates, lines=study_notes(study)),
-            Section(title="intervals and verdicts", table=trust, lines=trust_notes(runs, true)),
+            Section(table=_summary_table(rows, ESTIMATES), lines=study_notes(study)),
+            Section(
+                title="intervals and verdicts", table=_summary_table(rows, VERDICTS), lines=trust_notes(runs, true)
+            ),
         ),
     )
 
 
-def _of(summary: Summary) -> tuple[str, str]:
-    return f"{summary.cutoff:g} x bandwidth" if summary.cutoff else "none", summary.method
+def _summary_table(summaries: Sequence[Summary], cells: dict[str, tuple[str, str]]) -> Table:
+    """By heading a field of the summaries, and its format."""
+    rows: list[Row] = []
+    for s in summaries:
+        numbers = [(getattr(s, name), form) for name, form in cells.values()]
+        cutoff = f"{s.cutoff:g} x bandwidth" if s.cutoff else "none"
+        rows.append((cutoff, s.method, *("" if x is None else Number(x, form) for x, form in numbers)))
+    return Table(columns=columns("cut-off", "method", numbers=tuple(cells)), rows=tuple(rows))
 
 
 def trust_notes(runs: Sequence[Run], true: Array) -> tuple[str, ...]:
     """What the verdicts' columns count, and the runs that say `trust` and should not."""
     found = {
-        method: [r.number for r in runs if (judged := getattr(r, kind)) is not None and false_trust(judged, true)]
+        method: [r.number for r in runs if (fit := getattr(r, kind)) is not None and false_trust(fit, true)]
         for method, kind in (("wls", "ls"), ("iv", "iv"))
     }
     listed = "; ".join(f"{method}: {', '.join(map(str, numbers))}" for method, numbers in found.items() if numbers)

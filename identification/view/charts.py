@@ -228,26 +228,25 @@ def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
         f"|beta - true| / |true|, {len(runs)} runs: × purple LS, orange IV converged, vermillion IV not; bars medians"
     )
     chart, (width, height) = Chart(path=("study",), title=title, size=STUDY_SHEET), STUDY_SHEET
-    cutoffs = sorted({run.cutoff for run in runs}, key=lambda c: c or math.inf)
-    errors = [100 * e for run in runs for e in (run.error_ls, run.error_iv) if math.isfinite(e) and e > 0]
+    cutoffs = sorted({run.drawn.cutoff for run in runs}, key=lambda c: c or math.inf)
+    errors = [100 * fit.error for run in runs for fit in (run.ls, run.iv) if fit and fit.error > 0]
     low, high = math.floor(log10(min(errors, default=1.0))), math.ceil(log10(max(errors, default=100.0)))
     up = Scale(left=height - 80, right=60, low=10.0**low, high=10.0**high, by=log10)
     across = Scale(left=90, right=width - 30, low=0, high=len(cutoffs))
     chart.ticks_up(up, {10.0**d: f"{10.0**d:g} %" for d in range(low, high + 1)}, (70, width - 20), 40)
     for column, cutoff in enumerate(cutoffs):
-        here = [run for run in runs if run.cutoff == cutoff]
+        here = [run for run in runs if run.drawn.cutoff == cutoff]
         chart.label(across(column + 0.5), height - 70, f"{cutoff:g} x bandwidth" if cutoff else "no filter", LIGHT)
         for k, run in enumerate(here):
             aside = 0.2 * ((k + 0.5) / len(here) - 0.5)
             x_ls, x_iv = across(column + 0.3 + aside), across(column + 0.7 + aside)
-            found = math.isfinite(run.error_ls), math.isfinite(run.error_iv)
-            if all(found):
-                chart.line(x_ls, up(100 * run.error_ls), x_iv, up(100 * run.error_iv))
-            if found[0]:
-                chart.crosses.append((x_ls, up(100 * run.error_ls), PURPLE))
-            if found[1]:
+            if run.ls and run.iv:
+                chart.line(x_ls, up(100 * run.ls.error), x_iv, up(100 * run.iv.error))
+            if run.ls:
+                chart.crosses.append((x_ls, up(100 * run.ls.error), PURPLE))
+            if run.iv:
                 ended = ORANGE if run.status == "converged" else VERMILLION
-                chart.dots.append((x_iv, up(100 * run.error_iv), ended))
+                chart.dots.append((x_iv, up(100 * run.iv.error), ended))
     for s in summaries(runs, true):
         if math.isfinite(s.median_error_percent):
             column, y = cutoffs.index(s.cutoff), up(s.median_error_percent)

@@ -122,7 +122,10 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
 
     Raises `AcquisitionError`: where the file cannot be written.
     """
-    drawing, identity = study_drawing(runs, true), repr([(run.number, run.error_iv, run.error_ls) for run in runs])
+    drawing, identity = (
+        study_drawing(runs, true),
+        repr([(run.number, run.iv and run.iv.error, run.ls and run.ls.error) for run in runs]),
+    )
     write_pages(
         path,
         f"{robot} study",

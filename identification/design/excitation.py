@@ -1,4 +1,4 @@
-"""References that tell most of a robot's base parameters, within its limits."""
+"""References that tell most of a robot's base parameters, within its limits, and their report."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,11 +14,10 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
-from .information import Information
-from .knowledge import Knowledge, earlier_information, rows_per_s, torque_noise
-from .limits import FAR_M, MARGIN_M, Limits, limits_of
-from .search import FINER, SAMPLES_PER_PERIOD, Problem, best_of_searches, random_within
-from .series import Motion, Series, motion_of
+from ..report import Document, Number, Row, Section, Table, columns
+from .information import Information, Knowledge, earlier_information, rows_per_s, torque_noise
+from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
+from .search import FINER, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
 PLAIN = 20  # random references of seeds from 0 on, whose geometric mean the criterion is relative to
 POSES = 200  # at which links that are always near each other are found, and room to start
@@ -30,7 +29,7 @@ REACH = 1.959964  # deviations to each side of a 95 % interval
 
 
 @dataclass(frozen=True, kw_only=True)
-class Settings:
+class ExcitationSettings:
     """What a reference is to be.
 
     Attributes:
@@ -56,7 +55,6 @@ class Excitation:
     """A reference, and what is expected of it.
 
     Attributes:
-        robot, base, settings: as given, and the robot's base parameters.
         reference: one period.
         sigma, plain: (b,) expected deviations of the parameters, and the geometric mean of the same with plain references.
         noise, noise_from: (n,) deviation of the torque in a row of the fit, and its origin in words.
@@ -69,7 +67,7 @@ class Excitation:
 
     robot: Robot
     base: BaseParameters
-    settings: Settings
+    settings: ExcitationSettings
     reference: FourierReference
     sigma: Array
     plain: Array
@@ -108,7 +106,11 @@ class Excitation:
 
 @one_thread
 def excite(
-    robot: Robot, settings: Settings, knowledge: Knowledge, place: str, say: Callable[[str], None] = lambda text: None
+    robot: Robot,
+    settings: ExcitationSettings,
+    knowledge: Knowledge,
+    place: str,
+    say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:
     """The reference within a robot's limits that tells most of its base parameters.
 
@@ -143,10 +145,13 @@ def excite(
         creep=CREEP_SHARE * np.array([joint.si("speed") for joint in robot.joints]),
     )
     sigma_plain = np.exp(np.mean([np.log(information.sigma(motion)) for motion in plain], axis=0))
-    problem = Problem(series=series, information=information, limits=limits, plain=sigma_plain)
+    problem = SearchProblem(series=series, information=information, limits=limits, plain=sigma_plain)
     x, sigma = best_of_searches(problem, settings.seed, place, say)
     reference = series.reference(x)
-    fine = motion_of(x, series.basis(FINER * problem.samples))
+    fine, nearest = motion_of(x, series.basis(FINER * problem.samples)), None
+    if limits.obstacles is not None and limits.obstacles.pairs:
+        apart, names = limits.obstacles.nearest(fine[0], FAR_M)
+        nearest = names[int(apart.argmin())], float(apart.min())
     found = Excitation(
         robot=robot,
         base=base,
@@ -158,7 +163,7 @@ def excite(
         noise_from=noise_from,
         limits=limits,
         used=limits.share_of_whole(fine),
-        nearest=_nearest(limits, fine),
+        nearest=nearest,
         beta=None if knowledge.beta is None else knowledge.beta[known],
         beta_from=knowledge.beta_from,
         warnings=_warnings(limits, mus),
@@ -169,7 +174,7 @@ def excite(
     return found
 
 
-def _refuse_fast(robot: Robot, settings: Settings, place: str) -> None:
+def _refuse_fast(robot: Robot, settings: ExcitationSettings, place: str) -> None:
     """The loop would not follow harmonics near its bandwidth."""
     bandwidth_hz = robot.bandwidth_hz
     most_hz = BANDWIDTH_SHARE * bandwidth_hz
@@ -202,23 +207,14 @@ def _refuse_rest(limits: Limits, place: str) -> None:
         )
 
 
-def _nearest(limits: Limits, motion: Motion) -> tuple[str, float] | None:
-    if limits.obstacles is None or not limits.obstacles.pairs:
-        return None
-    apart, names = limits.obstacles.nearest(motion[0], FAR_M)
-    return names[int(apart.argmin())], float(apart.min())
-
-
 def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
     """What of torque and distances was not checked, and the load friction `mus` that the criterion lacks."""
-    found = []
-    if limits.obstacles is not None and limits.obstacles.missing:
-        missing = (
-            f"{len(limits.obstacles.missing)} meshes of the URDF are not found, such as {limits.obstacles.missing[0]}"
-        )
+    found, obstacles = [], limits.obstacles
+    if obstacles is not None and obstacles.missing:
+        missing = f"{len(obstacles.missing)} meshes of the URDF are not found, such as {obstacles.missing[0]}"
         found.append(f"distances not checked: {missing}; set ROS_PACKAGE_PATH, or describe capsules")
-    if limits.obstacles is not None and limits.obstacles.near:
-        near = "; ".join(limits.obstacles.near)
+    if obstacles is not None and obstacles.near:
+        near = "; ".join(obstacles.near)
         found.append(f"distances not checked of what is always nearer than {MARGIN_M:g} m: {near}")
     if limits.model is None:
         found.append("torque was not checked: neither a fit nor [parameters] give it")
@@ -229,3 +225,60 @@ def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
     if mus:
         found.append(f"load friction ({', '.join(mus)}) is not in the criterion; limits of efforts count it")
     return tuple(found)
+
+
+def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) -> Document:
+    """What a reference is expected to give, and what it takes, with further warnings."""
+    e, s = excitation, excitation.settings
+    smaller = e.plain / e.sigma
+    known = e.beta is not None
+    rows = tuple(
+        (
+            name,
+            *((Number(float(e.beta[i]), ".4g"),) if e.beta is not None else ()),
+            Number(float(e.half[i]), ".3g"),
+            Number(float(e.plain_half[i]), ".3g"),
+            Number(float(smaller[i]), ".2f"),
+            e.base.units[i],
+        )
+        for i, name in enumerate(e.base.names)
+    )
+    headings = (("value",) if known else ()) + ("±95 %", "plain\n±95 %", "times\nsmaller")
+    expected = Table(columns=(*columns("parameter", numbers=headings), *columns("unit")), rows=rows)
+    noise = ", ".join(f"{x:.3g}" for x in e.noise)
+    lines = (
+        f"intervals are {np.median(smaller):.2f} times smaller than those of the plain reference in the median, "
+        f"{smaller.min():.2f} at least",
+        f"plain reference: the geometric mean over {PLAIN} random ones of {s.plain_harmonics} harmonics at the same share of "
+        "all limits",
+        f"noise of the torque in a row of the fit: {noise} ({', '.join(dict.fromkeys(e.robot.effort_units))}): {e.noise_from}",
+        f"torque by {e.beta_from}" if known else "torque not known",
+    )
+    n, percents = e.robot.n, [Number(100 * float(x), ".1f") for x in e.used]
+    efforts = dict(zip(e.limits.names[3 * n : len(e.used)], percents[3 * n :], strict=True))
+    table: list[Row] = [
+        (joint.name, *percents[j : 3 * n : n], efforts.pop(f"effort of joint {joint.name}", ""))
+        for j, joint in enumerate(e.robot.joints)
+    ]
+    table += [(name.removeprefix("effort of "), "", "", "", percent) for name, percent in efforts.items()]
+    apart: tuple[str, ...] = ()
+    if e.nearest is not None:
+        near = "more than " if e.nearest[1] >= FAR_M else ""
+        apart = (f"nearest: {e.nearest[0]}, {near}{e.nearest[1]:.3f} m apart",)
+    limits = Table(columns=columns("joint", numbers=(*KINDS, "effort")), rows=tuple(table))
+    title = (
+        f"{e.robot.name}: reference of {s.periods} x {s.period_s:g} s, {s.harmonics} harmonics up to "
+        f"{s.harmonics / s.period_s:g} Hz, seed {s.seed}"
+    )
+    return Document(
+        title=title,
+        sections=(
+            Section(title="expected intervals", table=expected, lines=lines),
+            Section(
+                title="limits in use, % of the whole limit",
+                table=limits,
+                lines=apart,
+                warnings=(*e.warnings, *warnings),
+            ),
+        ),
+    )

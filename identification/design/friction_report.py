@@ -1,0 +1,279 @@
+"""What a choice of friction terms shows: its report and JSON file, the lines of a description, torque over speed and load."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from acquisition.errors import AcquisitionError
+from acquisition.files import atomic_write
+from acquisition.robot import FrictionTerm, Robot, robot_from_files
+
+from ..arrays import Array
+from ..errors import IdentificationError
+from ..methods import Fit, FittedRecording
+from ..model import friction_alone
+from ..regression import base_name, links_at_rows
+from ..report import Document, Number, ResultFile, Section, Table, columns
+from .selection import TermChoice
+from .trials import TRIED, Trial, described_terms, tried_terms
+
+POINTS = 80  # of a curve, each way
+LEVELS = (10.0, 50.0, 90.0)  # percentiles of the load at which curves are given
+_TABLE = re.compile(r"^\s*\[(\[?)\s*([\w.\"'-]+)\s*\]")
+_KEY = re.compile(r"^\s*(friction|viscous|coulomb|offset|stribeck_speed_deg_s|stribeck_speed_m_s)\s*=")
+Lists = dict[str, tuple[FrictionTerm, ...]]  # by joint, as the list `friction` of a description
+
+
+class TermSetFile(msgspec.Struct, frozen=True, kw_only=True):
+    """A set of terms: by joint, its size beside the usual terms, its errors in percent of moving rows, its fit."""
+
+    terms: Lists
+    added_terms: int
+    fitted_error_percent: float | None
+    held_out_error_percent: float | None
+    held_out_percents: list[float | None]
+    score: float
+    lag_one: float | None
+    condition_number_scaled: float
+
+
+class RecordingOfChoice(msgspec.Struct, frozen=True, kw_only=True):
+    """One of several recordings."""
+
+    recording: str
+    sha256: str
+
+
+class FrictionFile(ResultFile, frozen=True, kw_only=True):
+    """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
+
+    Attributes:
+        recording, sha256: of the first; `recordings` are all, where they are several.
+        held_out: names of the parts held out, which `held_out_percents` of a set are of.
+    """
+
+    recording: str
+    sha256: str
+    recordings: list[RecordingOfChoice] | msgspec.UnsetType = msgspec.UNSET
+    robot: str
+    held_out: list[str]
+    sets: list[TermSetFile]
+    recommended: Lists
+    left_out: list[str]
+
+
+def friction_file(choice: TermChoice) -> FrictionFile:
+    """A choice of terms as it goes into its JSON file; an error that does not exist is null."""
+    first = choice.recordings[0]
+    each = [RecordingOfChoice(recording=one.recording, sha256=one.sha256) for one in choice.recordings]
+    return FrictionFile(
+        recording=first.recording,
+        sha256=first.sha256,
+        recordings=each if len(each) > 1 else msgspec.UNSET,
+        robot=choice.robot.name,
+        held_out=list(choice.held_out),
+        sets=[
+            TermSetFile(
+                terms=described_terms(choice.robot, trial.terms),
+                added_terms=trial.count,
+                fitted_error_percent=Number(trial.fitted_error_percent).exact,
+                held_out_error_percent=Number(trial.held_out_error_percent).exact,
+                held_out_percents=[Number(float(x)).exact for x in trial.held_out_percents],
+                score=trial.score,
+                lag_one=trial.lag_one,
+                condition_number_scaled=trial.condition_number_scaled,
+            )
+            for trial in choice.trials
+        ],
+        recommended=choice.described,
+        left_out=list(choice.left_out),
+    )
+
+
+def friction_document(choice: TermChoice) -> Document:
+    """The sets that were tried, best first, and the lines of robot.toml for the recommended one."""
+    usual, chosen = choice.usual, choice.recommended
+    errors = f"held-out error of moving rows {usual.held_out_error_percent:.2f} % with the usual terms"
+    if chosen is not usual:
+        errors += f", {chosen.held_out_error_percent:.2f} % with the recommended ones"
+    table = Table(
+        columns=columns(
+            "beside the usual terms",
+            numbers=("terms", "fitted %", "held out %", "score /\nusual", "residual lag-1", "cond(W)"),
+        )
+        + columns(""),
+        rows=tuple(
+            (
+                set_text(choice.robot, trial),
+                Number(trial.count, "d"),
+                Number(trial.fitted_error_percent, ".2f"),
+                Number(trial.held_out_error_percent, ".2f"),
+                Number(trial.score / usual.score if usual.score > 0 else None, ".3f"),
+                Number(trial.lag_one, ".2f"),
+                Number(trial.condition_number_scaled, ".1f"),
+                "recommended" if trial is chosen else "usual" if trial is usual else "",
+            )
+            for trial in choice.trials
+        ),
+    )
+    names = [one.recording for one in choice.recordings if one.recording in choice.held_out]  # in the order given
+    held = f"held out: {', '.join(names) if len(choice.recordings) > 1 else 'fifths of the recording'}"
+    held += ", each predicted by the fit of the others; score: squared weighted residual"
+    lines = tuple(f"{friction_line(terms)} # {name}" for name, terms in choice.described.items())
+    return Document(
+        title=f"{choice.robot.name}: {errors}",
+        sections=(
+            Section(title="sets of friction terms", table=table, lines=(held,), warnings=choice.left_out),
+            Section(title="recommended, for robot.toml", lines=lines),
+        ),
+    )
+
+
+def friction_line(terms: tuple[FrictionTerm, ...]) -> str:
+    """The line of a joint in robot.toml."""
+    quoted = ", ".join(f'"{term}"' for term in terms)
+    return f"friction = [{quoted}]"
+
+
+def set_text(robot: Robot, trial: Trial) -> str:
+    """A set in words, such as `root; load: joint_3`: where no joint is named, all of them have the term."""
+    parts = []
+    for term in TRIED:
+        able = [joint.name for joint in robot.joints if term in tried_terms(joint)]
+        own = [joint.name for joint, more in zip(robot.joints, trial.terms, strict=True) if term in more]
+        if own:
+            parts.append(term if own == able else f"{term}: {', '.join(own)}")
+    return "; ".join(parts) or "none"
+
+
+def write_friction(path: Path, terms: Lists, files: Mapping[str, bytes]) -> None:
+    """Put the terms into the description at `path`.
+
+    Raises `IdentificationError`: where the file is laid out so that lines cannot be replaced; it stays as it was.
+    Raises `AcquisitionError`: where it cannot be read or written.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise AcquisitionError(f"cannot be read: {error}", place=str(path)) from error
+    written = with_friction(text, tuple(terms.values()))
+    try:
+        robot = robot_from_files({**files, "robot.toml": written.encode()}, str(path))
+        found = {joint.name: joint.friction for joint in robot.joints}
+    except AcquisitionError:
+        found = {}
+    if found != terms:
+        problem = "its lines of friction cannot be replaced"
+        expected = "a table of its own for each joint, a key a line; copy the printed lines"
+        raise IdentificationError(problem, place=str(path), key="[[joint]]", value=None, expected=expected)
+    with atomic_write(path) as partial:
+        partial.write_text(written, encoding="utf-8")
+
+
+def with_friction(text: str, terms: Sequence[tuple[FrictionTerm, ...]]) -> str:
+    """A description's text with these terms, joint by joint; where Stribeck friction goes, its speed becomes a comment."""
+    lines = text.splitlines(keepends=True)
+    heads = [i for i, line in enumerate(lines) if _TABLE.match(line)]
+    out, lists = lines[: heads[0] if heads else len(lines)], list(terms)
+    for begin, end in pairwise([*heads, len(lines)]):
+        section, head = lines[begin:end], _TABLE.match(lines[begin])
+        of_joint = head is not None and head[1] == "[" and head[2] == "joint"
+        out += _joint_section(section, lists.pop(0)) if of_joint and lists else section
+    return "".join(out)
+
+
+def _joint_section(section: list[str], terms: tuple[FrictionTerm, ...]) -> list[str]:
+    """The lines of a joint; the list takes the place of its first line of friction, or stands below its type."""
+    out: list[str] = []
+    place, depth = None, 0
+    for line in section:
+        key = _KEY.match(line) if depth == 0 else None
+        if depth > 0 or (key and not key[1].startswith("stribeck")):  # lists may go over several lines
+            code = line.split("#")[0]
+            depth += code.count("[") - code.count("]")
+            place = len(out) if place is None else place
+        else:
+            out.append(f"# {line}" if key and "stribeck" not in terms else line)
+    if place is None:
+        place = next((i for i, line in enumerate(out) if re.match(r"\s*type\s*=", line)), 0) + 1
+    return [*out[:place], f"{friction_line(terms)}\n", *out[place:]]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrictionCurve:
+    """Friction of a joint at a load: `torque` (m,) over the speeds `speed` (m,), with half its 95 % interval, `half` (m,)."""
+
+    load: float
+    speed: Array
+    torque: Array
+    half: Array
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointFriction:
+    """Friction of a joint in the rows that count, and as it was identified.
+
+    Attributes:
+        joint, unit, speed_unit: its name, and the units.
+        speed, torque, load: (k,) of the rows; torque is what is measured less all else that the fit predicts, offset included.
+        curves: one for a joint without load friction, whose load is nan; else at a low, the middle and a high load.
+    """
+
+    joint: str
+    unit: str
+    speed_unit: str
+    speed: Array
+    torque: Array
+    load: Array
+    curves: tuple[FrictionCurve, ...]
+
+
+def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
+    """Friction of each joint as a fit has it, in the rows of all its recordings; of a long recording its first rows.
+
+    Where recordings have parameters of their own, the rows are each recording's and the curve is that of their means.
+    """
+    problem, robot, names = fit.problem, fit.problem.signals.robot, fit.estimate.names
+    columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in names]]
+    at_rows = [_rows_of(fit, one) for one in fit.recordings]
+    moved, torques, residuals = (np.concatenate(x) for x in zip(*(one[:3] for one in at_rows), strict=True))
+    among = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b) its own or shared
+    mean = np.mean([own for *_, own in at_rows], axis=0)
+    beta, covariance = fit.estimate.beta, fit.intervals.covariance
+    found = []
+    for j, joint in enumerate(robot.joints):
+        peak = np.abs(moved[:, j]).max(initial=0.0)
+        rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
+        v, load = moved[rows, j], np.abs(torques[rows, j])
+        friction = (friction_alone(problem.model, columns, j, v, load) * among[rows]) @ beta
+        loads = np.percentile(load, LEVELS) if "load" in joint.terms and len(load) else np.array([np.nan])
+        speed = peak * np.r_[np.linspace(-1.0, -0.02, POINTS), np.linspace(0.02, 1.0, POINTS)]
+        curves = []
+        for level in loads:
+            G = friction_alone(problem.model, columns, j, speed, np.full(len(speed), np.nan_to_num(level))) * mean
+            half = fit.intervals.reach * np.sqrt(np.maximum(np.sum((G @ covariance) * G, axis=1), 0.0))
+            curves.append(FrictionCurve(load=float(level), speed=speed, torque=G @ beta, half=half))
+        found.append(
+            JointFriction(
+                joint=joint.name,
+                unit=robot.effort_units[j],
+                speed_unit=f"{joint.position_unit}/s",
+                speed=v,
+                torque=friction + residuals[rows, j],
+                load=load,
+                curves=tuple(curves),
+            )
+        )
+    return tuple(found)
+
+
+def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:
+    """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) are its own or shared."""
+    dq, rigid = links_at_rows(one.problem, fit.estimate.among(one.parameters))
+    residual = (fit.rows.tau - fit.rows.tau_predicted)[one.rows][: len(dq)]
+    return dq, rigid, residual, np.array([name in one.parameters for name in fit.estimate.names], dtype=float)
