@@ -31,7 +31,8 @@ from identification.model import (
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
 from identification.view import write_excitation_rrd
-from identification.view.design_panels import excitation_plots, intervals_drawing
+from identification.view.charts import intervals_drawing
+from identification.view.curves import excitation_plots
 from identification.view.panels import GREY, ORANGE
 from identification.view.robot_drawing import excitation_scene
 

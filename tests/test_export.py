@@ -19,9 +19,8 @@ from identification.commands import main
 from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import export_model, mechanism_of, model_of_fit, write_models
-from identification.export.mjcf import quaternions
-from identification.export.robot_toml import with_parameters
-from identification.export.urdf_of_model import UNLIMITED, made_urdf, roll_pitch_yaw
+from identification.export.exporting import with_parameters
+from identification.export.formats import UNLIMITED, made_urdf, quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
@@ -430,8 +429,7 @@ def test_rotations_are_those_of_their_angles_and_quaternions():
     ):
         R = pin.rpy.rpyToMatrix(*angles)
         np.testing.assert_allclose(pin.rpy.rpyToMatrix(*roll_pitch_yaw(R)), R, atol=1e-14)
-        ((x, y, z, w),) = quaternions(R[None])
-        np.testing.assert_allclose(pin.Quaternion(w, x, y, z).matrix(), R, atol=1e-14)
+        np.testing.assert_allclose(pin.Quaternion(*quaternion(R)).matrix(), R, atol=1e-14)
 
 
 @pytest.fixture(scope="module")

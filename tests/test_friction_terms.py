@@ -21,7 +21,7 @@ from identification.design.friction_report import with_friction
 from identification.design.trials import Trials, parts_of
 from identification.estimation import System
 from identification.export import mechanism_of
-from identification.export.losses import random_states, sayable
+from identification.export.mechanism import random_states, representable, whole_regressor
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
 from identification.regression import (
@@ -190,15 +190,16 @@ def test_export_counts_what_a_format_cannot_say_of_these_terms():
     ]
     mechanism = mechanism_of(model, chi, "test")
     assert [model.names[c] for c in mechanism.others] == ["Fr1", "mu1"]
-    states = random_states(mechanism)
-    whole = direct_of(model, base, base.K @ chi).torque(states.q, states.dq, states.ddq)
-    np.testing.assert_allclose(states.tau, whole, rtol=1e-9, atol=1e-9)
-    said, (loss,) = sayable(mechanism, states, rotors=True, couplings=True)
-    assert "Fr1, mu1" in loss.what
-    assert loss.rms[0] > 0.1
-    assert loss.rms[1] == 0
-    assert said.frictionloss[0] > mechanism.frictionloss[0]
-    assert said.frictionloss[1] == mechanism.frictionloss[1]
+    states = random_states(model.robot.joints)
+    whole = direct_of(model, base, base.K @ chi).torque(*states)
+    np.testing.assert_allclose(whole_regressor(mechanism, *states) @ chi, whole, rtol=1e-9, atol=1e-9)
+    represented, losses = representable(mechanism, rotors=True, couplings=True)
+    ((what, (rms, _)),) = losses.items()
+    assert "Fr1, mu1" in what
+    assert rms[0] > 0.1
+    assert rms[1] == 0
+    assert represented.frictionloss[0] > mechanism.frictionloss[0]
+    assert represented.frictionloss[1] == mechanism.frictionloss[1]
 
 
 class Exact:

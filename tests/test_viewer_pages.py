@@ -31,7 +31,7 @@ from identification.study import Noise, Run, RunFit, RunSettings
 from identification.trust import Figure, Trust, TrustLine
 from identification.view import write_comparison_rrd, write_fit_rrd, write_recording_rrd
 from identification.view.charts import COMPARED, deviation_drawing, parameter_drawing, study_drawing, trust_drawing
-from identification.view.curves import column_plots
+from identification.view.curves import column_plots, extra_plots
 from identification.view.panels import (
     GREEN,
     GREY,
@@ -46,7 +46,7 @@ from identification.view.panels import (
 )
 from identification.view.rerun_panels import shown_text
 from identification.view.robot_drawing import pose_stride, robot_scene
-from identification.view.signal_panels import event_log, extra_plots, health_plot, span_lanes
+from identification.view.signal_panels import event_log, health_plot, span_lanes
 
 SESSION = REPLAY / "scara" / "session.mcap"
 LINK = "<inertial><mass value='1'/><inertia ixx='.1' iyy='.1' izz='.1' ixy='0' ixz='0' iyz='0'/></inertial>"

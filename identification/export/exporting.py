@@ -1,25 +1,28 @@
-"""Models in the formats asked for, built before anything is written, and a report on what each cannot say."""
+"""Models in the formats asked for, built before anything is written, and a report on what each cannot represent."""
 
 import os
+import re
 import tomllib
 from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from acquisition.errors import one_line
-from acquisition.files import atomic_write
+from acquisition.files import atomic_write, text_of
 
+from ..errors import IdentificationError
 from ..report import Cell, Document, Number, Section, Table, columns
-from .losses import COUNT, Loss, States, random_states, sayable
-from .mechanism import Mechanism
-from .mjcf import mjcf_text
-from .robot_toml import with_parameters
-from .urdf import urdf_text
+from .formats import mjcf_text, urdf_text
+from .mechanism import STATES, Losses, Mechanism, representable
 
 URDF_GRAVITY = (0.0, 0.0, -9.81)  # what readers of a URDF take, which does not say it
 SOFT = "MuJoCo's friction loss is a soft constraint: it is dry friction where a joint moves, and creeps where it nearly stands"
+_HEADER = re.compile(r"[ \t]*\[[ \t]*(?:parameters|\"parameters\"|'parameters')[ \t]*\][ \t]*(?:#.*)?")
+_NEXT = re.compile(r"[ \t]*\[")
+_INLINE = re.compile(r"[ \t]*parameters[ \t]*[.=]")
 
 
 def write_models(texts: Mapping[Path, str]) -> None:
@@ -43,66 +46,92 @@ def export_model(
     `source` names the fit, and `lines` say where its values are from. Returns texts by the path that they are written to, and
     the report on them. Raises `IdentificationError`: where a description cannot be patched.
     """
-    texts, sections, states = dict[Path, str](), [Section(lines=lines)], random_states(m)
+    robot, texts, sections = m.model.robot, dict[Path, str](), [Section(lines=lines)]
     if urdf is not None:
-        said, losses = sayable(m, states, rotors=False, couplings=False)
-        texts[urdf], notes = urdf_text(said)
-        gravity = tuple(m.model.robot.gravity)
-        if gravity != URDF_GRAVITY:
-            notes += (
-                f"gravity is {' '.join(f'{g:g}' for g in gravity)} m/s²: a URDF does not say it, set it where it is used",
-            )
-        sections.append(_section(m, states, urdf, "a URDF", losses, notes))
+        represented, losses = representable(m, rotors=False, couplings=False)
+        texts[urdf], notes = urdf_text(represented)
+        if tuple(robot.gravity) != URDF_GRAVITY:
+            gravity = " ".join(f"{g:g}" for g in robot.gravity)
+            notes += (f"gravity is {gravity} m/s²: a URDF does not say it, set it where it is used",)
+        sections.append(_section(m, f"{urdf}", "a URDF", losses, notes))
     if mjcf is not None:
-        said, losses = sayable(m, states, rotors=True, couplings=True)
-        texts[mjcf] = mjcf_text(said)
-        dry = any(m.frictionloss) or any(c.frictionloss for c in m.couplings)
-        sections.append(_section(m, states, mjcf, "an MJCF", losses, (SOFT,) if dry else ()))
+        represented, losses = representable(m, rotors=True, couplings=True)
+        texts[mjcf] = mjcf_text(represented)
+        sections.append(_section(m, f"{mjcf}", "an MJCF", losses, (SOFT,) if m.frictionloss.any() else ()))
     if toml is not None:
-        texts[toml] = _toml(m, toml, urdf, source)
-        sections.append(Section(title=f"{toml}: [parameters], nothing is lost", lines=_beside(m, toml, urdf)))
-    return texts, Document(title=f"{m.model.robot.name}: model of {source}", sections=tuple(sections))
+        texts[toml], notes = _robot_toml(m, toml, urdf, source)
+        sections.append(Section(title=f"{toml}: [parameters], nothing is lost", lines=notes))
+    return texts, Document(title=f"{robot.name}: model of {source}", sections=tuple(sections))
 
 
-def _section(
-    m: Mechanism, states: States, path: Path, format_: str, losses: tuple[Loss, ...], notes: tuple[str, ...]
-) -> Section:
+def _section(m: Mechanism, title: str, format_: str, losses: Losses, notes: tuple[str, ...]) -> Section:
     """What a format cannot say, joint by joint."""
     if not losses:
-        return Section(title=f"{path}: nothing is lost", lines=notes)
+        return Section(title=f"{title}: nothing is lost", lines=notes)
     robot, rows = m.model.robot, list[tuple[Cell, ...]]()
-    for loss in losses:
-        what = loss.what
-        for j in np.flatnonzero(loss.rms):
-            rms, percent = Number(float(loss.rms[j]), ".4g"), Number(float(loss.percent[j]), ".2f")
-            rows.append((what, robot.joints[j].name, rms, robot.effort_units[j], percent))
-            what = ""
-    table = Table(
-        columns=columns(f"what {format_} cannot say", "joint", numbers=("rms of the torque",))
-        + columns("unit", numbers=("in %",)),
-        rows=tuple(rows),
+    for what, (rms, percent) in losses.items():
+        for k, j in enumerate(np.flatnonzero(rms)):
+            numbers = Number(float(rms[j]), ".4g"), robot.effort_units[j], Number(float(percent[j]), ".2f")
+            rows.append(("" if k else what, robot.joints[j].name, *numbers))
+    heads = columns(f"what {format_} cannot say", "joint", numbers=("rms of the torque",))
+    table = Table(columns=heads + columns("unit", numbers=("in %",)), rows=tuple(rows))
+    line = (
+        f"torque that is missing at {STATES} random states within the limits of the description, and in percent of it"
     )
-    lines = (
-        f"torque that is missing at {COUNT} random states within the limits of the description, and in percent of it",
-    )
-    return Section(title=str(path), table=table, lines=(*lines, *notes))
+    return Section(title=title, table=table, lines=(line, *notes))
 
 
-def _toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> str:
-    """The fit's robot.toml with the values; it names the URDF that is written with it."""
-    robot, named = m.model.robot, None
+def _robot_toml(m: Mechanism, toml: Path, urdf: Path | None, source: str) -> tuple[str, tuple[str, ...]]:
+    """The fit's robot.toml with the values, naming the URDF written with it; lines on files that it names and does not find."""
+    robot, text = m.model.robot, m.model.robot.files["robot.toml"].decode()
+    values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
+    named, files = None, [drive.dictionary for drive in robot.bus.drive] if robot.bus else []
     if robot.urdf is not None and urdf is not None:
         named = Path(os.path.relpath(urdf, toml.absolute().parent)).as_posix()
-    values = {name: float(value) for name, value in zip(m.model.names, m.chi, strict=True)}
-    text = robot.files["robot.toml"].decode()
-    return with_parameters(text, values, f"Physically consistent values identified in {one_line(source)}.", named)
+    elif robot.urdf is not None:
+        files.append(tomllib.loads(text)["urdf"])
+    missing = dict.fromkeys(name for name in files if name and not (toml.parent / name).is_file())
+    remark = f"Physically consistent values identified in {one_line(source)}."
+    lines = tuple(f"it names {name}, which is not beside it: copy it there" for name in missing)
+    return with_parameters(text, values, remark, named), lines
 
 
-def _beside(m: Mechanism, toml: Path, urdf: Path | None) -> tuple[str, ...]:
-    """Lines on files that the robot.toml names and that are not where it looks for them."""
-    robot = m.model.robot
-    named = [drive.dictionary for drive in robot.bus.drive] if robot.bus else []
-    if robot.urdf is not None and urdf is None:
-        named.append(tomllib.loads(robot.files["robot.toml"].decode())["urdf"])
-    missing = dict.fromkeys(name for name in named if name and not (toml.parent / name).is_file())
-    return tuple(f"it names {name}, which is not beside it: copy it there" for name in missing)
+def with_parameters(text: str, values: Mapping[str, float], remark: str, urdf: str | None = None) -> str:
+    """The description with the values (SI) of `[parameters]` replaced, or with the table added at its end; all else stays.
+
+    The remark, on where they are from, takes the place of the remarks directly above the table, which were on other values; a
+    name in `urdf` takes the place of the URDF's. An `IdentificationError` where the file is written so that the table cannot be
+    replaced line by line.
+    """
+    was, written = tomllib.loads(text), {name: text_of(value) for name, value in values.items()}
+    lines = text.splitlines()
+    start = next((i for i, line in enumerate(lines) if _HEADER.fullmatch(line)), None)
+    if start is None:
+        before = [line for line in lines if not ("parameters" in was and _INLINE.match(line))]
+        after = list[str]()
+    else:
+        stop = next((i for i in range(start + 1, len(lines)) if _NEXT.match(lines[i])), len(lines))
+        while stop > start + 1 and not lines[stop - 1].strip().partition("#")[0]:
+            stop -= 1  # blank lines and remarks above the next table are its own
+        while start and lines[start - 1].lstrip().startswith("#"):
+            start -= 1
+        before, after = lines[:start], lines[stop:]
+    while before and not before[-1].strip():
+        before.pop()
+    now: dict[str, Any] = was | {"parameters": {name: float(value) for name, value in written.items()}}
+    if urdf is not None:
+        now["urdf"], quoted = urdf, '"' + urdf.replace("\\", "\\\\").replace('"', '\\"') + '"'
+        before = [f"urdf = {quoted}" if re.match(r"urdf[ \t]*=", line) else line for line in before]
+    table = ["", f"# {remark}", "[parameters]", *(f"{name} = {text}" for name, text in written.items())]
+    made = "\n".join([*before, *table, *after]) + "\n"
+    try:
+        same = tomllib.loads(made) == now
+    except tomllib.TOMLDecodeError:
+        same = False
+    if not same:
+        problem, expected = (
+            "cannot be replaced line by line",
+            "a table of one line per value, under a line [parameters]",
+        )
+        raise IdentificationError(problem, place="the fit's robot.toml", key="[parameters]", expected=expected)
+    return made

@@ -31,34 +31,23 @@ def model_of_fit(stored: FitFile, place: str) -> tuple[Mechanism, tuple[str, ...
     refuse_unknown_gain(robot)
     model = InverseModel(robot)
     if stored.standard_parameters is UNSET:
-        chi, lines = _made_consistent(stored, model, place)
-    else:
-        chi, lines = _standard(stored, model, place), _of_consistent(stored, place)
-    return mechanism_of(model, chi, place), lines
+        chi, line = _made_consistent(stored, model, place)
+        return mechanism_of(model, chi, place), (line,)
+    given, known = stored.standard_parameters, list(zip(model.names, model.units, strict=True))
+    if [(p.name, p.unit) for p in given] != known:
+        other = next((f"{p.name} in {p.unit}" for p in given if (p.name, p.unit) not in known), None)
+        expected = f"those of the description: {len(known)}"
+        raise IdentificationError(place=place, key="standard_parameters", value=other, expected=expected)
+    lines = []
+    if (c := stored.consistent) is not UNSET:
+        lines.append(
+            f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest "
+            f"move {c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}"
+        )
+    return mechanism_of(model, np.array([p.value for p in given]), place), tuple(lines)
 
 
-def _standard(stored: FitFile, model: InverseModel, place: str) -> Array:
-    given = stored.standard_parameters or []
-    found = [(p.name, p.unit) for p in given]
-    expected = list(zip(model.names, model.units, strict=True))
-    if found != expected:
-        other = next((f"{a[0]} in {a[1]}" for a in found if a not in expected), None)
-        wanted = f"those of the description: {len(expected)}"
-        raise IdentificationError(place=place, key="standard_parameters", value=other, expected=wanted)
-    return np.array([p.value for p in given])
-
-
-def _of_consistent(stored: FitFile, place: str) -> tuple[str, ...]:
-    c = stored.consistent
-    if c is UNSET:
-        return ()
-    return (
-        f"the consistent parameters of {place}: prior {c.prior}, weight {c.prior_weight:g}; chi² {c.chi2:.3g}, largest move "
-        f"{c.largest_move:.2g} half-widths of the 95 % interval, of {c.moved_most}",
-    )
-
-
-def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, tuple[str, ...]]:
+def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[Array, str]:
     base = base_parameters(model)
     beta = stored_beta(stored, base, place)
     if stored.covariance is UNSET:
@@ -88,4 +77,4 @@ def _made_consistent(stored: FitFile, model: InverseModel, place: str) -> tuple[
         f"added chi² {c.chi_squared:.3g} on {base.b} parameters, largest move {c.largest_move:.2g} half-widths of the 95 % "
         f"interval, of {c.moved_most}; certificate {c.certificate:.1e}"
     )
-    return c.chi, (line,)
+    return c.chi, line

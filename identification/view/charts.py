@@ -1,4 +1,4 @@
-"""Charts that are not over time, drawn on a sheet: parameters with their intervals, passes of the iteration, studies."""
+"""Charts that are not over time, drawn on a sheet: parameters with intervals, passes of the iteration, studies, friction."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,13 +6,16 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..arrays import Array
+from ..design import Excitation, JointFriction
 from ..methods import Fit, Pass
 from ..report import Level, ParameterSet, differences
 from ..study import Run, summaries
 from ..trust import Trust
-from .panels import GREEN, GREY, LIGHT, ORANGE, PURPLE, SKY, VERMILLION, Chart, Color, Scale, log10
+from .panels import GREEN, GREY, LIGHT, ORANGE, PREDICTED, PURPLE, SKY, VERMILLION, Chart, Color, Scale, log10
 
 COMPARED = (PURPLE, GREEN)  # colors of the sets a fit is compared with, in turn
+LOADS = (SKY, ORANGE, VERMILLION)  # a low load, the middle, a high one
+MOST_DOTS = 400  # of a drawing
 FAR = 6.0  # deviations at which a difference runs off its chart
 SHEET = (1430.0, 960.0)  # of a large chart: what it has of a screen of 1920 by 1080
 STUDY_SHEET = (1140.0, 960.0)  # what its report leaves of the screen to a study
@@ -28,13 +31,13 @@ TRUSTED = 3.0  # deviations that a difference should stay within
 
 def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
     """Every parameter's value with its 95 % interval, others beside it, in one or two columns."""
-    names = list(own.parameters)
+    names, sets = list(own.parameters), [own, *others]
     columns = 1 if len(names) <= 20 else 2
     rows, pitch = -(-len(names) // columns), 17.0 if len(names) > 12 else 24.0
     width, height = 540.0 / columns, 30 + pitch * rows
     title = f"{own.label} ± 95 %: orange essential{_marks(others)}"
     chart = Chart(path=("parameters",), title=title, size=(540.0, height + 30))
-    scale_of, ticks, axis = _value_scale([own, *others], names, 3 if columns == 1 else 2)
+    scale_of, ticks, axis = _value_scale(sets, names, 3 if columns == 1 else 2)
     chart.label(270.0, height + 4, axis)
     for c in range(columns):
         place = scale_of(width * c + 55, width * (c + 1) - 20)
@@ -42,13 +45,13 @@ def parameter_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
         for row, name in enumerate(names[c * rows : (c + 1) * rows]):
             y = 34 + pitch * row
             chart.label(width * c + 27, y - 9, name, _color(own, name))
-            _value(chart, place, own, others, name, y, pitch)
+            _value(chart, place, sets, name, y, pitch)
     return chart
 
 
 def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Chart:
     """Every parameter's value, half its 95 % interval in percent and, in deviations, the difference to the other sets."""
-    names = list(own.parameters)
+    names, sets = list(own.parameters), [own, *others]
     columns = 1 if len(names) <= 20 else 2
     rows = -(-len(names) // columns)
     width, pitch = SHEET[0] / columns, min(60.0, max(24.0, (SHEET[1] - 106) / rows))
@@ -56,7 +59,7 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
     title = f"{own.label}: orange essential, grey not{_marks(others)}"
     title += ", vermillion beyond 3 σ" if others else ""
     chart = Chart(path=("deviations",), title=title, size=(SHEET[0], height + 10))
-    scale_of, ticks, axis = _value_scale([own, *others], names, 2)
+    scale_of, ticks, axis = _value_scale(sets, names, 2)
     apart = [{d.name: d.off_sigma for d in differences(own, values)} for values in others]
     parts = (0.46, 0.72) if others else (0.55, 1.0)  # where in a column the charts end
     for c in range(columns):
@@ -80,7 +83,7 @@ def deviation_drawing(own: ParameterSet, others: Sequence[ParameterSet]) -> Char
         for row, name in enumerate(names[c * rows : (c + 1) * rows]):
             y, p = 92 + pitch * row, own.parameters[name]
             chart.label(left + 45, y - 9, name, _color(own, name))
-            _value(chart, value, own, others, name, y, pitch)
+            _value(chart, value, sets, name, y, pitch)
             size = abs(p.value)
             share = 100 * p.half / size if size > 0 else 100.0
             chart.line(percent.left, y, percent(max(share, 0.01)), y, _color(own, name), 2.5)
@@ -117,14 +120,12 @@ def _value_axis(chart: Chart, place: Scale, ticks: Sequence[float], top: float, 
     chart.line(place(0.0), top, place(0.0), bottom, GREY, 0.75)
 
 
-def _value(
-    chart: Chart, place: Scale, own: ParameterSet, others: Sequence[ParameterSet], name: str, y: float, pitch: float
-) -> None:
-    """A parameter's dot with its interval, and below it the others' crosses with theirs; an upright line if exact."""
-    p, color = own.parameters[name], _color(own, name)
+def _value(chart: Chart, place: Scale, sets: Sequence[ParameterSet], name: str, y: float, pitch: float) -> None:
+    """A dot with its interval of the first set, and below it the others' crosses with theirs; an upright line if exact."""
+    p, color = sets[0].parameters[name], _color(sets[0], name)
     chart.dots.append((place(p.value), y, color))
     chart.line(place(p.value - p.half), y, place(p.value + p.half), y, color, 1.5)
-    for k, values in enumerate(others):
+    for k, values in enumerate(sets[1:]):
         if (other := values.parameters.get(name)) is None:
             continue
         x, level = place(other.value), y + 0.3 * pitch
@@ -132,8 +133,9 @@ def _value(
             chart.line(x, y - 0.42 * pitch, x, y + 0.42 * pitch, COMPARED[k], 1.0)
         else:
             chart.crosses.append((x, level, COMPARED[k]))
-            ends = place(other.value - other.half), place(other.value + other.half)
-            chart.line(ends[0], level, ends[1], level, COMPARED[k], 0.75)
+            chart.line(
+                place(other.value - other.half), level, place(other.value + other.half), level, COMPARED[k], 0.75
+            )
 
 
 def _is_exact(values: ParameterSet, name: str) -> bool:
@@ -253,4 +255,63 @@ def study_drawing(runs: Sequence[Run], true: Array) -> Chart:
             at, outside, color = (0.3, -0.23, PURPLE) if s.method == "wls" else (0.7, 0.23, ORANGE)
             chart.line(across(column + at - 0.14), y, across(column + at + 0.14), y, color, 2.0)
             chart.label(across(column + at + outside), y - 10, f"{s.median_error_percent:.3g} %", color)
+    return chart
+
+
+def intervals_drawing(excitation: Excitation) -> Chart:
+    """Half the expected 95 % interval of every parameter, and below it in grey that of the plain reference."""
+    e, names = excitation, excitation.base.names
+    columns = 1 if e.base.b <= 20 else 2
+    rows, pitch, width = -(-len(names) // columns), 17.0 if e.base.b > 12 else 24.0, 540.0 / columns
+    height = 54 + pitch * rows
+    title = "expected ± 95 %: orange this reference, grey the plain one"
+    chart = Chart(path=("intervals",), title=title, size=(540.0, height + 20))
+    both = np.concatenate([e.half, e.plain_half])
+    low, high = math.floor(log10(float(both.min()))), math.ceil(log10(float(both.max())))
+    scales = [
+        Scale(left=width * c + 60, right=width * (c + 1) - 15, low=10.0**low, high=10.0**high, by=log10)
+        for c in range(columns)
+    ]
+    for scale in scales:
+        powers = {10.0**power: f"1e{power}" for power in range(low, high + 1)}
+        chart.ticks_across(scale, powers, (44, height), 22)
+    chart.label(270.0, 0.0, "half the 95 % interval, SI units", LIGHT)
+    for i, name in enumerate(names):
+        c, row = divmod(i, rows)
+        y = 58 + pitch * row
+        chart.label(width * c + 30, y - 9, name, LIGHT)
+        for half, level, color in ((e.half[i], y - 2, ORANGE), (e.plain_half[i], y + 3, GREY)):
+            chart.line(scales[c].left, level, scales[c](float(half)), level, color, 1.75)
+    return chart
+
+
+def friction_drawing(friction: JointFriction, *, of: str = "") -> Chart:
+    """Friction of a joint over its speed: rows as dots, the identified curve and its interval; colors are of the load."""
+    title = f"{friction.joint}{of and f', {of}'}: friction [{friction.unit}] over speed [{friction.speed_unit}]"
+    path = ("friction", friction.joint, *([of] if of else []))
+    chart, (left, top, right, bottom) = Chart(path=path, title=title, size=(470.0, 340.0)), (70.0, 30.0, 440.0, 300.0)
+    every = slice(None, None, max(1, len(friction.speed) // MOST_DOTS))
+    v, torque, load = friction.speed[every], friction.torque[every], friction.load[every]
+    shown = np.concatenate([np.abs(torque), *(np.abs(curve.torque) + curve.half for curve in friction.curves)])
+    size = float(np.abs(shown).max(initial=1e-9))
+    peak = float(np.abs(friction.curves[0].speed).max(initial=1e-9)) or 1e-9
+    across, up = (
+        Scale(left=left, right=right, low=-peak, high=peak),
+        Scale(left=bottom, right=top, low=-size, high=size),
+    )
+    chart.ticks_across(across, {x: f"{x:.3g}" for x in (-peak, 0.0, peak)}, (top, bottom), bottom + 5)
+    chart.ticks_up(up, {y: f"{y:.3g}" for y in (-size, 0.0, size)}, (left, right), 35.0)
+    levels = np.array([curve.load for curve in friction.curves])
+    nearest = np.zeros(len(v), dtype=int) if len(levels) == 1 else np.abs(load[:, None] - levels).argmin(axis=1)
+    colors = (GREY,) if len(levels) == 1 else LOADS
+    chart.cloud.extend((across(x), up(y), colors[k]) for x, y, k in zip(v, torque, nearest, strict=True))
+    for k, curve in enumerate(friction.curves):
+        color = PREDICTED if len(levels) == 1 else LOADS[k]
+        for side in (curve.speed < 0, curve.speed > 0):
+            for offset, radius in ((0.0, 1.25), (-1.0, 0.4), (1.0, 0.4)):
+                edge = curve.torque + offset * curve.half
+                line = [(across(a), up(b)) for a, b in zip(curve.speed[side], edge[side], strict=True)]
+                chart.strokes.append((line, color, radius))
+        if len(levels) > 1:
+            chart.label(left + 60, top + 20 * k, f"load {curve.load:.3g} {friction.unit}", color)
     return chart

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from ..arrays import Array
-from ..report import Document, to_markdown
 
 Color = tuple[int, int, int]
 Line = tuple[Array, Array]  # t_s (k,), values (k,)
@@ -23,6 +22,14 @@ JOINTS = (SKY, ORANGE, GREEN, VERMILLION, PURPLE, YELLOW, BLUE, GREY)  # in turn
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Panel:
+    """What has a view of its own: the path of its entities and the view's title."""
+
+    path: tuple[str, ...]
+    title: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
     """A line of a plot; `key` ends its entity's path. Lines are drawn in the order of their keys, the last in front."""
 
@@ -35,34 +42,28 @@ class Curve:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Plot:
+class Plot(_Panel):
     """Curves over time."""
 
-    path: tuple[str, ...]
-    title: str
     curves: tuple[Curve, ...]
     legend: bool = True
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bars:
+class Bars(_Panel):
     """Bars in front of grey ones, over what their edges measure."""
 
-    path: tuple[str, ...]
-    title: str
     front: Steps
     back: Steps
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Chart:
+class Chart(_Panel):
     """Strokes (points (k, 2), color, radius), markers and labels on a sheet of `size` pixels, y downwards: any other chart.
 
     Markers are `dots`, and for least squares `crosses`; small ones behind the strokes are the `cloud`.
     """
 
-    path: tuple[str, ...]
-    title: str
     size: tuple[float, float]
     strokes: list[tuple[Any, Color, float]] = field(default_factory=list)
     dots: list[tuple[float, float, Color]] = field(default_factory=list)
@@ -118,29 +119,23 @@ def log10(x: float) -> float:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lanes:
+class Lanes(_Panel):
     """Bands over time: by lane, the states (t_s, text, color) it changes to; an empty text ends a band."""
 
-    path: tuple[str, ...]
-    title: str
     lanes: Mapping[str, Sequence[tuple[float, str, Color]]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Log:
+class Log(_Panel):
     """Lines of text at times: (t_s, whether it is a warning, text)."""
 
-    path: tuple[str, ...]
-    title: str
     lines: Sequence[tuple[float, bool, str]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Note:
+class Note(_Panel):
     """A page of Markdown."""
 
-    path: tuple[str, ...]
-    title: str
     text: str
 
 
@@ -155,15 +150,13 @@ class Moving:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Scene:
+class Scene(_Panel):
     """Robots in one picture, made of the shapes of a `urdf`, whose joints are `joints`.
 
     `up` (3,) is the direction against gravity, `floor` the height along it of the ground; the eye stands at `eye` (3,) and
     looks at `target`.
     """
 
-    path: tuple[str, ...]
-    title: str
     robots: tuple[Moving, ...]
     urdf: str
     joints: tuple[str, ...]
@@ -174,8 +167,3 @@ class Scene:
 
 
 Panel = Plot | Bars | Chart | Lanes | Log | Note | Scene
-
-
-def report_note(document: Document) -> Note:
-    """A report as a panel."""
-    return Note(path=("report",), title="report", text=to_markdown(document))

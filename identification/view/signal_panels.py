@@ -8,11 +8,11 @@ from scipy import signal
 
 from ..arrays import Array
 from ..data import Signals
-from ..estimation import autocorrelation
+from ..estimation import are_moving, autocorrelation
 from ..methods import Fit
 from ..regression import Settings
 from ..report import Cell, Number, Section, Table, columns
-from .curves import Observed, extremes, model_stride, thinning
+from .curves import model_stride, thinning
 from .panels import GREEN, GREY, JOINTS, ORANGE, SKY, Bars, Chart, Color, Curve, Lanes, Log, Plot, Scale, log10
 from .robot_drawing import pose_stride
 
@@ -89,19 +89,6 @@ def health_plot(signals: Signals) -> Plot | None:
     return Plot(path=("health",), title=title, curves=tuple(curves)) if curves else None
 
 
-def extra_plots(signals: Signals) -> list[Plot]:
-    """The extra objects of the drives, as recorded, a plot per quantity with a curve per motor."""
-    quantities: dict[tuple[str, str], list[Curve]] = {}
-    for column, (t_s, values) in signals.extras.items():
-        curves = quantities.setdefault((column.name, column.unit), [])
-        k = extremes(values, thinning(len(values)))
-        curves.append(Curve(key=column.motor, color=JOINTS[len(curves) % len(JOINTS)], line=(t_s[k], values[k])))
-    return [
-        Plot(path=("extra", f"{name} {unit}"), title=f"{name} [{unit or 'raw'}]", curves=tuple(curves))
-        for (name, unit), curves in quantities.items()
-    ]
-
-
 def within(t_s: float, end_s: float) -> float:
     """A time brought to between the first sample and the last."""
     return min(max(t_s, 0.0), end_s)
@@ -165,10 +152,10 @@ def _log_log(
     return chart
 
 
-def residual_of_moving(seen: Observed, j: int) -> Array:
+def residual_of_moving(fit: Fit, j: int) -> Array:
     """Residual of joint j where it moves; all of it where it never does."""
-    rho = seen.residual[:, j]
-    return moving if len(moving := rho[seen.moving[:, j]]) else rho
+    rho = (fit.rows.tau - fit.rows.tau_predicted)[:, j]
+    return moving if len(moving := rho[are_moving(fit.rows.speed)[:, j]]) else rho
 
 
 def middle_deviation(rho: Array) -> float:
@@ -176,19 +163,19 @@ def middle_deviation(rho: Array) -> float:
     return float(TO_DEVIATION * np.median(np.abs(rho))) or float(np.sqrt(np.mean(rho**2)))
 
 
-def residual_bars(signals: Signals, fit: Fit, seen: Observed, j: int) -> list[Bars]:
+def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
     """Is the residual of joint j white noise: its autocorrelation, its distribution; none where nothing is left.
 
     The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
     """
-    rho, name = seen.residual[:, j], signals.robot.joints[j].name
+    rho, name = (fit.rows.tau - fit.rows.tau_predicted)[:, j], signals.robot.joints[j].name
     T = len(rho)
     if not rho.any():
         return []
     period_s, bound = fit.settings.decimation / signals.sample_rate_hz, 2.0 / math.sqrt(T)
     lags = np.arange(1.0, min(LAGS, T - 1) + 1)
     r = np.array([autocorrelation(rho, int(k)) or 0.0 for k in lags])
-    shown = residual_of_moving(seen, j)
+    shown = residual_of_moving(fit, j)
     s = middle_deviation(shown)
     edge = SHOWN_DEVIATIONS * s
     counts, edges = np.histogram(shown, bins=31, range=(-edge, edge))
@@ -229,7 +216,7 @@ def fit_legend(signals: Signals, fit: Fit) -> Section:
     return Section(title="what is drawn", lines=(*lines, *_curves(signals, fit.settings, "Filtered curves and IDM")))
 
 
-def numbers_of_plots(signals: Signals, fit: Fit | None, seen: Observed) -> Section:
+def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
     """What the plots of each joint come to: peak effort, tracking error, and deviation and correlation of the residual."""
     robot, heads = signals.robot, ["peak effort"]
     cells: list[list[Cell]] = [[Number(float(x), ".3g") for x in np.abs(signals.effort).max(axis=0)]]
@@ -238,7 +225,7 @@ def numbers_of_plots(signals: Signals, fit: Fit | None, seen: Observed) -> Secti
         each = zip(signals.q_ref.T, signals.q.T, strict=True)
         cells.append([Number(float(np.sqrt(np.mean((reference - q) ** 2))), ".2g") for reference, q in each])
     if fit is not None:
-        rows = [residual_of_moving(seen, j) for j in range(robot.n)]
+        rows = [residual_of_moving(fit, j) for j in range(robot.n)]
         sigmas = [middle_deviation(rho) for rho in rows]
         heads += ["residual σ", f"rows beyond {SHOWN_DEVIATIONS:g} σ", "residual lag-1"]
         cells.append([Number(sigma, ".2g") for sigma in sigmas])

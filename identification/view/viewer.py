@@ -1,10 +1,10 @@
-"""A recording, its fit, or two fits as a Rerun file that opens with its own layout. The pages of each.
+"""Rerun files that open with their own layout, and the pages of each.
 
 What is shown is plain data of `panels`. `show` writes one of these into the file and returns the view of it,
 and the layout is built of such views only: none can be without data.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 
 from ..arrays import Array
 from ..data import Signals
-from ..design import Excitation
+from ..design import Excitation, friction_of_joints
 from ..errors import IdentificationError
 from ..methods import (
     Fit,
@@ -26,15 +26,31 @@ from ..methods import (
 from ..regression import Overrides, Settings, make_settings
 from ..report import Document, ParameterSet, comparison_document, comparison_section, to_markdown
 from ..study import Drift, Run
-from .charts import deviation_drawing, parameter_drawing, passes_drawing, study_drawing, trust_drawing
-from .curves import column_plots, motion_plots, observed, position_plots, torque_plots
-from .design_panels import excitation_page, fleet_pages, friction_page
-from .panels import Chart, Note, Plot, report_note
+from .charts import (
+    deviation_drawing,
+    friction_drawing,
+    intervals_drawing,
+    parameter_drawing,
+    passes_drawing,
+    study_drawing,
+    trust_drawing,
+)
+from .curves import (
+    Lines,
+    column_plots,
+    drift_plots,
+    excitation_plots,
+    extra_plots,
+    lines_of,
+    motion_plots,
+    position_plots,
+    torque_plots,
+)
+from .panels import Note
 from .rerun_panels import Show, shown_text, write_pages
-from .robot_drawing import robot_scene
+from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import (
     event_log,
-    extra_plots,
     fit_legend,
     health_plot,
     numbers_of_plots,
@@ -57,7 +73,6 @@ def write_fit_rrd(path: Path, signals: Signals, fit: Fit, *, truth: Array | None
 
     Raises `AcquisitionError`: where the file cannot be written.
     """
-    # A viewer holds one layout per application, and a layout is of its data: each fit is an application of its own.
     compared = truth.tobytes() if truth is not None else b""
     identity = f"{signals.sha256} {fit.method} {fit.settings} {fit.estimate.names} {fit.estimate.beta.tobytes()!r} {compared!r}"
     name = f"{signals.recording}, {fit.method.upper()}"
@@ -74,13 +89,13 @@ def write_friction_rrd(path: Path, before: Fit, after: Fit, document: Document) 
     robot = before.problem.signals.robot.name
     recording = ", ".join(one.problem.signals.recording for one in before.recordings)
     fits = {"usual": before, "recommended": after}
+    identity = " ".join([recording, *(repr(fit.estimate.beta.tobytes()) for fit in fits.values())])
 
     def pages(show: Show) -> list[Any]:
-        page, note = friction_page(show, fits), show(report_note(document))
-        return [rrb.Horizontal(page, note, column_shares=[5, 2], name="friction")]
+        page, report = _friction_page(show, fits), show(_report(document))
+        return [rrb.Horizontal(page, report, column_shares=[5, 2], name="friction")]
 
-    identity = " ".join(repr(fit.estimate.beta.tobytes()) for fit in fits.values())
-    write_pages(path, robot, f"{recording} {identity}", f"{recording}, friction", pages)
+    write_pages(path, robot, identity, f"{recording}, friction", pages)
 
 
 def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> None:
@@ -95,13 +110,14 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
         settings = make_settings(signals, overrides)
     except IdentificationError as error:
         refusal = str(error)
-    write_pages(
-        path,
-        signals.robot.name,
-        f"{signals.sha256} {settings}",
-        signals.recording,
-        lambda show: _recording_pages(show, signals, settings, refusal),
-    )
+
+    def pages(show: Show) -> list[Any]:
+        lines = lines_of(signals, settings, None)
+        sections = numbers_of_plots(signals, None), recording_legend(signals, settings)
+        report = show(_report(recording_document(signals, settings, refusal).followed_by(*sections)))
+        return _signal_pages(show, signals, settings, None, lines, answer=report)
+
+    write_pages(path, signals.robot.name, f"{signals.sha256} {settings}", signals.recording, pages)
 
 
 def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> None:
@@ -112,9 +128,12 @@ def write_comparison_rrd(path: Path, own: ParameterSet, other: ParameterSet) -> 
     """
     document, name = comparison_document(own, other), f"{own.label} and {other.label}"
     drawing = deviation_drawing(own, [other])
-    write_pages(
-        path, name, repr((own, other)), name, lambda show: _drawing_page(show, drawing, document, "parameters", (3, 1))
-    )
+
+    def pages(show: Show) -> list[Any]:
+        views = show(drawing), show(_report(document))
+        return [rrb.Horizontal(*views, column_shares=[3, 1], name="parameters")]
+
+    write_pages(path, name, repr((own, other)), name, pages)
 
 
 def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, document: Document) -> None:
@@ -122,17 +141,13 @@ def write_study_rrd(path: Path, robot: str, runs: Sequence[Run], true: Array, do
 
     Raises `AcquisitionError`: where the file cannot be written.
     """
-    drawing, identity = (
-        study_drawing(runs, true),
-        repr([(run.number, run.iv and run.iv.error, run.ls and run.ls.error) for run in runs]),
-    )
-    write_pages(
-        path,
-        f"{robot} study",
-        identity,
-        f"{robot}, study",
-        lambda show: _drawing_page(show, drawing, document, "study", (3, 2)),
-    )
+    identity = repr([(run.number, run.iv and run.iv.error, run.ls and run.ls.error) for run in runs])
+
+    def pages(show: Show) -> list[Any]:
+        views = show(study_drawing(runs, true)), show(_report(document))
+        return [rrb.Horizontal(*views, column_shares=[3, 2], name="study")]
+
+    write_pages(path, f"{robot} study", identity, f"{robot}, study", pages)
 
 
 def write_excitation_rrd(path: Path, excitation: Excitation, document: Document) -> None:
@@ -144,8 +159,14 @@ def write_excitation_rrd(path: Path, excitation: Excitation, document: Document)
     Raises `AcquisitionError`: where the file cannot be written.
     """
     robot, identity = excitation.robot.name, f"{excitation.settings} {excitation.sigma.tobytes()!r}"
-    name = f"{robot}, excitation"
-    write_pages(path, f"{robot} excitation", identity, name, lambda show: excitation_page(show, excitation, document))
+
+    def pages(show: Show) -> list[Any]:
+        motion = [rrb.Vertical(*map(show, plots)) for plots in excitation_plots(excitation)]
+        side = rrb.Vertical(show(intervals_drawing(excitation)), show(_report(document)), row_shares=[3, 2])
+        main = rrb.Vertical(show(excitation_scene(excitation)), rrb.Horizontal(*motion), row_shares=[2, 3])
+        return [rrb.Horizontal(main, side, column_shares=[5, 2], name="excitation")]
+
+    write_pages(path, f"{robot} excitation", identity, f"{robot}, excitation", pages)
 
 
 def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> None:
@@ -157,95 +178,97 @@ def write_fleet_rrd(path: Path, series: Sequence[Drift], document: Document) -> 
     """
     names = ", ".join(drift.name for drift in series)
     identity = repr([(row.sha256, row.parameters) for drift in series for row in drift.rows])
-    write_pages(path, f"fleet {names}", identity, "fleet", lambda show: fleet_pages(show, series, document))
+
+    def pages(show: Show) -> list[Any]:
+        report, found = show(_report(document)), []
+        for drift in series:
+            views = [show(plot) for plot in drift_plots(drift)]
+            starts = range(0, len(views), 16)
+            tabs = [rrb.Grid(*views[k : k + 16], grid_columns=4, name=f"from {k + 1}") for k in starts]
+            charts = rrb.Tabs(*tabs, active_tab=0)
+            found.append(rrb.Horizontal(charts, report, column_shares=[5, 2], name=shown_text(drift.name)))
+        return found or [rrb.Horizontal(report, name="report")]
+
+    write_pages(path, f"fleet {names}", identity, "fleet", pages)
+
+
+def _report(document: Document) -> Note:
+    return Note(path=("report",), title="report", text=to_markdown(document))
 
 
 def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> list[Any]:
     """A page with the answer, then pages with the evidence."""
-    n, seen = signals.robot.n, observed(signals, fit.settings, fit)
-    own = fitted_parameters(fit)
+    n, own = signals.robot.n, fitted_parameters(fit)
     others = [least_squares_parameters(fit)] if fit.iv else []
     others += [true_parameters(fit.base, truth)] if truth is not None else []
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)
-    sections = (numbers_of_plots(signals, fit, seen), *compared, fit_legend(signals, fit))
-    report = report_note(fit_document(signals, fit, everything=True).followed_by(*sections))
+    sections = (numbers_of_plots(signals, fit), *compared, fit_legend(signals, fit))
+    report = _report(fit_document(signals, fit, everything=True).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
-    curves = position_plots(signals, fit, seen), torque_plots(signals, fit, seen)
     deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
-    judged = show(Note(path=("verdict",), title="verdict", text=to_markdown(trust_document(fit))))
     tests = trust_drawing(fit.trust)
-    views = [show(tests), judged] if tests else [judged]
-    trust = rrb.Horizontal(*views, name="trust")
-    bars = [b for j in range(n) for b in residual_bars(signals, fit, seen, j)]
+    verdict = Note(path=("verdict",), title="verdict", text=to_markdown(trust_document(fit)))
+    trust = [show(panel) for panel in (tests, verdict) if panel is not None]
+    bars = [b for j in range(n) for b in residual_bars(signals, fit, j)]
     columns = min(len(bars) // 2, 3 if n <= 6 else 4)
     residual = [rrb.Grid(*map(show, bars[k::2]), grid_columns=columns) for k in (0, 1) if bars]
+    lines = lines_of(signals, fit.settings, fit)
+    answer, *others_of_signals = _signal_pages(show, signals, fit.settings, fit, lines, answer=side)
     return [
-        _answer(show, signals, fit, *curves, side),
-        trust,
+        answer,
+        rrb.Horizontal(*trust, name="trust"),
         rrb.Horizontal(*deviations, column_shares=[3, 1][: len(deviations)], name="parameters"),
         *([rrb.Vertical(*residual, name="residual")] if residual else []),
-        friction_page(show, {"": fit}),
-        *_signal_pages(show, signals, fit.settings, fitted=True),
-        _motion_page(signals, [[show(p) for p in motion_plots(signals, fit, seen, j)] for j in range(n)]),
+        _friction_page(show, {"": fit}),
+        *others_of_signals,
     ]
 
 
-def _recording_pages(show: Show, signals: Signals, settings: Settings | None, refusal: str | None) -> list[Any]:
-    n, seen = signals.robot.n, observed(signals, settings, None)
-    sections = numbers_of_plots(signals, None, seen), recording_legend(signals, settings)
-    report = report_note(recording_document(signals, settings, refusal).followed_by(*sections))
-    curves = position_plots(signals, None, seen), torque_plots(signals, None, seen)
-    return [
-        _answer(show, signals, None, *curves, show(report)),
-        *_signal_pages(show, signals, settings, fitted=False),
-        _motion_page(signals, [[show(p) for p in motion_plots(signals, None, seen, j)] for j in range(n)]),
-    ]
-
-
-def _drawing_page(show: Show, drawing: Chart, document: Document, name: str, shares: tuple[int, int]) -> list[Any]:
-    """One page: a drawing and its report."""
-    return [rrb.Horizontal(show(drawing), show(report_note(document)), column_shares=list(shares), name=name)]
-
-
-def _answer(
-    show: Show, signals: Signals, fit: Fit | None, tracking: Sequence[Plot], torque: Sequence[Plot], side: Any
-) -> Any:
-    """The first page: did the robot follow, beside it the robot; is the torque explained; at the side what came out."""
-    n = signals.robot.n
-    columns = 1 if n == 1 else 2 if n == 2 else 3 if n <= 6 else 4
+def _signal_pages(
+    show: Show, signals: Signals, settings: Settings | None, fit: Fit | None, lines: Lines, *, answer: Any
+) -> list[Any]:
+    """The pages of a recording, fitted or not: the answer, how good the signals are, extra objects of drives, the motion."""
+    n, joints = signals.robot.n, signals.robot.joints
+    # Did the robot follow, beside it the robot; is the torque explained; at the side what came out.
+    grid = 1 if n == 1 else 2 if n == 2 else 3 if n <= 6 else 4
     follow = rrb.Horizontal(
-        rrb.Grid(*map(show, tracking), grid_columns=columns),
+        rrb.Grid(*map(show, position_plots(signals, fit, lines)), grid_columns=grid),
         show(robot_scene(signals, fit)),
         column_shares=[2 if n <= 4 else 3, 1],
     )
-    explained = rrb.Grid(*map(show, torque), grid_columns=1 if n == 1 else 2 if n == 2 else columns)
-    name = "overview" if fit else "recording"
-    return rrb.Horizontal(rrb.Vertical(follow, explained, row_shares=[4, 5]), side, column_shares=[5, 2], name=name)
-
-
-def _signal_pages(show: Show, signals: Signals, settings: Settings | None, *, fitted: bool) -> list[Any]:
-    """How good was the signal: spectra, optional columns, phases, the counters, events; extra objects of drives."""
-    spectra = [show(drawing) for drawing in spectrum_drawings(signals, settings)]
-    lanes = span_lanes(signals, settings, fitted=fitted)
-    below = [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]
-    rows = [(rrb.Horizontal(*spectra), 5.0)] if spectra else []
-    columns = [show(plot) for plot in column_plots(signals)]
-    rows += [(rrb.Horizontal(*columns), 3.0)] if columns else []
-    rows += [(show(lanes), 0.6 + 0.4 * len(lanes.lanes))] if lanes else []
-    rows += [(rrb.Horizontal(*below), 2.0)] if below else []
-    pages = []
+    explained = rrb.Grid(*map(show, torque_plots(signals, fit, lines)), grid_columns=grid)
+    both = rrb.Vertical(follow, explained, row_shares=[4, 5])
+    pages = [rrb.Horizontal(both, answer, column_shares=[5, 2], name="overview" if fit else "recording")]
+    # Rows of the page of signals, each with its share of the height.
+    rows: list[tuple[Any, float]] = []
+    if spectra := [show(drawing) for drawing in spectrum_drawings(signals, settings)]:
+        rows.append((rrb.Horizontal(*spectra), 5.0))
+    if columns := [show(plot) for plot in column_plots(signals)]:
+        rows.append((rrb.Horizontal(*columns), 3.0))
+    if lanes := span_lanes(signals, settings, fitted=fit is not None):
+        rows.append((show(lanes), 0.6 + 0.4 * len(lanes.lanes)))
+    if below := [show(panel) for panel in (health_plot(signals), event_log(signals)) if panel is not None]:
+        rows.append((rrb.Horizontal(*below), 2.0))
     if rows:
         views, shares = zip(*rows, strict=True)
         pages.append(rrb.Vertical(*views, row_shares=list(shares), name="signal"))
     if extras := [show(plot) for plot in extra_plots(signals)]:
         pages.append(rrb.Grid(*extras, grid_columns=1 if len(extras) < 4 else 2, name="extra objects"))
+    motion = [[show(plot) for plot in motion_plots(signals, fit, lines, j)] for j in range(n)]
+    tabs = [rrb.Vertical(*plots, name=shown_text(j.name)) for plots, j in zip(motion, joints, strict=True)]
+    pages.append(rrb.Tabs(*tabs, name="motion") if n > 1 else rrb.Vertical(*motion[0], name="motion"))
     return pages
 
 
-def _motion_page(signals: Signals, rows: list[list[Any]]) -> Any:
-    joints = [
-        rrb.Vertical(*views, name=shown_text(j.name)) for j, views in zip(signals.robot.joints, rows, strict=True)
+def _friction_page(show: Show, fits: Mapping[str, Fit]) -> Any:
+    """Friction of each joint over its speed, of one fit or several by name, side by side."""
+    drawings = [
+        [show(friction_drawing(friction, of=name)) for friction in friction_of_joints(fit)]
+        for name, fit in fits.items()
     ]
-    return rrb.Tabs(*joints, name="motion") if len(joints) > 1 else rrb.Vertical(*rows[0], name="motion")
+    n = len(drawings[0])
+    order = [view for of_joint in zip(*drawings, strict=True) for view in of_joint]
+    columns = min(3, n) if len(fits) == 1 else 2 if n < 3 else 4
+    return rrb.Grid(*order, grid_columns=columns, name="friction")

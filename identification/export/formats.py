@@ -1,0 +1,249 @@
+"""A mechanism as a URDF, the user's own with other values or a new one of DH rows, and as a MuJoCo model.
+
+What the identification knows as one link is lumped: the link that a joint moves, and all that is fixed to it or that locked
+joints carry. In the user's URDF, whose quotes and blanks may change, the difference to the other links' inertials goes to the
+moved link where that is a body; else the whole does, and the others lose theirs. In a MuJoCo model, which has no shapes, a
+motor that turns with several joints is a fixed tendon (its armature: MuJoCo 3.3 and later).
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import replace
+from xml.dom import minidom
+from xml.dom.minidom import Element
+
+import numpy as np
+
+from acquisition.errors import listed
+from acquisition.files import text_of
+from acquisition.robot import Robot, effort_limits
+
+from ..arrays import Array
+from ..estimation import link_parameters, pseudo_inertia
+from ..model import InverseModel, is_a_body
+from .chain import INERTIA
+from .mechanism import LEAST, Mechanism, about_com
+
+UNLIMITED = 1e9  # a URDF must state effort and velocity: where the description has none
+_BASE = "base_link"
+_THICKNESS = 0.02  # of drawn links, m
+_TIP = "0.12 0.08 0.04"  # m, of a box that ends a link: its turns about any axis are seen
+_MUJOCO = [0, 3, 5, 1, 2, 4]  # MuJoCo's order xx yy zz xy xz yz, of XX XY XZ YY YZ ZZ
+
+
+def link_names(robot: Robot, *, made: bool = False) -> tuple[str, ...]:
+    """Names of the links that the joints move: those of the URDF, or `link_1` and so on in one that is `made`."""
+    if robot.urdf is None or made:
+        return tuple(f"link_{j + 1}" for j in range(robot.n))
+    joints = {joint.get("name"): joint.find("child") for joint in ET.fromstring(robot.urdf).findall("joint")}
+    children = (joints[joint.name] for joint in robot.joints)
+    return tuple("" if child is None else child.get("link", "") for child in children)
+
+
+def mjcf_text(m: Mechanism) -> str:
+    """The MJCF of a mechanism; an offset, or friction neither viscous nor dry, has no place in it."""
+    robot, axes_values = m.model.robot, ("armature", "damping", "frictionloss")
+    values = [{key: text_of(getattr(m, key)[k]) for key in axes_values} for k in range(len(m.names))]
+    root = ET.Element("mujoco", model=robot.name)
+    ET.SubElement(root, "compiler", angle="radian")
+    ET.SubElement(root, "option", gravity=text_of(*robot.gravity))
+    carriers = [ET.SubElement(root, "worldbody")]
+    origins, rotations, axes = m.model.joint_frames
+    for j, (joint, name) in enumerate(zip(robot.joints, link_names(robot), strict=True)):
+        place = {"name": name, "pos": text_of(*origins[j]), "quat": text_of(*quaternion(rotations[j]))}
+        body = ET.SubElement(carriers[m.model.parents[j]], "body", place)
+        carriers.append(body)
+        mass, com, inertia = about_com(m.links[j])
+        inertial = {"pos": text_of(*com), "mass": text_of(mass), "fullinertia": text_of(*inertia[_MUJOCO])}
+        ET.SubElement(body, "inertial", inertial)
+        kind = "slide" if joint.type == "prismatic" else "hinge"
+        moved = {"name": joint.name, "type": kind, "axis": text_of(*axes[j])}
+        if (limits := joint.si("position")) is not None:
+            moved["range"] = text_of(*limits)
+        ET.SubElement(body, "joint", moved | values[j])
+    if len(m.names) > robot.n:
+        tendons = ET.SubElement(root, "tendon")
+        for k in range(robot.n, len(m.names)):
+            fixed = ET.SubElement(tendons, "fixed", {"name": m.names[k]} | values[k])
+            for joint, coefficient in zip(robot.joints, m.rows[k], strict=True):
+                if coefficient:
+                    ET.SubElement(fixed, "joint", joint=joint.name, coef=text_of(coefficient))
+    actuators = ET.SubElement(root, "actuator")
+    for joint in robot.joints:
+        ET.SubElement(actuators, "motor", name=joint.name, joint=joint.name)
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode") + "\n"
+
+
+def quaternion(R: Array) -> Array:
+    """Unit quaternion w x y z of a rotation (3, 3); w is not negative."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(R).as_quat(canonical=True))[[3, 0, 1, 2]]
+
+
+def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
+    """The URDF of a mechanism, and lines on what of other links was changed, and on limits that nobody stated.
+
+    Armatures and couplings have no place in it.
+    """
+    robot = m.model.robot
+    document = minidom.parseString((made_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
+    root = document.documentElement
+    assert root is not None
+    links, joints = ({e.getAttribute("name"): e for e in _children(root, tag)} for tag in ("link", "joint"))
+    notes = _unlimited(joints) if robot.urdf is None else []
+    names = link_names(robot)
+    frames = _lumped({joint.name for joint in robot.joints}, joints, links)
+    for j, (joint, name) in enumerate(zip(robot.joints, names, strict=True)):
+        inertials = {}
+        for other, (carrier, T) in frames.items():
+            if carrier == name and (found := _child(links[other], "inertial")):
+                inertials[other] = found, _inertia_of(found, T)
+        own, others = m.links[j] - sum((x for _, x in inertials.values()), start=np.zeros(10)), ", ".join(inertials)
+        if others and not is_a_body(own, LEAST):
+            mass = sum(x[9] for _, x in inertials.values())
+            notes.append(
+                f"link {name}: the inertials of {others} ({mass:.3g} kg), fixed to it, leave no body for it: "
+                "they are removed, it has the whole"
+            )
+            own = m.links[j]
+            for other, (inertial, _) in inertials.items():
+                links[other].removeChild(inertial)
+        elif others:
+            notes.append(f"link {name}: {others}, fixed to it, keep their inertials")
+        mass, com, about = about_com(own)
+        inertial = _set(links[name], "inertial", {})
+        inertial.childNodes.clear()
+        _set(inertial, "origin", {"xyz": text_of(*com), "rpy": "0 0 0"})
+        _set(inertial, "mass", {"value": text_of(mass)})
+        _set(inertial, "inertia", {key: text_of(x) for key, x in zip(INERTIA, about, strict=True)})
+        dynamics = {"damping": text_of(m.damping[j]), "friction": text_of(m.frictionloss[j])}
+        _set(joints[joint.name], "dynamics", dynamics)
+    lines = [node.toxml() for node in document.childNodes]  # remarks may stand before and behind the root
+    return "\n".join(['<?xml version="1.0" encoding="utf-8"?>', *lines, ""]), tuple(notes)
+
+
+def _children(element: Element, name: str) -> list[Element]:
+    return [child for child in element.childNodes if isinstance(child, Element) and child.tagName == name]
+
+
+def _child(element: Element, name: str) -> Element | None:
+    return next(iter(_children(element, name)), None)
+
+
+def _attribute(element: Element, name: str, attribute: str) -> str:
+    """Of the first child of a name; empty where there is none."""
+    child = _child(element, name)
+    return child.getAttribute(attribute) if child else ""
+
+
+def _set(element: Element, name: str, attributes: dict[str, str]) -> Element:
+    """The first child of a name, a new one where there is none, with these attributes."""
+    child = _child(element, name)
+    if child is None:
+        assert element.ownerDocument is not None
+        child = element.appendChild(element.ownerDocument.createElement(name))
+    for key, value in attributes.items():
+        child.setAttribute(key, value)
+    return child
+
+
+def _unlimited(joints: dict[str, Element]) -> list[str]:
+    """Lines on the limits of a new URDF that the description does not have."""
+    notes = []
+    for key, ways in (("effort", "effort_nm, effort_n or saturation"), ("velocity", "speed_deg_s or speed_m_s")):
+        names = [name for name, joint in joints.items() if _attribute(joint, "limit", key) == text_of(UNLIMITED)]
+        if names:
+            notes.append(f"no {key} is known of {listed(names)}: {UNLIMITED:g} is written: state {ways}")
+    return notes
+
+
+def _lumped(moved: set[str], joints: dict[str, Element], links: dict[str, Element]) -> dict[str, tuple[str, Array]]:
+    """By link that does not move against its parent, the link that carries it and its frame in that link's, T (4, 4)."""
+    above: dict[str, tuple[str, Array]] = {}
+    for name, joint in joints.items():
+        if name not in moved:
+            above[_attribute(joint, "child", "link")] = _attribute(joint, "parent", "link"), _pose(joint)
+    frames = {}
+    for name in links:
+        T, at = np.eye(4), name
+        while at in above:
+            at, step = above[at]
+            T = step @ T
+        if at != name:
+            frames[name] = at, T
+    return frames
+
+
+def _pose(element: Element) -> Array:
+    """The `<origin>` of a joint or an inertial (4, 4)."""
+    from scipy.spatial.transform import Rotation
+
+    T = np.eye(4)
+    xyz, rpy = ([float(x) for x in (_attribute(element, "origin", key) or "0 0 0").split()] for key in ("xyz", "rpy"))
+    T[:3, 3] = xyz
+    T[:3, :3] = Rotation.from_euler("xyz", rpy).as_matrix()
+    return T
+
+
+def _inertia_of(inertial: Element, T: Array) -> Array:
+    """Ten parameters (10,) of a link's inertial in a frame in which the link's own is T (4, 4)."""
+    about = [float(_attribute(inertial, "inertia", key) or 0.0) for key in INERTIA]
+    mass = float(_attribute(inertial, "mass", "value") or 0.0)
+    T = T @ _pose(inertial)
+    return link_parameters(T @ pseudo_inertia(np.array([*about, 0.0, 0.0, 0.0, mass])) @ T.T)
+
+
+def made_urdf(model: InverseModel) -> str:
+    """A URDF of a robot without one, or without shapes in it: joints with limits, links drawn as lines, no inertials."""
+    robot = model.robot
+    root, names = ET.Element("robot", name=robot.name), [_BASE, *link_names(robot, made=True)]
+    origins, rotations, axes = model.joint_frames
+    for k, name in enumerate(names):
+        link = ET.SubElement(root, "link", name=name)
+        ends = [origin for origin, parent in zip(origins, model.parents, strict=True) if parent == k]
+        for end in ends or [np.zeros(3)]:
+            _draw(link, end)
+    for j, (joint, effort) in enumerate(zip(robot.joints, _efforts(robot), strict=True)):
+        limits = joint.si("position")
+        kind = "prismatic" if joint.type == "prismatic" else "continuous" if limits is None else "revolute"
+        element = ET.SubElement(root, "joint", name=joint.name, type=kind)
+        ET.SubElement(element, "parent", link=names[model.parents[j]])
+        ET.SubElement(element, "child", link=names[j + 1])
+        ET.SubElement(element, "origin", xyz=text_of(*origins[j]), rpy=text_of(*roll_pitch_yaw(rotations[j])))
+        ET.SubElement(element, "axis", xyz=text_of(*axes[j]))
+        low, high = limits or (-UNLIMITED, UNLIMITED)
+        stated = {} if kind == "continuous" else {"lower": low, "upper": high}
+        stated |= {"effort": effort, "velocity": joint.si("speed") or UNLIMITED}
+        ET.SubElement(element, "limit", {name: text_of(value) for name, value in stated.items()})
+    ET.indent(root)
+    return f'<?xml version="1.0"?>\n{ET.tostring(root, encoding="unicode")}\n'
+
+
+def _efforts(robot: Robot) -> list[float]:
+    """Largest effort of each joint, N m or N, by the description alone: its bus may name files that are not here."""
+    found = effort_limits(replace(robot, bus=None), f"robot {robot.name}")
+    known = dict(zip(found.names, found.limits, strict=True)) if robot.gain_known else {}
+    return [known.get(f"joint {joint.name}", joint.si("effort") or UNLIMITED) for joint in robot.joints]
+
+
+def roll_pitch_yaw(R: Array) -> tuple[float, float, float]:
+    """The angles of a rotation (3, 3), as a URDF means them; of all rotations, those of 90° pitch too."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    s, c = math.sin(yaw), math.cos(yaw)
+    return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
+
+
+def _draw(link: ET.Element, end: Array) -> None:
+    """A cylinder from the link's origin to `end` (3,), where the next joint sits; a box where that is the origin."""
+    visual, length = ET.SubElement(link, "visual"), float(np.linalg.norm(end))
+    if length > 1e-6:
+        yaw, pitch = math.atan2(end[1], end[0]), math.atan2(math.hypot(end[0], end[1]), end[2])
+        ET.SubElement(visual, "origin", xyz=text_of(*end / 2), rpy=text_of(0.0, pitch, yaw))
+    shape = ET.SubElement(visual, "geometry")
+    if length > 1e-6:
+        ET.SubElement(shape, "cylinder", radius=f"{_THICKNESS:g}", length=f"{length:.9g}")
+    else:
+        ET.SubElement(shape, "box", size=_TIP)
