@@ -3,32 +3,28 @@
 import argparse
 import math
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError
-from .command_line import Commands, Progress, add_overwrite
+from .command_line import Progress, add_overwrite, add_path
 from .decode import print_imported
 
 if TYPE_CHECKING:
     from ..importing import Imported
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "import", help="tables (CSV, MAT), ROS 2 bags or CAN logs (candump, ASC, BLF, TRC) into a recording"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    inputs.add_argument(
+    add_path(
+        inputs,
         "tables",
+        "FILE",
+        "CSV or MAT files, as the map counts them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log",
         nargs="+",
-        type=Path,
-        metavar="FILE",
-        help="CSV or MAT files, as the map counts them; or one ROS 2 bag (folder, .mcap, .db3); or one CAN log",
     )
-    inputs.add_argument("--robot", required=True, type=Path, metavar="ROBOT.toml", help="the robot's description")
-    inputs.add_argument("--map", type=Path, metavar="MAP.toml", help="which column is what: for tables alone")
+    add_path(inputs, "--robot", "ROBOT.toml", "the robot's description", required=True)
+    add_path(inputs, "--map", "MAP.toml", "which column is what: for tables alone")
     bag = parser.add_argument_group("ROS 2 bag")
     bag.add_argument("--topic", metavar="NAME", help="topic of sensor_msgs/msg/JointState, such as /joint_states")
     bag.add_argument(
@@ -44,9 +40,8 @@ def add(commands: Commands) -> None:
         help="rate to interpolate to (default: the roundest that stamps have)",
     )
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
+    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
     add_overwrite(outputs)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

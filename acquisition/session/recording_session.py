@@ -10,6 +10,7 @@ from types import FrameType
 
 from ..bus import SHARED, Confirm, Link, Master, WallClock, confirm_motion, open_link, refuse_unsupervised, second_stop
 from ..errors import AcquisitionError
+from ..options import RecordOptions
 from ..robot import Bus, Robot, check_limits, refuse_load, resolve, table_reference
 from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from .logs import InlineLog, ProcessLog
@@ -21,19 +22,6 @@ from .task import Outcome, Stop, Task
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordOptions:
-    """The options of `robot-acquire record`."""
-
-    passive: bool = False
-    dry_run: bool = False
-    duration_s: float | None = None
-    track: Path | None = None
-    speed: float = 1.0
-    reset_faults: bool = False
-    unsupervised_drives: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

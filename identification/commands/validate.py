@@ -4,10 +4,10 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
-from .options import above_zero, add_recording, add_settings, load, refuse_outputs
-from .results import print_results, untrusted
+from ..options import above_zero
+from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, untrusted
 
 if TYPE_CHECKING:
     from ..data import Signals
@@ -15,23 +15,21 @@ if TYPE_CHECKING:
     from ..report import FitFile
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("validate", help="apply a fit to other recordings")
-    add_recording(parser, "fit")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    inputs = parser.add_argument_group("inputs")
+    add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
+    add_recordings(inputs)
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
+    add_path(outputs, "--json", "FILE", "write the errors as JSON")
     outputs.add_argument(
         "--max-error-percent",
         type=above_zero,
         metavar="P",
         help="exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set",
     )
-    parser.add_argument(
-        "--consistent", action="store_true", help="the physically consistent set of the fit too, beside the fit itself"
-    )
-    parser.set_defaults(run=run)
+    add_flag(parser, "--consistent", "the physically consistent set of the fit too, beside the fit itself")
 
 
 def run(options: argparse.Namespace) -> int:
@@ -52,8 +50,8 @@ def run(options: argparse.Namespace) -> int:
 
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = consistent_fit(stored, str(options.fit)) if options.consistent else None
-        for path, own in zip(options.recordings, load(options), strict=True):
-            signals, told = as_fitted(own, path, stored, str(options.fit), chosen=options.robot is not None)
+        for path, source in zip(options.recordings, sources(options), strict=True):
+            signals, told = as_fitted(source.load(), path, stored, str(options.fit), chosen=options.robot is not None)
             overrides = from_options(Overrides, options).over(stored_settings(stored, signals))
             recordings.append((signals, overrides))
             notes += told

@@ -1,21 +1,18 @@
 """What a run of a study draws: noise, start, cut-off, and what the fit is told of the controller."""
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import msgspec
 import numpy as np
 
 from acquisition.robot import Robot
 
+from ..options import Controllers, StudyOptions
 from .noise import Noise
-from .synthetic import PERIOD_S
-
-Controllers = Literal["described", "none"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class Study(StudyOptions):
     """What is varied. Each run draws one of each list, seeded by its number.
 
     `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
@@ -25,18 +22,7 @@ class Study:
     that a description leaves out in others, and any of the controllers.
     """
 
-    runs: int = 100
     noise: Noise = field(default_factory=Noise)
-    cutoffs: tuple[float, ...] = (5.0, 10.0, 0.0)
-    starts: tuple[float, ...] = (0.05, 1.0, 20.0)
-    gain_errors: tuple[float, ...] = (0.7, 1.0, 1.3)
-    controllers: tuple[Controllers, ...] = ("described",)
-    vary: Literal["listed", "everything"] = "listed"
-    duration_s: float = 10.0
-    period_s: float = PERIOD_S
-    sample_rate_hz: float = 1000.0
-    low_speed_percent: float | None = None
-    seed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)
