@@ -12,14 +12,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     inputs = add_robot(parser, "with limits of all joints")
     add_path(inputs, "--fit", "FIT.json", "parameters and noise of this fit (default: [parameters])")
-    add_path(
-        inputs,
-        "--after",
-        "LOG.mcap",
-        "earlier recordings of the robot: their information adds to that of the reference",
-        nargs="+",
-        default=[],
-    )
+    text = "earlier recordings of the robot: their information adds to that of the reference"
+    add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
     text = (
         "deviation of the torque in a row of the fit, one or one per joint (default: of FIT.json, else 2 %% of the rms)"
     )

@@ -35,12 +35,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_flag(settings, "--essential", "keep only the parameters the recording determines well")
     consistent = parser.add_argument_group("physically consistent parameters")
     add_flag(consistent, "--consistent", "also give all standard parameters, as a physical robot can have them")
-    add_path(
-        consistent,
-        "--prior",
-        "ROBOT.toml|URDF",
-        "links expected: those of its [parameters] or its URDF (default: those of the recording's description)",
-    )
+    text = "links expected: those of its [parameters] or its URDF (default: those of the recording's description)"
+    add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
     add_options(parser.add_argument_group("settings of instrumental variables"), IterationOptions)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
@@ -55,12 +51,8 @@ def run(options: argparse.Namespace) -> int:
     """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
     for name in ("start", "tolerance_percent", "max_iterations"):
         if options.method in ("ols", "wls") and getattr(options, name) is not None:
-            raise IdentificationError(
-                f"does nothing with --method {options.method}",
-                key=f"--{name.replace('_', '-')}",
-                value=getattr(options, name),
-                expected="--method iv with it",
-            )
+            text, key = f"does nothing with --method {options.method}", f"--{name.replace('_', '-')}"
+            raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv with it")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
         raise IdentificationError("does nothing alone", key="--prior", value=str(options.prior), expected=expected)

@@ -32,13 +32,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_method(add_settings(parser))
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    add_path(
-        outputs,
-        "-o --out",
-        "FLEET.parquet",
-        "the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again",
-        required=True,
-    )
+    text = "the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again"
+    add_path(outputs, "-o --out", "FLEET.parquet", text, required=True)
     add_path(outputs, "--rrd", "FILE", "draw the drift with control limits as a Rerun file")
 
 

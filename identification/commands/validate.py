@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
-from ..options import above_zero
+from ..options import Overrides, above_zero
 from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, untrusted
 
 if TYPE_CHECKING:
@@ -23,12 +23,8 @@ def add(parser: argparse.ArgumentParser) -> None:
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
     add_path(outputs, "--json", "FILE", "write the errors as JSON")
-    outputs.add_argument(
-        "--max-error-percent",
-        type=above_zero,
-        metavar="P",
-        help="exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set",
-    )
+    text = "exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set"
+    outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
     add_flag(parser, "--consistent", "the physically consistent set of the fit too, beside the fit itself")
 
 
@@ -36,36 +32,28 @@ def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
-        from ..methods import (
-            Validated,
-            consistent_fit,
-            stored_beta,
-            stored_settings,
-            validate_all,
-            validation_document,
-            validation_file,
-        )
-        from ..regression import Overrides
+        from .. import methods
         from ..report import read_fit, write_json
 
+        place, name = str(options.fit), options.fit.name
         stored, recordings, notes = read_fit(options.fit), [], []
-        consistent = consistent_fit(stored, str(options.fit)) if options.consistent else None
+        consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, sources(options), strict=True):
-            signals, told = as_fitted(source.load(), path, stored, str(options.fit), chosen=options.robot is not None)
-            overrides = from_options(Overrides, options).over(stored_settings(stored, signals))
+            signals, lines = as_fitted(source.load(), path, stored, place, chosen=options.robot is not None)
+            overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
             recordings.append((signals, overrides))
-            notes += told
+            notes += lines
         progress.say("predicting")
-        each, errors = validate_all(recordings, lambda base: stored_beta(stored, base, str(options.fit)))
+        each, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
-            _, of_set = validate_all(recordings, lambda base: stored_beta(consistent, base, str(options.fit)))
+            _, of_set = methods.validate_all(recordings, lambda base: methods.stored_beta(consistent, base, place))
     of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
-    warnings = (*of_settings, *notes, *stored.warnings_of(str(options.fit)))
-    validated = [Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
-    document = validation_document(validated, options.fit.name, errors, warnings, of_set)
+    warnings = (*of_settings, *notes, *stored.warnings_of(place))
+    validated = [methods.Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
+    document = methods.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
-        write_json(options.json, validation_file(validated, options.fit.name, errors, warnings, of_set))
+        write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     print_results(document)
     error, most = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):
