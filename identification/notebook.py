@@ -12,21 +12,6 @@ from .errors import IdentificationError
 from .methods import Fit, Iteration, identify, identify_iv, identify_ls, validate
 from .regression import Overrides
 
-__all__ = [
-    "Fit",
-    "Iteration",
-    "Overrides",
-    "RecordingFile",
-    "Recordings",
-    "Signals",
-    "fit",
-    "identify_iv",
-    "identify_ls",
-    "load_signals",
-    "processes",
-    "validate",
-]
-
 
 class FitChoices(OptionalColumns, total=False):
     """What may be said of a fit of arrays: the method, and columns beside position and effort."""

@@ -173,7 +173,7 @@ def test_every_imperfection_is_an_option_and_stands_in_the_recording(tmp_path):
     recording = read_recording(path)
     assert recording.header.effort_provenance == "simulated joint torque, the command of its tick, held after it"
     assert recording.metadata["cell"] == "encoder_step 0.0001, lag_samples 2, asymmetry_percent 20"
-    options = PROGRAM.parser().parse_args(["simulate", "r.toml", "-o", "x.mcap"])
+    options = PROGRAM.parser("simulate").parse_args(["simulate", "r.toml", "-o", "x.mcap"])
     assert from_options(Noise, options) == Noise()
     assert {field.name for field in fields(Noise)} <= set(vars(options))
 

@@ -42,7 +42,7 @@ def test_the_readmes_have_commands():
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_is_one_the_program_takes(command):
     program, *arguments = shlex.split(command)
-    assert callable(PROGRAMS[program].parser().parse_args(arguments).run)
+    assert callable(PROGRAMS[program].parser(arguments[0]).parse_args(arguments).run)
 
 
 FIRST_FIT = "robot-identify fit log.mcap --json fit.json --rrd fit.rrd"
@@ -153,7 +153,7 @@ def options(parser):
 def test_every_option_is_named_beside_its_command(program, readme):
     """In a row of the table of options that names the command."""
     rows = [line.split("|")[1:3] for line in TEXT[readme].splitlines() if line.startswith("| `")]
-    found = list(options(program.parser()))
+    found = list(options(program.parser(*program.commands)))
     assert len(found) > 20
     for action in program.parser()._actions:
         assert not action.option_strings or f"`{action.option_strings[-1]}`" in TEXT[FIRST], action.option_strings

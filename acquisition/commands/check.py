@@ -1,17 +1,14 @@
 """`robot-acquire check`: who answers on the bus, and whether it is as described; go or no go."""
 
 import argparse
-from pathlib import Path
 
 from ..errors import AcquisitionError
-from .command_line import Commands
+from .command_line import add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("check", help="who answers on the bus, and whether it is as described")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.toml")
-    parser.set_defaults(run=run)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "robot", "ROBOT.toml")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -3,9 +3,8 @@
 Nothing moves and no PDO is configured: objects are read, and SYNC is measured.
 """
 
-from dataclasses import dataclass
-
-import numpy as np
+import math
+from dataclasses import KW_ONLY, dataclass
 
 from ..bus import (
     QUEUE_BYTES,
@@ -35,20 +34,16 @@ STRANGER = "other nodes"
 NOBODY = "no drive answers at all: interface? try --dry-run of `robot-acquire record`"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Finding:
-    """One property of the bus, or of a drive: its name, what was found, and whether a session may start with it.
-
-    Attributes:
-        node: of the drive; None for the bus.
-        track: whether only `--track` is refused by it.
-    """
+    """One property of the bus, or of a drive: its name, what was found, and whether a session may start with it."""
 
     subject: str
     found: str
+    _: KW_ONLY
     ok: bool = True
-    node: int | None = None
-    track: bool = False
+    node: int | None = None  # None for the bus
+    track: bool = False  # only `--track` is refused by it
 
 
 def check(robot: Robot, bus: Bus) -> list[Finding]:
@@ -57,16 +52,17 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
     link = Link(handle, passive=False)
     try:
         sock = socket_of(handle)
-        findings = [_load(bus), Finding(subject="second stop", found=second_stop(bus.file))]
-        ripple = demand_ripple_warnings(bus.file, robot.controller.bandwidth_hz)
-        findings += [Finding(subject="effort", found=text) for text in ripple]
+        findings = [_load(bus), Finding("second stop", second_stop(bus.file))]
+        findings += [
+            Finding("effort", text) for text in demand_ripple_warnings(bus.file, robot.controller.bandwidth_hz)
+        ]
         if sock is not None:
             granted = queue_bytes(sock)
             text = "" if granted >= QUEUE_BYTES else f": expected {QUEUE_BYTES}; raise net.core.rmem_max"
             ok = granted >= QUEUE_BYTES // 10
-            findings.append(Finding(subject="kernel queue", found=f"{granted} bytes{text}", ok=ok))
+            findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=ok))
         with steady() as scheduling:
-            findings.append(Finding(subject="scheduling", found=scheduling.words))
+            findings.append(Finding("scheduling", scheduling.words))
             found = look(link, bus)
         if all(finding.ok for finding in found if finding.subject in (STRANGER, "state")):
             found += _positions(robot, Master(link, bus))
@@ -101,20 +97,19 @@ def look(link: Wire, bus: Bus) -> list[Finding]:
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
         text = f"{other}, so nothing is known of states, PDOs, supervision, scales, identity, rated values and SYNC"
-        return [Finding(subject=STRANGER, found=text, ok=False)]
-    found = [_of_drive(master, drive) for drive in bus.drives]
-    findings = [finding for of_drive in found for finding in of_drive]
-    answered = [len(of_drive) > 1 for of_drive in found]
+        return [Finding(STRANGER, text, ok=False)]
+    by_drive = [_of_drive(master, drive) for drive in bus.drives]
+    findings = [finding for of_drive in by_drive for finding in of_drive]
+    answered = [len(of_drive) > 1 for of_drive in by_drive]
     if not any(answered):
-        return [*findings, Finding(subject="drives", found=NOBODY, ok=False)]
+        return [*findings, Finding("drives", NOBODY, ok=False)]
     if all(answered):
         try:
             differences = master.differences()
         except AcquisitionError as error:
             differences = [str(error)]
-        findings += [Finding(subject="description", found=text, ok=False) for text in differences]
-        if not differences:
-            findings.append(Finding(subject="description", found=_agreement(bus)))
+        findings += [Finding("description", text, ok=False) for text in differences]
+        findings += [] if differences else [Finding("description", _agreement(bus))]
     return [*findings, _jitter(master)]
 
 
@@ -124,20 +119,21 @@ def _of_drive(master: Master, drive: Drive) -> list[Finding]:
         state = master.state(drive)
     except AcquisitionError as error:
         text = str(error).removeprefix(f"{error.place}: ")  # the same of all drives
-        return [Finding(subject="state", found=text, ok=False, node=drive.node)]
+        return [Finding("state", text, ok=False, node=drive.node)]
     fault = state is State.FAULT
     text = "fault: expected it to be cleared, and its cause" if fault else state.words
-    findings = [Finding(subject="state", found=text, ok=not fault, node=drive.node)]
+    findings = [Finding("state", text, ok=not fault, node=drive.node)]
     properties = [("PDOs", _mapped(master, drive.node)), *supervision_of(master, drive)]
     properties += [("dictionary", text) for text in (drive.dictionary.warnings if drive.dictionary else ())]
-    properties += [("scale", text) for text in [_scale(master, drive)] if text]
-    findings += [Finding(subject=name, found=text, node=drive.node) for name, text in properties]
+    if scale := _scale(master, drive):
+        properties.append(("scale", scale))
+    findings += [Finding(name, text, node=drive.node) for name, text in properties]
     ramp, faster = stop_ramp(master, drive)
     text = f"{ramp}: expected {faster}" if faster else ramp
-    findings.append(Finding(subject="quick stop", found=text, ok=not faster, node=drive.node, track=True))
+    findings.append(Finding("quick stop", text, ok=not faster, node=drive.node, track=True))
     if lack := supervision_refusal(master, drive):
         text = f"{lack}: --track refuses without --unsupervised-drives"
-        findings.append(Finding(subject="supervision", found=text, ok=False, node=drive.node, track=True))
+        findings.append(Finding("supervision", text, ok=False, node=drive.node, track=True))
     return findings
 
 
@@ -155,7 +151,7 @@ def _scale(master: Master, drive: Drive) -> str:
         except AcquisitionError:
             values.append(f"{name} {index:04X} not answered")
     counts = drive.position_codec.counts_per_unit
-    text = f"robot.toml: {counts * 2 * np.pi:g} counts per turn or {counts:g} per m; see that they agree"
+    text = f"robot.toml: {counts * 2 * math.pi:g} counts per turn or {counts:g} per m; see that they agree"
     return ", ".join([*values, text]) if values else ""
 
 
@@ -188,7 +184,7 @@ def _load(bus: Bus) -> Finding:
     fastest_hz = LARGEST_LOAD * bus.file.bitrate / max(bits, frame_bits(0))
     rate_hz = 1 / bus.file.sync_period_s
     text = f"{bus.load:.0%} of {bus.file.bitrate} bit/s at {rate_hz:g} Hz, at most {fastest_hz:.0f} Hz"
-    return Finding(subject="bus load", found=text, ok=bus.load <= LARGEST_LOAD)
+    return Finding("bus load", text, ok=bus.load <= LARGEST_LOAD)
 
 
 def _jitter(master: Master) -> Finding:
@@ -196,14 +192,14 @@ def _jitter(master: Master) -> Finding:
     try:
         found = sync_jitter(master)
     except AcquisitionError as error:
-        return Finding(subject="SYNC", found=str(error), ok=False)
+        return Finding("SYNC", str(error), ok=False)
     period_ms, sd_ms, worst_ms = master.bus.file.sync_period_s * 1e3, found.sd_s * 1e3, found.worst_s * 1e3
     text = f"jitter sd {sd_ms:.3f} ms, worst {worst_ms:.3f} ms of a period of {period_ms:g} ms"
     if not found.fit_for_motion:
         text += f"; {DEVIATIONS} sd are more than {found.largest_s * 1e3:g} ms: --track refuses"
     even = found.off <= LARGEST_OFF
     text += f"; {found.off:.1%} off by more than half a period"
-    return Finding(subject="SYNC", found=text, ok=even and found.fit_for_motion, track=even)
+    return Finding("SYNC", text, ok=even and found.fit_for_motion, track=even)
 
 
 def _positions(robot: Robot, master: Master) -> list[Finding]:
@@ -212,13 +208,13 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
     try:
         words = position_words(robot, joint_positions(robot, master))
         text = f"{', '.join(words)}: see that the robot stands like that"
-        findings.append(Finding(subject="joint positions", found=text))
+        findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
             is_homed = homed(master, drive, file)
             text = "not described: the drive's zero may be where it was switched on"
             if is_homed is not None:
                 text = f"{'yes' if is_homed else 'NO'} ({file.homed})"
-            findings.append(Finding(subject="homed", found=text, ok=is_homed is not False, node=drive.node, track=True))
+            findings.append(Finding("homed", text, ok=is_homed is not False, node=drive.node, track=True))
     except AcquisitionError as error:
-        findings.append(Finding(subject="joint positions", found=str(error), ok=False))
+        findings.append(Finding("joint positions", str(error), ok=False))
     return findings

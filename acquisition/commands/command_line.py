@@ -1,7 +1,8 @@
 """The command line of both packages: parser of all commands, standard streams, errors in one line, exit statuses.
 
-Each command is a module with `add(commands)`, which declares its options and sets `run`, and `run(options)`, which carries
-it out: parse, one library call, print. Libraries are imported by `run`, so that `--help` loads nothing heavy.
+Each command is a module with `add(parser)`, which declares its options, and `run(options)`, which carries it out: parse, one
+library call, print. A command's module is imported when the command is chosen, and libraries are imported by `run`, so that
+`--help` loads nothing heavy.
 """
 
 import argparse
@@ -9,18 +10,19 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields
-from types import ModuleType
-from typing import TYPE_CHECKING, Any, TextIO, TypeAlias, TypeVar, cast
+from importlib import import_module
+from keyword import iskeyword
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypeVar, cast, get_args, get_origin
 
 from ..errors import one_line
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
-Commands: TypeAlias = "argparse._SubParsersAction[argparse.ArgumentParser]"
 T = TypeVar("T", bound="DataclassInstance")
 
 STATUSES = (
@@ -33,28 +35,40 @@ PACKAGES = ("numpy", "scipy", "pin", "rerun-sdk", "mcap", "rosbags", "python-can
 
 @dataclass(frozen=True, kw_only=True)
 class Program:
-    """A command line: its name, one line about it, its commands in the order of the help, the errors it prints in one line."""
+    """A command line: its name, one line about it, and the errors that it prints in one line.
+
+    `commands` are their help by name, in the order of the help. Each is the module of its name in `package`, with an
+    underscore where Python has the name for itself.
+    """
 
     name: str
     description: str
-    commands: tuple[ModuleType, ...]
+    package: str
+    commands: Mapping[str, str]
     errors: tuple[type[Exception], ...]
 
-    def parser(self) -> argparse.ArgumentParser:
-        """The parser of all commands; the options that it returns have `run`."""
+    def parser(self, *chosen: str) -> argparse.ArgumentParser:
+        """The parser of all commands, with the options of those `chosen`; the options that it returns have `run`."""
         parser = argparse.ArgumentParser(prog=self.name, description=self.description, epilog=STATUSES)
         versions = "versions of this program and its dependencies"
         parser.add_argument("--version", action=_Versions, nargs=0, help=versions)
         commands = parser.add_subparsers(required=True, metavar="COMMAND")
-        for command in self.commands:
-            command.add(commands)
+        for name, help_text in self.commands.items():
+            command = commands.add_parser(name, help=help_text)
+            if name in chosen:
+                module = import_module(f"{self.package}.{name}{'_' * iskeyword(name)}")
+                module.add(command)
+                command.set_defaults(run=module.run)
         return parser
 
     def main(self, arguments: Sequence[str] | None = None) -> int:
         """Run the command that `arguments` name (default: those of the process); the exit status is one of `STATUSES`."""
+        given = sys.argv[1:] if arguments is None else arguments
 
         def command() -> int | None:
-            options = self.parser().parse_args(arguments)
+            # Before its command a program takes no option with a value.
+            chosen = next((argument for argument in given if argument in self.commands), "")
+            options = self.parser(chosen).parse_args(given)
             return cast(int | None, options.run(options))
 
         return run_command(self.name, self.errors, command)
@@ -77,6 +91,35 @@ class _Versions(argparse.Action):
         parser.exit()
 
 
+def add_options(
+    parser: "argparse._ActionsContainer", record: type["DataclassInstance"], *names: str, **defaults: Any
+) -> None:
+    """Declare the fields of `record` that are options (of `acquisition.options`): all, or those of `names`.
+
+    An option that is not given is None, so that `from_options` leaves the field's default, or the one of `defaults`.
+    """
+    for field in fields(record):
+        if get_origin(field.type) is not Annotated or (names and field.name not in names):
+            continue
+        kind, said = get_args(field.type)
+        how = {key: value for key, value in said.items() if value is not None}
+        default = defaults.get(field.name, field.default)
+        if kind is bool:
+            how["action"] = "store_true"
+        elif get_origin(kind) is Literal:
+            how["choices"] = get_args(kind)
+        if default is not None and kind is not bool and "default" not in how["help"]:
+            how["help"] += f" (default {_shown(default)})"
+        flag = how.pop("flag") or f"--{field.name.replace('_', '-')}"
+        parser.add_argument(flag, dest=field.name, default=defaults.get(field.name), **how)
+
+
+def _shown(default: Any) -> str:
+    if isinstance(default, tuple):
+        return ",".join("none" if part == 0 else _shown(part) for part in default)
+    return default if isinstance(default, str) else f"{default:g}"
+
+
 def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T:
     """A dataclass made of the options that have the names of its fields, and of `others`.
 
@@ -86,11 +129,19 @@ def from_options(kind: type[T], options: argparse.Namespace, **others: Any) -> T
     return kind(**{**{name: value for name, value in given.items() if value is not None}, **others})
 
 
+def add_path(parser: "argparse._ActionsContainer", names: str, metavar: str, help: str = "", **how: Any) -> None:
+    """Declare a file or a folder; `names` are those of an option with blanks between, or that of a positional argument."""
+    parser.add_argument(*names.split(), type=Path, metavar=metavar, help=help or None, **how)
+
+
+def add_flag(parser: "argparse._ActionsContainer", name: str, help: str) -> None:
+    """Declare an option without a value."""
+    parser.add_argument(name, action="store_true", help=help)
+
+
 def add_overwrite(parser: "argparse._ActionsContainer") -> None:
     """Declare the option of commands that write recordings."""
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace an existing recording when the new one is whole"
-    )
+    add_flag(parser, "--overwrite", "replace an existing recording when the new one is whole")
 
 
 class Progress:

@@ -2,24 +2,21 @@
 
 import argparse
 import sys
-from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from ..errors import one_line
-from .command_line import Commands, Progress, add_overwrite
+from .command_line import Progress, add_overwrite, add_path
 
 if TYPE_CHECKING:
     from ..importing import Imported
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("decode", help="a recording's CAN frames into joint samples again")
-    parser.add_argument("recording", type=Path, metavar="LOG.mcap")
-    parser.add_argument("--robot", type=Path, metavar="CORRECTED.toml", help="in place of the description inside")
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "LOG.mcap")
+    add_path(parser, "--robot", "CORRECTED.toml", "in place of the description inside")
+    add_path(parser, "-o --output", "OUT.mcap", "the recording to write", required=True)
     add_overwrite(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -2,17 +2,14 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from ..errors import AcquisitionError
-from .command_line import Commands
+from .command_line import add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("disable", help="stop and disable all drives, whoever enabled them; never refused")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.toml")
-    parser.set_defaults(run=run)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "robot", "ROBOT.toml")
 
 
 def run(options: argparse.Namespace) -> int:

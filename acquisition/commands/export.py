@@ -2,22 +2,17 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from ..errors import AcquisitionError, one_line
-from .command_line import Commands, Progress
+from .command_line import Progress, add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("export", help="joint samples as CSV, or as a ROS 2 bag")
-    parser.add_argument("recording", type=Path, metavar="LOG.mcap")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "LOG.mcap")
     outputs = parser.add_argument_group("outputs, one at least")
-    outputs.add_argument("-o", "--output", type=Path, metavar="OUT.csv", help="the table to write")
-    outputs.add_argument(
-        "--bag", type=Path, metavar="FOLDER", help="the ROS 2 bag to write: joint states, and the URDF if there is one"
-    )
-    parser.set_defaults(run=run)
+    add_path(outputs, "-o --output", "OUT.csv", "the table to write")
+    add_path(outputs, "--bag", "FOLDER", "the ROS 2 bag to write: joint states, and the URDF if there is one")
 
 
 def run(options: argparse.Namespace) -> None:

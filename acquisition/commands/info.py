@@ -2,17 +2,14 @@
 
 import argparse
 import sys
-from pathlib import Path
 
-from .command_line import Commands, Progress
+from .command_line import Progress, add_flag, add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("info", help="what a recording holds")
-    parser.add_argument("recording", type=Path, metavar="LOG.mcap")
-    parser.add_argument("--json", action="store_true", help="as JSON, for programs")
-    parser.set_defaults(run=run)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "LOG.mcap")
+    add_flag(parser, "--json", "as JSON, for programs")
 
 
 def run(options: argparse.Namespace) -> None:

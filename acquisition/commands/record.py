@@ -8,44 +8,31 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import AcquisitionError, one_line
-from .command_line import Commands, from_options
+from ..options import RecordOptions
+from .command_line import add_flag, add_options, add_path, from_options
 
 if TYPE_CHECKING:
     from ..robot import Robot
     from ..session import Outcome, Recorded, Status, Stop
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; options have the names of the fields of `RecordOptions`."""
-    parser = commands.add_parser("record", help="record drives; nothing moves without --track")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    inputs.add_argument("robot", type=Path, metavar="ROBOT.toml")
-    inputs.add_argument(
-        "--track", type=Path, metavar="REFERENCE.csv", help="MOVES THE ROBOT along time_s and each joint's rad or m"
-    )
+    add_path(inputs, "robot", "ROBOT.toml")
+    add_options(inputs, RecordOptions, "track")
     session = parser.add_argument_group("session")
-    session.add_argument("--passive", action="store_true", help="another master owns the bus: send nothing, ever")
-    session.add_argument("--dry-run", action="store_true", help="all of it on simulated drives, without any bus")
-    session.add_argument(
-        "--duration", dest="duration_s", type=float, metavar="S", help="seconds; without it until Ctrl-C"
-    )
-    session.add_argument("--speed", type=float, metavar="X", help="--track slower: more than 0 to 1, the default")
-    session.add_argument(
-        "--yes", action="store_true", help="--track without asking whether the joint positions are right"
-    )
-    session.add_argument("--reset-faults", action="store_true", help="--track without asking whether to reset faults")
-    session.add_argument(
-        "--unsupervised-drives", action="store_true", help="--track with drives that do not supervise themselves"
-    )
+    add_options(session, RecordOptions, "passive", "dry_run", "duration_s", "speed")
+    add_flag(session, "--yes", "--track without asking whether the joint positions are right")
+    add_options(session, RecordOptions, "reset_faults", "unsupervised_drives")
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("-o", "--output", required=True, type=Path, metavar="LOG.mcap", help="the recording to write")
-    parser.set_defaults(run=run)
+    add_path(outputs, "-o --output", "LOG.mcap", "the recording to write", required=True)
 
 
 def run(options: argparse.Namespace) -> int:
     """Record, show the status, and print what was recorded; 1 when the session ended with a fault."""
     from ..robot import load_robot
-    from ..session import Operator, RecordOptions, Stop, record, stop_on_signals
+    from ..session import Operator, Stop, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
         raise AcquisitionError(key="--duration", value=options.duration_s, expected="more than 0, and finite")

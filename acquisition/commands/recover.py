@@ -2,19 +2,16 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from ..errors import one_line
-from .command_line import Commands, Progress, add_overwrite
+from .command_line import Progress, add_overwrite, add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("recover", help="a whole recording from one that was cut")
-    parser.add_argument("recording", type=Path, metavar="CUT.mcap")
-    parser.add_argument("-o", "--output", required=True, type=Path, metavar="OUT.mcap", help="the recording to write")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "CUT.mcap")
+    add_path(parser, "-o --output", "OUT.mcap", "the recording to write", required=True)
     add_overwrite(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

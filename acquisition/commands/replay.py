@@ -1,21 +1,18 @@
 """`robot-acquire replay`: what a recording's drives sent, and SYNC, on a silent bus."""
 
 import argparse
-from pathlib import Path
 
 from ..errors import one_line
-from .command_line import Commands
+from .command_line import add_flag, add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("replay", help="what a recording's drives sent, and SYNC, on a silent bus")
-    parser.add_argument("recording", type=Path, metavar="LOG.mcap")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "recording", "LOG.mcap")
     parser.add_argument("--interface", required=True, help="python-can's name: socketcan, udp_multicast, ...")
     parser.add_argument("--channel", required=True, help="can0, or a multicast group")
     parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="times as fast; default 1")
-    parser.add_argument("--onto-bus", action="store_true", help="also where hardware may be on the bus")
-    parser.set_defaults(run=run)
+    add_flag(parser, "--onto-bus", "also where hardware may be on the bus")
 
 
 def run(options: argparse.Namespace) -> None:

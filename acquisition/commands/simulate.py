@@ -2,22 +2,17 @@
 
 import argparse
 import sys
-from pathlib import Path
 
 from ..errors import AcquisitionError
-from .command_line import Commands
+from .command_line import add_flag, add_path
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("simulate", help="simulated drives on the bus of a description, for anyone's master")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.toml")
-    parser.add_argument("--replay", type=Path, metavar="LOG.mcap", help="drives that replay a recording's samples")
-    parser.add_argument(
-        "--unsupervised", action="store_true", help="drives that notice neither a lost SYNC nor a lost master"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "robot", "ROBOT.toml")
+    add_path(parser, "--replay", "LOG.mcap", "drives that replay a recording's samples")
+    add_flag(parser, "--unsupervised", "drives that notice neither a lost SYNC nor a lost master")
     parser.add_argument("--duration", type=float, metavar="S", help="seconds; without it until Ctrl-C")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

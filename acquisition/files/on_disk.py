@@ -2,7 +2,7 @@
 
 import mmap
 import tempfile
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,30 +16,23 @@ class GrowingBytes:
 
     def __init__(self) -> None:
         """None yet."""
-        self._held, self._size = bytearray(), 0
-        self._file: IO[bytes] | None = None
+        self._most = HELD // 8
+        self._file = tempfile.SpooledTemporaryFile(max_size=self._most)  # noqa: SIM115 (it lives as long as the bytes)
 
     def __len__(self) -> int:
-        return self._size
+        return self._file.tell()
 
     def extend(self, content: bytes) -> None:
         """Append. Raises `OSError` where the disk is full."""
-        self._size += len(content)
-        if self._file is None and self._size > HELD // 8:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 (it lives as long as the bytes)
-            self._file.write(self._held)
-            self._held = bytearray()
-        if self._file is None:
-            self._held.extend(content)
-        else:
-            self._file.write(content)
+        self._file.write(content)
 
-    def whole(self) -> bytearray | mmap.mmap:
+    def whole(self) -> bytes | mmap.mmap:
         """All of them; nothing is appended afterwards."""
-        if self._file is None:
-            return self._held
+        if len(self) <= self._most:
+            self._file.seek(0)
+            return self._file.read()
         self._file.flush()
-        return mmap.mmap(self._file.fileno(), self._size, access=mmap.ACCESS_READ)
+        return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
 def room(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:

@@ -24,6 +24,7 @@ from ..bus import (
     service_of,
 )
 from ..errors import AcquisitionError
+from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
 from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, table_reference
@@ -37,19 +38,6 @@ from .timing import refuse_jitter, steady
 
 STOPPED = "stopped by"
 ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, seconds left
-
-
-@dataclass(frozen=True, kw_only=True)
-class RecordOptions:
-    """The options of `robot-acquire record`."""
-
-    passive: bool = False
-    dry_run: bool = False
-    duration_s: float | None = None
-    track: Path | None = None
-    speed: float = 1.0
-    reset_faults: bool = False
-    unsupervised_drives: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)

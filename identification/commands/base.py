@@ -1,21 +1,16 @@
 """`robot-identify base`: base parameters of a robot, with their expressions."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, Progress
+from acquisition.commands import Progress, add_path
 
-from .options import refuse_outputs
-from .results import print_results
-from .robots import add_robot, robot_of
+from .arguments import add_robot, print_results, refuse_outputs, robot_of
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("base", help="base parameters of a robot, with their expressions")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_robot(parser, "its geometry and joints")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the parameters as JSON")
-    parser.set_defaults(run=run)
+    add_path(parser, "--json", "FILE", "write the parameters as JSON")
 
 
 def run(options: argparse.Namespace) -> None:

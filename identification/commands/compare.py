@@ -1,22 +1,18 @@
 """`robot-identify compare`: parameters of two fits side by side."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands
+from acquisition.commands import add_path
 
-from .options import refuse_outputs
-from .results import print_results
+from .arguments import print_results, refuse_outputs
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("compare", help="parameters of two fits side by side")
-    parser.add_argument("a", type=Path, metavar="A.json", help="a fit, as `fit --json` writes it")
-    parser.add_argument("b", type=Path, metavar="B.json", help="another fit")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the comparison as JSON")
-    parser.add_argument("--rrd", type=Path, metavar="FILE", help="write the comparison as a Rerun file")
-    parser.set_defaults(run=run)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "a", "A.json", "a fit, as `fit --json` writes it")
+    add_path(parser, "b", "B.json", "another fit")
+    add_path(parser, "--json", "FILE", "write the comparison as JSON")
+    add_path(parser, "--rrd", "FILE", "write the comparison as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -3,24 +3,20 @@
 import argparse
 from pathlib import Path
 
-from acquisition.commands import Commands, Progress, add_overwrite
+from acquisition.commands import Progress, add_overwrite, add_path
 
-from .options import make_folder, not_negative
-from .results import print_results
+from ..options import not_negative
+from .arguments import make_folder, print_results
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("demo", help="simulated drives, a recording, a fit against the truth")
-    parser.add_argument(
-        "--out", type=Path, default=Path("session"), metavar="DIR", help="folder for results (default: session)"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "--out", "DIR", "folder for results (default: session)", default=Path("session"))
     parser.add_argument("--robot", choices=["scara", "tx40"], default="tx40", help="the simulated robot (default tx40)")
     parser.add_argument(
         "--noise", type=not_negative, default=3.0, metavar="P", help="torque noise, %% of rms (default 3)"
     )
     add_overwrite(parser)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

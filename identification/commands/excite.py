@@ -1,61 +1,27 @@
 """`robot-identify excite`: a reference that tells most of a robot's parameters, within its limits."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_options, add_path, from_options
 
-from .options import above_zero, at_least_two, factors, percent, positive, refuse_outputs, whole
-from .results import print_results
-from .robots import add_robot, robot_of
+from ..options import ReferenceOptions, list_of_factors
+from .arguments import add_robot, print_results, refuse_outputs, robot_of
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; options have the names of the fields of `ExcitationSettings`."""
-    parser = commands.add_parser(
-        "excite", help="a reference that tells most of a robot's parameters, within its limits"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     inputs = add_robot(parser, "with limits of all joints")
-    inputs.add_argument(
-        "--fit", type=Path, metavar="FIT.json", help="parameters and noise of this fit (default: [parameters])"
+    add_path(inputs, "--fit", "FIT.json", "parameters and noise of this fit (default: [parameters])")
+    text = "earlier recordings of the robot: their information adds to that of the reference"
+    add_path(inputs, "--after", "LOG.mcap", text, nargs="+", default=[])
+    text = (
+        "deviation of the torque in a row of the fit, one or one per joint (default: of FIT.json, else 2 %% of the rms)"
     )
-    inputs.add_argument(
-        "--after",
-        type=Path,
-        nargs="+",
-        default=[],
-        metavar="LOG.mcap",
-        help="earlier recordings of the robot: their information adds to that of the reference",
-    )
-    inputs.add_argument(
-        "--noise",
-        type=factors,
-        metavar="A,B",
-        help="deviation of the torque in a row of the fit, one or one per joint (default: of FIT.json, else 2 %% of the rms)",
-    )
-    reference = parser.add_argument_group("reference")
-    reference.add_argument(
-        "--period", dest="period_s", type=above_zero, metavar="S", help="of the Fourier series, s (default 10)"
-    )
-    reference.add_argument("--harmonics", type=at_least_two, metavar="H", help="of the series (default 10)")
-    reference.add_argument("--periods", type=positive, metavar="N", help="how often it is repeated (default 3)")
-    reference.add_argument("--seed", type=whole, metavar="K", help="of the searches' starts (default 1)")
-    reference.add_argument(
-        "--limits-percent", type=percent, metavar="P", help="share of all limits that it may use (default 80)"
-    )
+    inputs.add_argument("--noise", type=list_of_factors, metavar="A,B", help=text)
+    add_options(parser.add_argument_group("reference"), ReferenceOptions)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="REF.csv",
-        help="the reference, for `robot-acquire record --track`",
-    )
-    outputs.add_argument(
-        "--rrd", type=Path, metavar="FILE", help="draw the reference and the intervals as a Rerun file"
-    )
-    parser.set_defaults(run=run)
+    add_path(outputs, "-o --out", "REF.csv", "the reference, for `robot-acquire record --track`", required=True)
+    add_path(outputs, "--rrd", "FILE", "draw the reference and the intervals as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -1,32 +1,22 @@
 """`robot-identify export`: a fit as a model for simulators."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, Progress
+from acquisition.commands import Progress, add_flag, add_path
 
 from ..errors import IdentificationError
-from .options import refuse_outputs
-from .results import print_results
+from .arguments import print_results, refuse_outputs
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("export", help="a fit as URDF, MJCF or robot.toml, to simulate with")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    inputs.add_argument("fit", type=Path, metavar="FIT.json", help="the fit, as `fit --json` writes it")
-    inputs.add_argument(
-        "--allow-untrusted", action="store_true", help="export a fit with the verdict `do not use` all the same"
-    )
+    add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
+    add_flag(inputs, "--allow-untrusted", "export a fit with the verdict `do not use` all the same")
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument(
-        "--urdf", type=Path, metavar="OUT.urdf", help="the description's own URDF with new values, or a new one"
-    )
-    outputs.add_argument("--mjcf", type=Path, metavar="OUT.xml", help="a MuJoCo model")
-    outputs.add_argument(
-        "--toml", type=Path, metavar="OUT.toml", help="the description with the values in [parameters]"
-    )
-    parser.set_defaults(run=run)
+    add_path(outputs, "--urdf", "OUT.urdf", "the description's own URDF with new values, or a new one")
+    add_path(outputs, "--mjcf", "OUT.xml", "a MuJoCo model")
+    add_path(outputs, "--toml", "OUT.toml", "the description with the values in [parameters]")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -6,78 +6,53 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
-from .options import (
-    above_zero,
+from ..options import IterationOptions, Overrides
+from .arguments import (
     add_method,
-    add_recording,
+    add_recordings,
     add_settings,
     add_work,
-    positive,
+    print_results,
     refuse_outputs,
     sources,
+    untrusted,
     work_of,
 )
-from .results import print_results, untrusted
 
 if TYPE_CHECKING:
     from ..data import Recordings
     from ..methods import Fit, Prior
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; its settings have the names of the fields of `Overrides` and `Iteration`."""
-    parser = commands.add_parser("fit", help="base parameters from a recording, or from several")
-    add_recording(parser)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_recordings(parser.add_argument_group("inputs"))
     settings = add_settings(parser)
     add_method(settings)
-    settings.add_argument(
-        "--essential", action="store_true", help="keep only the parameters the recording determines well"
-    )
+    add_flag(settings, "--essential", "keep only the parameters the recording determines well")
     consistent = parser.add_argument_group("physically consistent parameters")
-    consistent.add_argument(
-        "--consistent", action="store_true", help="also give all standard parameters, as a physical robot can have them"
-    )
-    consistent.add_argument(
-        "--prior",
-        type=Path,
-        metavar="ROBOT.toml|URDF",
-        help="links expected: those of its [parameters] or its URDF (default: those of the recording's description)",
-    )
-    iv = parser.add_argument_group("settings of instrumental variables")
-    iv.add_argument(
-        "--start",
-        metavar="regular|ls|FIT.json",
-        help="first parameters: unit inertias (default), least squares, or those of a fit's JSON file",
-    )
-    iv.add_argument(
-        "--tolerance-percent", type=above_zero, metavar="P", help="passes end when changes are smaller (default 2.5)"
-    )
-    iv.add_argument("--max-iterations", type=positive, metavar="N", help="most passes (default 10)")
+    add_flag(consistent, "--consistent", "also give all standard parameters, as a physical robot can have them")
+    text = "links expected: those of its [parameters] or its URDF (default: those of the recording's description)"
+    add_path(consistent, "--prior", "ROBOT.toml|URDF", text)
+    add_options(parser.add_argument_group("settings of instrumental variables"), IterationOptions)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
     outputs.add_argument("--require", choices=["trust"], help="exit status 3 where the verdict is less, for scripts")
-    outputs.add_argument("--all", action="store_true", help="print all parameters, not only the essential ones")
-    outputs.add_argument("--json", type=Path, metavar="FILE", help="write the fit as JSON")
-    outputs.add_argument(
-        "--report", type=Path, metavar="FILE", help="write the printed report; its ending names the format: .md, .html"
-    )
-    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="write trajectories and fit as a Rerun file")
-    parser.set_defaults(run=run)
+    add_flag(outputs, "--all", "print all parameters, not only the essential ones")
+    add_path(outputs, "--json", "FILE", "write the fit as JSON")
+    add_path(outputs, "--report", "FILE", "write the printed report; its ending names the format: .md, .html")
+    add_path(outputs, "--rrd", "FILE", "write trajectories and fit as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
     for name in ("start", "tolerance_percent", "max_iterations"):
         if options.method in ("ols", "wls") and getattr(options, name) is not None:
-            raise IdentificationError(
-                f"does nothing with --method {options.method}",
-                key=f"--{name.replace('_', '-')}",
-                value=getattr(options, name),
-                expected="--method iv with it",
-            )
+            text, key = f"does nothing with --method {options.method}", f"--{name.replace('_', '-')}"
+            raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv with it")
     if options.prior is not None and not options.consistent:
         expected = "--consistent with it"
         raise IdentificationError("does nothing alone", key="--prior", value=str(options.prior), expected=expected)
@@ -146,7 +121,6 @@ def _prior(options: argparse.Namespace) -> "Prior":
 
 def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callable[[str], None]) -> "Fit":
     from ..methods import Iteration, identify, stored_beta
-    from ..regression import Overrides
     from ..report import read_fit
 
     overrides = from_options(Overrides, options)

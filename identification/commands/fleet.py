@@ -4,45 +4,37 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
-from .options import add_method, add_settings, add_work, make_folder, refuse_outputs, work_of
-from .results import print_results, untrusted
+from .arguments import (
+    add_method,
+    add_settings,
+    add_work,
+    make_folder,
+    print_results,
+    refuse_outputs,
+    untrusted,
+    work_of,
+)
 
 if TYPE_CHECKING:
     from ..study import FleetSettings
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; its settings have the names of the fields of `Overrides`."""
-    parser = commands.add_parser("fleet", help="one fit per recording of folders: a table, and drift over time")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     inputs = parser.add_argument_group("inputs")
-    inputs.add_argument(
-        "folders",
-        type=Path,
-        nargs="+",
-        metavar="FOLDER",
-        help="every *.mcap in it and below; control limits are those of a folder",
+    add_path(
+        inputs, "folders", "FOLDER", "every *.mcap in it and below; control limits are those of a folder", nargs="+"
     )
-    inputs.add_argument(
-        "--by-folder", action="store_true", help="fit recordings that lie in one folder together: a row per folder"
-    )
-    inputs.add_argument(
-        "--robot", type=Path, metavar="ROBOT.toml", help="use this description instead of the recordings' own"
-    )
+    add_flag(inputs, "--by-folder", "fit recordings that lie in one folder together: a row per folder")
+    add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recordings' own")
     add_method(add_settings(parser))
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument(
-        "-o",
-        "--out",
-        type=Path,
-        required=True,
-        metavar="FLEET.parquet",
-        help="the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again",
-    )
-    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="draw the drift with control limits as a Rerun file")
-    parser.set_defaults(run=run)
+    text = "the table to write; rows are kept in the folder FLEET.parquet.rows, and are not fitted again"
+    add_path(outputs, "-o --out", "FLEET.parquet", text, required=True)
+    add_path(outputs, "--rrd", "FILE", "draw the drift with control limits as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -1,30 +1,22 @@
 """`robot-identify friction`: which friction terms predict a recording."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_flag, add_options, add_path, from_options
 
 from ..errors import IdentificationError
-from .options import add_recording, add_settings, refuse_outputs, share, sources
-from .results import print_results
+from ..options import Overrides
+from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; its settings have the names of the fields of `Overrides`."""
-    parser = commands.add_parser(
-        "friction", help="which friction terms predict parts of a recording, or recordings, held out"
-    )
-    add_recording(parser)
-    settings = add_settings(parser)
-    settings.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_recordings(parser.add_argument_group("inputs"))
+    add_options(add_settings(parser), Overrides, "low_speed_percent")
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--json", type=Path, metavar="FILE", help="write all sets and the recommended terms as JSON")
-    outputs.add_argument(
-        "--rrd", type=Path, metavar="FILE", help="draw friction over speed, with the usual and the recommended terms"
-    )
-    outputs.add_argument("--write", action="store_true", help="put the recommended terms into the file of --robot")
-    parser.set_defaults(run=run)
+    add_path(outputs, "--json", "FILE", "write all sets and the recommended terms as JSON")
+    add_path(outputs, "--rrd", "FILE", "draw friction over speed, with the usual and the recommended terms")
+    add_flag(outputs, "--write", "put the recommended terms into the file of --robot")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -35,7 +27,6 @@ def run(options: argparse.Namespace) -> None:
     with Progress("reading") as progress:
         from ..data import Recordings
         from ..design import choose_terms, fits_with, friction_document, friction_file, write_friction
-        from ..regression import Overrides
         from ..report import write_json
 
         overrides = from_options(Overrides, options)

@@ -4,23 +4,18 @@ import argparse
 import os
 from pathlib import Path
 
-from acquisition.commands import Commands
+from acquisition.commands import add_path
 from acquisition.errors import one_line
 
 from ..errors import IdentificationError
-from .options import refuse_outputs
-from .robots import add_urdf_options, chain_of
+from .arguments import add_urdf_options, chain_of, refuse_outputs
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("init", help="a robot.toml from a URDF, with what is to be filled in marked")
-    parser.add_argument("robot", type=Path, metavar="ROBOT.urdf", help="the URDF")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_path(parser, "robot", "ROBOT.urdf", "the URDF")
     add_urdf_options(parser)
-    parser.add_argument(
-        "-o", "--out", type=Path, metavar="ROBOT.toml", help="the description to write (default: standard output)"
-    )
-    parser.set_defaults(run=run)
+    add_path(parser, "-o --out", "ROBOT.toml", "the description to write (default: standard output)")
 
 
 def run(options: argparse.Namespace) -> None:

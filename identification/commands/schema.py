@@ -4,14 +4,10 @@ import argparse
 import json
 from typing import Any
 
-from acquisition.commands import Commands
 
-
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("schema", help="JSON Schema of a robot.toml or of a fit's JSON file")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     parser.add_argument("file", choices=["robot", "fit"], help="robot: the description; fit: as fit --json writes it")
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:

@@ -1,38 +1,33 @@
 """`robot-identify simulate`: a recording of a simulated robot with known parameters."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, Progress, add_overwrite, from_options
+from acquisition.commands import Progress, add_overwrite, add_path, from_options
 
-from .options import add_simulation_options, refuse_outputs
-from .results import print_results
-from .robots import add_robot, robot_of
+from .arguments import add_robot, add_simulation, print_results, refuse_outputs, robot_of
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; options of the noise have the names of the fields of `Noise`."""
-    parser = commands.add_parser("simulate", help="recording of a simulated robot with known parameters")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_robot(parser, "with values to simulate with")
-    add_simulation_options(parser)
+    add_simulation(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("-o", "--out", type=Path, required=True, metavar="LOG.mcap", help="the recording to write")
+    add_path(outputs, "-o --out", "LOG.mcap", "the recording to write", required=True)
     add_overwrite(outputs)
-    parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> None:
     """Simulate, write the recording, and say what it holds."""
     refuse_outputs([options.robot], options.out, overwrite=options.overwrite)
     with Progress("simulating"):
-        from ..study import Noise, closed_loop, random_reference, write_signals
+        from ..study import Noise, Study, closed_loop, random_reference, write_signals
 
-        robot, rate_hz, seed = robot_of(options, moves=True), options.sample_rate_hz, options.seed
+        robot, study, noise = robot_of(options, moves=True), from_options(Study, options), from_options(Noise, options)
+        duration_s, rate_hz, seed = study.duration_s, study.sample_rate_hz, study.seed
         q_ref = random_reference(
-            robot, duration_s=options.duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=options.period_s
+            robot, duration_s=duration_s, sample_rate_hz=rate_hz, seed=seed, period_s=study.period_s
         )
-        noise = from_options(Noise, options)
         signals = closed_loop(robot, q_ref, rate_hz, noise=noise, seed=seed)
         source = f"simulated: random reference and noise of seed {seed}"
         write_signals(options.out, signals, source=source, noise=noise)
-    print_results(f"{options.out}: simulated, {options.duration_s:g} s at {rate_hz:g} Hz")
+    print_results(f"{options.out}: simulated, {duration_s:g} s at {rate_hz:g} Hz")

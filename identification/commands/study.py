@@ -1,61 +1,25 @@
 """`robot-identify study`: Monte-Carlo on a simulated robot, how far to trust least squares and iv."""
 
 import argparse
-from pathlib import Path
 
-from acquisition.commands import Commands, from_options
+from acquisition.commands import add_options, add_path, from_options
 
 from ..errors import IdentificationError
-from .options import (
-    add_simulation_options,
-    add_work,
-    controllers,
-    cutoffs,
-    factors,
-    positive,
-    refuse_outputs,
-    share,
-    work_of,
-)
-from .results import print_results
-from .robots import add_robot, robot_of
+from ..options import StudyOptions
+from .arguments import add_robot, add_simulation, add_work, print_results, refuse_outputs, robot_of, work_of
 
 
-def add(commands: Commands) -> None:
-    """Declare the command; options have the names of the fields of `Study` and `Noise`."""
-    parser = commands.add_parser(
-        "study", help="Monte-Carlo on a simulated robot: how far to trust least squares and iv"
-    )
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
     add_robot(parser, "with values to simulate with")
     varied = parser.add_argument_group("what is varied")
-    varied.add_argument("--runs", type=positive, metavar="N", help="number of runs (default 100)")
-    varied.add_argument(
-        "--cutoffs", type=cutoffs, metavar="A,B,none", help="cut-offs, times the bandwidth (default 5,10,none)"
-    )
-    varied.add_argument(
-        "--starts", type=factors, metavar="A,B", help="first inertias, times the true ones (default 0.05,1,20)"
-    )
-    varied.add_argument(
-        "--gain-errors", type=factors, metavar="A,B", help="gains, times the true ones (default 0.7,1,1.3)"
-    )
-    varied.add_argument(
-        "--controllers",
-        type=controllers,
-        metavar="A,B",
-        help="described, or none: the fit is not given the control law (default described)",
-    )
-    varied.add_argument(
-        "--vary",
-        choices=["listed", "everything"],
-        help="everything: each run draws imperfections of the cell and a controller as well (default listed)",
-    )
-    varied.add_argument("--low-speed-percent", type=share, metavar="P", help="as for fit")
-    add_simulation_options(parser, encoder_step=1e-5, effort_noise_percent=2.0)
+    names = ("runs", "cutoffs", "starts", "gain_errors", "controllers", "vary", "low_speed_percent")
+    add_options(varied, StudyOptions, *names)
+    add_simulation(parser, encoder_step=1e-5, effort_percent=2.0)
     add_work(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--json", type=Path, metavar="FILE", help="write every run as JSON")
-    outputs.add_argument("--rrd", type=Path, metavar="FILE", help="draw every run's error as a Rerun file")
-    parser.set_defaults(run=run)
+    add_path(outputs, "--json", "FILE", "write every run as JSON")
+    add_path(outputs, "--rrd", "FILE", "draw every run's error as a Rerun file")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -4,69 +4,55 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_flag, add_path, from_options
 
-from .options import above_zero, add_recording, add_settings, load, refuse_outputs
-from .results import print_results, untrusted
+from ..options import Overrides, above_zero
+from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, untrusted
 
 if TYPE_CHECKING:
     from ..data import Signals
     from ..report import FitFile, TorqueError
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("validate", help="apply a fit to other recordings")
-    add_recording(parser, "fit")
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    inputs = parser.add_argument_group("inputs")
+    add_path(inputs, "fit", "FIT.json", "the fit, as `fit --json` writes it")
+    add_recordings(inputs)
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("--json", type=Path, metavar="FILE", help="write the errors as JSON")
-    outputs.add_argument(
-        "--max-error-percent",
-        type=above_zero,
-        metavar="P",
-        help="exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set",
-    )
-    parser.add_argument(
-        "--consistent", action="store_true", help="the physically consistent set of the fit too, beside the fit itself"
-    )
-    parser.set_defaults(run=run)
+    add_path(outputs, "--json", "FILE", "write the errors as JSON")
+    text = "exit status 3 if the torque error of all rows is larger, with --consistent that of the consistent set"
+    outputs.add_argument("--max-error-percent", type=above_zero, metavar="P", help=text)
+    add_flag(parser, "--consistent", "the physically consistent set of the fit too, beside the fit itself")
 
 
 def run(options: argparse.Namespace) -> int:
     """Print the torque errors of the fit on the recording; 3 when they are larger than allowed."""
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
-        from ..methods import (
-            Validated,
-            consistent_fit,
-            stored_beta,
-            stored_settings,
-            validate_all,
-            validation_document,
-            validation_file,
-        )
-        from ..regression import Overrides
+        from .. import methods
         from ..report import read_fit, write_json
 
+        place, name = str(options.fit), options.fit.name
         stored, recordings, notes = read_fit(options.fit), [], []
-        consistent = consistent_fit(stored, str(options.fit)) if options.consistent else None
-        for path, own in zip(options.recordings, load(options), strict=True):
-            signals, told = as_fitted(own, path, stored, str(options.fit), chosen=options.robot is not None)
-            overrides = from_options(Overrides, options).over(stored_settings(stored, signals))
+        consistent = methods.consistent_fit(stored, place) if options.consistent else None
+        for path, source in zip(options.recordings, sources(options), strict=True):
+            signals, lines = as_fitted(source.load(), path, stored, place, chosen=options.robot is not None)
+            overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
             recordings.append((signals, overrides))
-            notes += told
+            notes += lines
         progress.say("predicting")
-        each, errors = validate_all(recordings, lambda base: stored_beta(stored, base, str(options.fit)))
+        each, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
-            _, of_set = validate_all(recordings, lambda base: stored_beta(consistent, base, str(options.fit)))
+            _, of_set = methods.validate_all(recordings, lambda base: methods.stored_beta(consistent, base, place))
     of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
-    warnings = (*of_settings, *notes, *stored.warnings_of(str(options.fit)))
-    validated = [Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
-    document = validation_document(validated, options.fit.name, errors, warnings, of_set)
+    warnings = (*of_settings, *notes, *stored.warnings_of(place))
+    validated = [methods.Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
+    document = methods.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
-        write_json(options.json, validation_file(validated, options.fit.name, errors, warnings, of_set))
+        write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))
     print_results(document)
     error, most = (of_set or errors)[-1].relative_error_percent, options.max_error_percent
     if most is None or (error is not None and error <= most):

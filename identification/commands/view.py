@@ -3,21 +3,18 @@
 import argparse
 from pathlib import Path
 
-from acquisition.commands import Commands, Progress, from_options
+from acquisition.commands import Progress, add_path, from_options
 
 from ..errors import IdentificationError
-from .options import add_recording, add_settings, refuse_outputs, sources
-from .results import print_results
+from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources
 
 
-def add(commands: Commands) -> None:
-    """Declare the command."""
-    parser = commands.add_parser("view", help="look at a recording that has not been fitted, in Rerun")
-    add_recording(parser)
+def add(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    add_recordings(parser.add_argument_group("inputs"))
     add_settings(parser)
     outputs = parser.add_argument_group("outputs")
-    outputs.add_argument("-o", "--out", type=Path, metavar="VIEW.rrd", help="file to write (default: LOG.rrd)")
-    parser.set_defaults(run=run)
+    add_path(outputs, "-o --out", "VIEW.rrd", "file to write (default: LOG.rrd)")
 
 
 def run(options: argparse.Namespace) -> None:

@@ -8,12 +8,13 @@ from functools import partial
 import numpy as np
 
 from acquisition.files import find_mesh
-from acquisition.robot import HARMONICS, LIMIT_SHARE, FourierReference, Robot, refuse_out_of_range, resolve
+from acquisition.robot import HARMONICS, FourierReference, Robot, refuse_out_of_range, resolve
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
+from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
 from .information import Information, Knowledge, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
@@ -28,21 +29,8 @@ CURVE_SAMPLES = 100  # per period of the highest harmonic, of what is drawn
 REACH = 1.959964  # deviations to each side of a 95 % interval
 
 
-@dataclass(frozen=True, kw_only=True)
-class ExcitationSettings:
-    """What a reference is to be.
-
-    Attributes:
-        period_s, harmonics, periods: of the Fourier series, and how often it is repeated.
-        seed: of the random references; the same one gives the same result.
-        limits_percent: of all limits that the reference may use.
-    """
-
-    period_s: float = 10.0
-    harmonics: int = 10
-    periods: int = 3
-    seed: int = 1
-    limits_percent: float = 100 * LIMIT_SHARE
+class ExcitationSettings(ReferenceOptions):
+    """What a reference is to be; the same `seed` gives the same one."""
 
     @property
     def plain_harmonics(self) -> int:

@@ -10,6 +10,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
+from ..options import IterationOptions
 from ..regression import Problem
 from ..simulation import Instruments, Lab, Replica
 from ..trust import covariance_of_all
@@ -22,18 +23,15 @@ RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which
 
 
 @dataclass(frozen=True, kw_only=True)
-class Iteration:
+class Iteration(IterationOptions):
     """How the instrumental variable method iterates.
 
     `start`: `regular` (an inertia matrix that is regular, nothing else known), `ls`, or base parameters from `values`
     under the name they were read from. `inertias` (n,) are those of the regular start, 1 kg m² (or kg) by default.
     """
 
-    start: str = "regular"
     values: Callable[[BaseParameters], Array] | None = None
     inertias: Array | None = None
-    tolerance_percent: float = 2.5
-    max_iterations: int = 10
     gain_update: bool = True
 
 

@@ -2,8 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,10 +14,9 @@ from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..estimation import MOVING
+from ..options import Overrides, Span
 from .filtering import LARGEST_PASS, Decimation, decimation_passes
 from .motion import BLOCK_SAMPLES, FilteredMotion
-
-Span = Literal["motion", "all"]
 
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
@@ -26,26 +24,6 @@ CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and
 STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
 LAG_REACH = 3.0  # deviations that a lag may be off what is known of it
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of the lag of an effort of which nothing is known
-
-
-@dataclass(frozen=True, kw_only=True)
-class Overrides:
-    """Options of a fit that take the place of the rules; None leaves the rule (or robot.toml) in force.
-
-    `cutoff_hz` 0 means no filter; one number for `low_speed_percent` holds for least squares and for iv; `torque_lag_s` "none"
-    corrects nothing.
-    """
-
-    cutoff_hz: float | None = None
-    decimation: int | None = None
-    span: Span | None = None
-    edges: Edges | None = None
-    low_speed_percent: float | LowSpeed | None = None
-    torque_lag_s: float | Literal["none"] | None = None
-
-    def over(self, others: "Overrides") -> "Overrides":
-        """These, and those of the others where these are silent."""
-        return replace(others, **{name: value for name, value in vars(self).items() if value is not None})
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,9 +6,8 @@ noise that the controller sees, friction and a delay of the torque that a descri
 """
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
 from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
+from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop, ControlLaw, Disturbances, Reference, recorded_loop, surrogate_loop
 
@@ -32,34 +32,12 @@ AR = 0.98  # correlation of coloured noise from sample to sample
 _POSITION, _EFFORT, _COLOURED, _DISTURBANCE = range(4)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Noise:
-    """Imperfections of a simulated cell, none by default. Percent are of each joint's rms torque, where not said otherwise.
+class Noise(CellOptions):
+    """Imperfections of a simulated cell, with which the controller acts on counts and on the encoder's noise.
 
-    Attributes:
-        encoder_step: of each joint, rad or m; the controller acts on counts.
-        position: white noise of each joint's encoder, rad or m rms; the controller acts on it.
-        effort_percent: white noise of the recorded torque.
-        coloured_percent: noise of the recorded torque, AR(0.98) from sample to sample.
-        disturbance_percent: AR(0.98) torque that acts on the joints.
-        recorded: torque recorded as the mean of the control periods before and after its instant, as a drive's own filter shows
-            it; or as the command of the `tick`, which is held after it.
-        lag_samples: by which the recorded torque is late.
-        stribeck_percent: by which Coulomb friction is larger at rest, in percent of itself.
-        asymmetry_percent: by which friction is larger for dq > 0 and smaller for dq < 0, in percent of itself.
-        integral_hz: rate of an integral that the control law has and the description does not; 0 for none.
+    Coloured noise and disturbances are AR(0.98) from sample to sample. `recorded` as the mean of the control periods before and
+    after its instant, as a drive's own filter shows it; or as the command of the `tick`, which is held after it.
     """
-
-    encoder_step: float = 0.0
-    position: float = 0.0
-    effort_percent: float = 0.0
-    coloured_percent: float = 0.0
-    disturbance_percent: float = 0.0
-    recorded: Literal["mean", "tick"] = "mean"
-    lag_samples: int = 0
-    stribeck_percent: float = 0.0
-    asymmetry_percent: float = 0.0
-    integral_hz: float = 0.0
 
     @property
     def effort_text(self) -> str:

@@ -6,7 +6,6 @@ start and told of a wrong controller, by least squares and by instrumental varia
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Literal
 
 import msgspec
 import numpy as np
@@ -20,35 +19,23 @@ from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
 from ..model import InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
+from ..options import Controllers, StudyOptions
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
-from .simulated_cell import PERIOD_S, Noise, closed_loop, random_reference, study_truth
-
-Controllers = Literal["described", "none"]
+from .simulated_cell import Noise, closed_loop, random_reference, study_truth
 
 
 @dataclass(frozen=True, kw_only=True)
-class Study:
+class Study(StudyOptions):
     """What is varied. Each run draws one of each list, seeded by its number.
 
     `cutoffs` are in multiples of the bandwidth, 0 for none; `starts` factors on each joint's true inertia, all that the start
-    knows of the robot ; `gain_errors` factors on the controller's gains (on the bandwidth of a
+    knows of the robot; `gain_errors` factors on the controller's gains (on the bandwidth of a
     surrogate) as the fit knows them; `controllers` whether the fit is given the described control law, or none. `vary` says
     whether each run has the imperfections of `noise`, or draws `everything`: imperfections of all kinds in some runs, none
     that a description leaves out in others, and any of the controllers.
     """
 
-    runs: int = 100
     noise: Noise = field(default_factory=Noise)
-    cutoffs: tuple[float, ...] = (5.0, 10.0, 0.0)
-    starts: tuple[float, ...] = (0.05, 1.0, 20.0)
-    gain_errors: tuple[float, ...] = (0.7, 1.0, 1.3)
-    controllers: tuple[Controllers, ...] = ("described",)
-    vary: Literal["listed", "everything"] = "listed"
-    duration_s: float = 10.0
-    period_s: float = PERIOD_S
-    sample_rate_hz: float = 1000.0
-    low_speed_percent: float | None = None
-    seed: int = 0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,0 +1,240 @@
+"""Columns of numbers from CSV and MAT files (of version 7 or older), without units or meaning; numbers as text."""
+
+import io
+import re
+import warnings
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..arrays import Array
+from ..errors import Place, listed
+from .atomic import atomic_write
+
+ROUNDING = 1e-18  # SI: no mass, length or inertia of a robot is so small
+# `data.q`, `q(:,2)`, `data.q(1:6,:)`: a variable or a field, and perhaps some of its columns or rows as MATLAB writes it.
+_NAME = re.compile(r"(?P<path>[^()\s]+)(?:\(\s*(?P<rows>:|\d+(?::\d+)?)\s*,\s*(?P<columns>:|\d+(?::\d+)?)\s*\))?")
+
+
+def text_of(*values: float) -> str:
+    """Numbers with all their digits, separated by blanks; rounding of a zero is written as zero."""
+    return " ".join(repr(float(x) if abs(x) > ROUNDING else 0.0) for x in values)
+
+
+def read_columns(path: Path, columns: Sequence[str | int], count: int) -> Array:
+    """Columns of a table, side by side.
+
+    Parameters
+    ----------
+    path : CSV or MAT file (version 7 or older). CSV cells are separated by comma, semicolon, tab or blanks, as in the first
+        line; lines that begin with # are skipped, except a header: the last such line above numbers.
+    columns : names in the header line of a CSV file, or its columns by number from 1; or variables of a MAT file,
+        or fields of structs by dotted name; `(:,k)`, `(:,k:l)`, `(k,:)` or `(k:l,:)` behind a name takes some of its columns
+        or rows, and one name may give several columns.
+    count : columns expected in all.
+
+    Returns
+    -------
+    (N, columns) numbers, in the units of the file.
+
+    Raises
+    ------
+    AcquisitionError
+        With the file and the line or row as `place`: it cannot be read, a column does not exist, or a cell is not a finite
+        number.
+    """
+    place = Place(str(path))
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        place.refuse(text=f"cannot be read: {error.strerror}")
+    if data.startswith((b"MATLAB 7.3", b"\x89HDF")):
+        place.refuse(text="a MAT file of version 7.3 (HDF5)", expected="version 7; save it with -v7")
+    if data.startswith(b"MATLAB") or path.suffix.lower() == ".mat":
+        values, labels = _mat(data, columns, count, place)
+    else:
+        values, labels = _csv(data, columns, place)
+    finite = np.isfinite(values)
+    if not finite.all():
+        row, column = np.argwhere(~finite)[0]
+        Place(f"{path}: row {row + 1}").refuse(labels[column], float(values[row, column]), "a finite number")
+    return values
+
+
+def write_columns(path: Path, names: Sequence[str], parts: Iterable[Array]) -> None:
+    """Write a CSV file of named columns, whole or not at all; `read_columns` reads the same numbers back, bit by bit.
+
+    Parameters
+    ----------
+    path : of the file.
+    names : (columns,) for its header.
+    parts : rows, (k, columns) each.
+
+    Raises
+    ------
+    AcquisitionError
+        The file cannot be written.
+    """
+    with atomic_write(path) as partial, partial.open("w", encoding="utf-8") as file:
+        file.write(",".join(names) + "\n")
+        for values in parts:
+            np.savetxt(file, values, delimiter=",", fmt="%.17g")
+
+
+def _csv(data: bytes, columns: Sequence[str | int], place: Place) -> tuple[Array, list[str]]:
+    text = data.decode("utf-8-sig", errors="replace").replace('"', "")
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip()]
+    if not lines:
+        place.refuse(text="holds no lines", expected="a table")
+    while len(lines) > 1 and lines[0][1].startswith("#") and not _has_numbers(lines[1][1]):
+        del lines[0]  # a remark above the header
+    first = lines[0][1].lstrip("# \t")
+    separator = next((mark for mark in ";\t," if mark in first), None)
+    names = [cell.strip() for cell in first.split(separator)]
+    has_header = any(_number(cell) is None for cell in names)
+    if not has_header:
+        names = [f"column {k}" for k in range(1, len(names) + 1)]
+    chosen = [_index(column, names, has_header, place) for column in columns]
+    rows = [(k, line) for k, line in lines[has_header:] if not line.startswith("#")]
+    for k, line in rows:
+        found = len(line.split()) if separator is None else line.count(separator) + 1
+        if found != len(names):
+            Place(f"{place}: line {k}").refuse(text=f"{found} cells", expected=str(len(names)))
+    if not rows:
+        place.refuse(text="holds no rows", expected="numbers below the header")
+    labels = [names[k] for k in chosen]
+    try:
+        values = np.loadtxt([line for _, line in rows], delimiter=separator, usecols=chosen, ndmin=2, comments=None)
+    except (ValueError, OverflowError, IndexError) as error:
+        for k, line in rows:  # slow, but only on the way to an error that names the cell
+            cells = line.split(separator)
+            for column, label in zip(chosen, labels, strict=True):
+                if _number(cells[column]) is None:
+                    Place(f"{place}: line {k}").refuse(label, cells[column].strip()[:40], "a number")
+        place.refuse(text=str(error))
+    return values, labels
+
+
+def _has_numbers(line: str) -> bool:
+    return any(_number(cell) is not None for cell in re.split(r"[;,\s]+", line.lstrip("# \t")))
+
+
+def _number(cell: str) -> float | None:
+    try:
+        return None if "_" in cell else float(cell)
+    except ValueError:
+        return None
+
+
+def _index(column: str | int, names: Sequence[str], has_header: bool, place: Place) -> int:
+    if isinstance(column, int):
+        if not 1 <= column <= len(names):
+            place.refuse(text=f"column {column}", expected=f"a number from 1 to {len(names)}")
+        return column - 1
+    if not has_header:
+        expected = f"numbers from 1 to {len(names)}"
+        place.refuse(text=f"column {column!r}: no header line names it; expected {expected}")
+    if names.count(column) != 1:
+        found = "is not there" if column not in names else f"is there {names.count(column)} times"
+        place.refuse(text=f"column {column!r} {found}", expected=f"one of {listed(names)}")
+    return names.index(column)
+
+
+def _mat(data: bytes, names: Sequence[str | int], count: int, place: Place) -> tuple[Array, list[str]]:
+    """The named parts of a MAT file, side by side (N, count), and a label of each column."""
+    # Matrices may be samples by joints or joints by samples: the number of samples is the one with which all parts have the
+    # same length and `count` columns in all.
+    asked = [_NAME.fullmatch(str(name)) for name in names]
+    try:
+        variables = _load(data, [match["path"].split(".")[0] for match in asked if match])
+    except Exception as error:  # on a damaged file scipy's reader raises errors of any kind
+        place.refuse(text=f"not a MAT file that can be read: {error or type(error).__name__}")
+    parts = []
+    for name, match in zip(names, asked, strict=True):
+        found = None if isinstance(name, int) or match is None else _walk(variables, match["path"], place)
+        if found is None or match is None:
+            place.refuse(text=f"variable {name!r} is not there", expected=f"one of {_present(data)}")
+        parts.append(_part(found, match, place))
+    size = sum(part.size for part, _ in parts)
+    rows = size // count
+    fits = [rows in (part.shape[:1] if upright else part.shape) for part, upright in parts]
+    sizes = [f"{name} {_size(part)}" for name, (part, _) in zip(names, parts, strict=True)]
+    if rows < 2 or not all(fits) or size != rows * count:
+        place.refuse(text=", ".join(sizes), expected=f"variables of one length, {count} columns in all")
+    turned, labels = [], []
+    for name, (part, upright), shown in zip(names, parts, sizes, strict=True):
+        if part.shape == (rows, rows) and not upright:
+            expected = f"'{name}(:,1:{rows})' where rows are samples, '{name}(1:{rows},:)' where columns are"
+            Place(f"{place}: {shown}").refuse(text="rows and columns cannot be told apart", expected=expected)
+        turned.append(part if len(part) == rows else part.T)
+        wide = turned[-1].shape[1]
+        labels += [str(name)] if wide == 1 else [f"{name}(:,{k + 1})" for k in range(wide)]
+    return np.hstack(turned), labels
+
+
+def _load(data: bytes, names: Sequence[str] | None = None) -> dict[str, Any]:
+    """The variables with these names (default: all). No others are read: objects of MATLAB's classes cannot be."""
+    import scipy.io
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # about variables that are not read
+        return dict(scipy.io.loadmat(io.BytesIO(data), variable_names=names and list(dict.fromkeys(names))))
+
+
+def _walk(variables: dict[str, Any], path: str, place: Place) -> Any:
+    """The value of a dotted name; None where it does not exist."""
+    top, *fields = path.split(".")
+    value, at = variables.get(top), top
+    for field in fields:
+        if not isinstance(value, np.ndarray) or field not in (value.dtype.names or ()):
+            return None
+        if value.size != 1:
+            place.refuse(text=f"variable {at!r} is an array of {value.size} structs", expected="one struct")
+        value, at = value[field].flat[0], f"{at}.{field}"
+    return value
+
+
+def _part(value: Any, match: re.Match[str], place: Place) -> tuple[Array, bool]:
+    """The matrix that a name means, and whether the name itself says that samples are its rows."""
+    name = match.string
+    if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiu" or np.squeeze(value).ndim > 2:
+        kind = f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+        if isinstance(value, np.ndarray) and value.dtype.names:
+            kind = f"a struct or object with the fields {listed(value.dtype.names)}"
+        place.refuse(text=f"variable {name!r} is {kind}", expected="a vector or matrix of real numbers")
+    # Dimensions of one, as of a signal of 6 x 1 x N, are left out.
+    matrix = (value if value.ndim == 2 else np.squeeze(value)).astype(np.float64)
+    matrix = matrix if matrix.ndim == 2 else matrix.reshape(-1, 1)
+    if match["rows"] is None:
+        return matrix, False
+    by_column = match["rows"] == ":"
+    if by_column == (match["columns"] == ":"):
+        place.refuse(text=f"variable {name!r}", expected="(:,k) for columns or (k,:) for rows")
+    first, _, last = match["columns" if by_column else "rows"].partition(":")
+    low, high, most = int(first), int(last or first), matrix.shape[1 if by_column else 0]
+    if not 1 <= low <= high <= most:
+        place.refuse(text=f"variable {name!r}: the matrix is {_size(matrix)}", expected=f"1 to {most}")
+    return matrix[:, low - 1 : high] if by_column else matrix[low - 1 : high].T, True
+
+
+def _size(part: Array) -> str:
+    return " x ".join(str(size) for size in part.shape)
+
+
+def _present(data: bytes) -> str:
+    """Names of a file's variables of numbers and of structs' fields, for an error."""
+    try:
+        variables = _load(data)
+    except Exception:  # scipy cannot skip objects of MATLAB classes
+        return "the file's variables (they cannot be listed, because one of them is an object)"
+    names: list[str] = []
+    waiting = [(k, v) for k, v in variables.items() if not k.startswith("__") and k != "None"]  # objects have no name
+    while waiting:
+        name, value = waiting.pop(0)
+        if isinstance(value, np.ndarray) and value.dtype.names and value.size == 1:
+            waiting = [(f"{name}.{field}", value[field].flat[0]) for field in value.dtype.names] + waiting
+        else:
+            names.append(name)
+    return listed(names)
