@@ -66,7 +66,7 @@ def with_limits(position: str = "[-150, 150]", following: float = 90.0) -> str:
 def outcome_of(tmp_path, where, text) -> str:
     session = run(tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap", where, text=text)
     assert session.drives.all_disabled
-    assert session.outcome.all_disabled
+    assert not session.outcome.unconfirmed
     assert session.outcome.fault is (session.outcome.reason != "finished")
     return session.outcome.reason
 
@@ -282,7 +282,7 @@ def test_a_late_sync_in_motion(tmp_path, extra, for_s, fault):
     session = dry_session(tmp_path / "a.mcap", REST, robot=robot, through=stalling(170, for_s))
     assert session.outcome.fault is fault
     assert session.drives.all_disabled
-    assert session.outcome.all_disabled
+    assert not session.outcome.unconfirmed
     frames = session.recording.frames["test"]
     steps_s = np.diff(frames["time_ns"][frames["can_id"] == 0x80]) * 1e-9
     assert for_s - 0.003 < steps_s.max() < for_s + 0.006  # the gap stands in the recording
@@ -345,7 +345,7 @@ def test_ctrl_c_again_is_a_quick_stop(tmp_path):
     session = dry_session(tmp_path / "a.mcap", Task(reference=np.zeros((1001, 2))), through=Impatient, stop=stop)
     assert session.outcome.fault
     assert session.outcome.reason == "stopped by SIGINT, then again: quick stop"
-    assert session.outcome.all_disabled
+    assert not session.outcome.unconfirmed
     assert session.drives.all_disabled
 
 

@@ -28,7 +28,7 @@ TRACK = Task(reference=swing(2))
 def test_a_reference_is_tracked_and_recorded(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK)
     assert session.outcome is not None
-    assert (session.outcome.reason, session.outcome.fault, session.outcome.all_disabled) == ("finished", False, True)
+    assert (session.outcome.reason, session.outcome.fault, session.outcome.alarm) == ("finished", False, "")
     assert session.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert session.events("phase") == ["configure", "enable", "approach", "track", "stop", "disable"]
     assert session.events("end") == ["finished"]
@@ -86,7 +86,7 @@ def test_a_fault_stops_all_joints_and_disables_every_drive(tmp_path, fault, reas
     assert session.drives.all_disabled
     assert session.events("fault") == [session.outcome.reason]
     silent = fault.kind == "silent"
-    assert session.outcome.all_disabled is not silent
+    assert bool(session.outcome.unconfirmed) is silent
     assert session.events("not disabled" if silent else "disabled")
     assert session.recording.cut is False
     assert session.recorded.samples > 0
@@ -131,7 +131,7 @@ def test_a_bus_that_takes_no_frames(tmp_path, through):
     assert "transmit buffer full" in session.outcome.reason
     # Where no command gets through any more, drives go into fault by themselves: SYNC has ended.
     assert session.drives.all_disabled
-    assert session.outcome.all_disabled is (through is ShortlyDeadBus)
+    assert (not session.outcome.unconfirmed) is (through is ShortlyDeadBus)
     assert session.events("fault") == [session.outcome.reason]
 
 
@@ -399,7 +399,7 @@ def test_a_sync_that_ends_stops_motion(tmp_path):
     session = dry_session(tmp_path / "a.mcap", task, robot=robot, through=SyncOfAnother)
     assert session.outcome is not None
     assert "no SYNC in 10 periods" in session.outcome.reason  # in motion: 20 ms
-    assert session.outcome.all_disabled
+    assert not session.outcome.unconfirmed
     assert session.drives.all_disabled
 
 

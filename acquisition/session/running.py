@@ -31,8 +31,7 @@ from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
-from .session import run_active
-from .task import Outcome, Stop, Task
+from .session import Outcome, Stop, Task, run_active
 from .timing import refuse_jitter, steady
 
 STOPPED = "stopped by"
@@ -54,20 +53,15 @@ class RecordOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class Operator:
-    """Whoever runs a session: how they stop it, what they are shown and asked.
+    """Whoever runs a session: how they stop it, what they are shown and asked. By default nothing moves.
 
-    Attributes:
-        stop: set by the operator (Ctrl-C) to end the session.
-        confirm: shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
-            Default: nothing moves.
-        show: called twice a second with the recorder's status and the seconds left.
-        announce: called with the outcome as soon as it is known.
+    `confirm` shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
     """
 
     stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda words, faults: False
-    show: ShowStatus = lambda status, left_s: None
-    announce: Callable[[Outcome], None] = lambda outcome: None
+    show: ShowStatus = lambda status, left_s: None  # called twice a second
+    announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
 
 
 def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator: Operator) -> tuple[Outcome, Recorded]:
@@ -90,12 +84,12 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
     with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
         link, log = ends
         started_ns = link.now_ns()
-        watched = _StatusLog(log, operator.show, lambda now_ns: _left(task, bus, now_ns - started_ns))
+        log.on_status = lambda status, now_ns: operator.show(status, _left(task, bus, now_ns - started_ns))
         with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
                 log.granted(granted.counters)
-            outcome = run_active(robot, Master(link, bus), watched, task, operator.stop, operator.announce)
+            outcome = run_active(robot, Master(link, bus), log, task, operator.stop, operator.announce)
         try:
             return outcome, log.finish(link.now_ns())
         except AcquisitionError as error:
@@ -193,21 +187,6 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
         return Outcome(reason=reason, fault=False), log.finish(clock.now_ns())
     finally:
         log.close()
-
-
-class _StatusLog:
-    """A log that also shows each status of the recorder."""
-
-    def __init__(self, log: InlineLog | ProcessLog, show: ShowStatus, left: Callable[[int], float | None]) -> None:
-        self._log, self._show, self._left = log, show, left
-        self.event, self.alive, self.ended = log.event, log.alive, log.ended
-
-    def poll(self, stamp_ns: int) -> Status | None:
-        """As the log."""
-        status = self._log.poll(stamp_ns)
-        if status is not None:
-            self._show(status, self._left(stamp_ns))
-        return status
 
 
 def _left(task: Task, bus: Bus, elapsed_ns: int) -> float | None:

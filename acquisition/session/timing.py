@@ -108,12 +108,15 @@ def steady() -> Iterator[Scheduling]:
     collected = gc.isenabled()
     gc.collect()
     gc.disable()
-    granted = Scheduling(fifo=_fifo(), locked=_lock_memory())
+    # With a limit of locked memory, allocations beyond it would fail in the middle of a session.
+    unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    libc = ctypes.CDLL(None, use_errno=True)
+    granted = Scheduling(fifo=_fifo(), locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0)
     try:
         yield granted
     finally:
         if granted.locked:
-            _libc().munlockall()
+            libc.munlockall()
         if granted.fifo:
             with suppress(OSError):
                 os.sched_setscheduler(0, policy, parameter)
@@ -130,31 +133,14 @@ def _fifo() -> bool:
     return True
 
 
-def _lock_memory() -> bool:
-    """Lock all memory if there is no limit: with one, allocations beyond it would fail in the middle of a session."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    return soft == resource.RLIM_INFINITY and _libc().mlockall(MCL_CURRENT | MCL_FUTURE) == 0
-
-
-def _libc() -> ctypes.CDLL:
-    return ctypes.CDLL(None, use_errno=True)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Intervals between SYNCs.
-
-    Attributes:
-        sd_s: standard deviation.
-        worst_s: largest deviation from the period.
-        off: share of intervals that deviate by more than half a period, 0 to 1.
-        largest_s: largest delay of SYNC that is accepted in motion.
-    """
+    """Intervals between SYNCs."""
 
     sd_s: float
-    worst_s: float
-    off: float
-    largest_s: float
+    worst_s: float  # largest deviation from the period
+    off: float  # share of intervals that deviate by more than half a period, 0 to 1
+    largest_s: float  # largest delay of SYNC that is accepted in motion
 
     @property
     def fit_for_motion(self) -> bool:
