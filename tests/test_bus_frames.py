@@ -89,7 +89,7 @@ class KernelSocket:
 def received(messages):
     receivers: list[Receiver] = []
     sock = KernelSocket(messages, lambda: receivers[0])
-    receivers.append(Receiver(None, raw_socket=sock))
+    receivers.append(Receiver(SimpleNamespace(socket=sock)))
     receivers[0].run()
     assert receivers[0].error is None
     return receivers[0]
@@ -119,7 +119,7 @@ def test_a_socket_that_fails_is_told():
 
     sock = KernelSocket([], lambda: None)
     sock.recvmsg = raise_
-    receiver = Receiver(None, raw_socket=sock)
+    receiver = Receiver(SimpleNamespace(socket=sock))
     receiver.run()
     assert receiver.error == "[Errno 19] No such device"
 
@@ -259,7 +259,8 @@ def test_simulated_time_stands_still_while_anybody_speaks():
             return True
         return False
 
-    link = LockStepLink(fake, others, lambda: acts[0] if acts else None, passive=False, tap=tapped.append, start_ns=0)
+    link = LockStepLink(fake, others, lambda: acts[0] if acts else None, tapped.append)
+    link._time_ns = 0
     times = []
     while frame := link.receive(20):
         times.append((frame.can_id, frame.time_ns))

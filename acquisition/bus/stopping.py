@@ -138,10 +138,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
 
 
 def stop_drives(bus: Bus) -> list[int]:
-    """Open the bus, stop and disable every drive (`safe_stop`), then set every node to PRE-OPERATIONAL.
-
-    Returns the node ids of the drives that did not confirm that they are disabled.
-    """
+    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not confirm to be disabled."""
     link = open_link(bus.file, passive=False)
     try:
         master = Master(link, bus)

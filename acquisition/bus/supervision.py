@@ -62,10 +62,7 @@ class MasterHeartbeat:
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to 1016h of every drive, and send heartbeats with SYNC from now on; they start the supervision.
-
-        Returns a line, with the reason, for each drive that does not supervise this master.
-        """
+        """Write this master to 1016h of every drive, and beat at SYNC; a line for each drive that does not supervise it."""
         refused = []
         for drive in self._master.bus.drives:
             node, entry = drive.node, entry_of(self._file)

@@ -95,10 +95,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way from `state` to `goal`; None: already there, or the drive needs no command.
-
-    Raises `AcquisitionError` when no way leads there.
-    """
+    """First command on the shortest way to `goal`, None where none is needed. Raises `AcquisitionError`: none leads there."""
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:

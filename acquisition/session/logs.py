@@ -25,14 +25,11 @@ SILENT_S = 5.0  # without a status for so long the disk is taken to hang
 _ENDED = "the recorder has ended: expected it to go on until the session ends"
 
 
-OnStatus = Callable[[Status, int], None]
+OnStatus = Callable[[Status, int], None]  # called with each status, and the time
 
 
 class InlineLog:
-    """A recorder in the session's own process, for simulated time: `tap` takes the link's frames.
-
-    `on_status` is called with each status, and the time.
-    """
+    """A recorder in the session's own process, for simulated time: `tap` takes the link's frames."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self._frames = recorder, list[Frame]()

@@ -76,15 +76,12 @@ class SignsOfLife:
 
 
 class DeadMan:
-    """The recorder's end: a thread that waits for signs of life, and acts when they stop.
-
-    `events` are (kind, text) for the recording; `reason` says why it acted, None while it has not.
-    """
+    """The recorder's end: a thread that waits for signs of life, and acts when they stop."""
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
         self._connection, self._bus = connection, bus
-        self.events = deque[tuple[int, str, str]]()
-        self.reason: str | None = None
+        self.events = deque[tuple[int, str, str]]()  # stamp, kind and text for the recording
+        self.reason: str | None = None  # why it acted
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 

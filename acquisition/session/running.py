@@ -74,17 +74,27 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
     if robot.bus is None:
         expected = "a [bus] section with one drive per motor"
         raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
-    task = _task_of(robot, place, options, operator)
-    if options.passive and any(drive.mapping == "traffic" for drive in robot.bus.drive):
-        return _listen(robot, place, out, task, operator)
-    bus = resolve(robot, place)  # refuses what it can before anything is opened
-    if options.passive:
+    by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
+    if options.passive and (options.track is not None or options.dry_run):
+        raise AcquisitionError("sends nothing", place="--passive", expected="it without --track and --dry-run")
+    if by_traffic and not options.passive:
+        expected = "'table' or 'dictionary' in an active session"
+        raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
+    task = _task_of(robot, robot.bus.sync_period_s, options, operator)
+    bus = None if by_traffic else resolve(robot, place)  # refuses what it can before anything is opened
+    if bus is None or options.passive:
         return _listen(robot, place, out, task, operator)
     refuse_load(bus, place)
     with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
         link, log = ends
         started_ns = link.now_ns()
-        log.on_status = lambda status, now_ns: operator.show(status, _left(task, bus, now_ns - started_ns))
+        whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
+
+        def show(status: Status, now_ns: int) -> None:
+            left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
+            operator.show(status, left_s)
+
+        log.on_status = show
         with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
             if granted is not None and isinstance(log, ProcessLog):
                 log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
@@ -96,15 +106,8 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
             raise outcome.error or error from error  # the first error may be the cause of the second
 
 
-def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operator) -> Task:
+def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Operator) -> Task:
     """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
-    assert robot.bus is not None
-    by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
-    if options.passive and (options.track is not None or options.dry_run):
-        raise AcquisitionError("sends nothing", place="--passive", expected="it without --track and --dry-run")
-    if by_traffic and not options.passive:
-        expected = "'table' or 'dictionary' in an active session"
-        raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
     if options.track is not None and options.duration_s is not None:
         raise AcquisitionError("lasts as long as its reference", place="--track", expected="it without --duration")
     if options.track is None and options.speed != 1.0:
@@ -113,8 +116,8 @@ def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operato
         raise AcquisitionError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
         return Task(duration_s=options.duration_s)
-    reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
-    check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))
+    reference = table_reference(options.track, robot, period_s, options.speed)
+    check_limits(reference, robot, period_s, str(options.track))
     task = Task(reference=reference, place=str(options.track))
     if options.dry_run:
         return task
@@ -189,12 +192,6 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
         log.close()
 
 
-def _left(task: Task, bus: Bus, elapsed_ns: int) -> float | None:
-    """Seconds left of the task, None where it has no end."""
-    whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
-    return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
-
-
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
     """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them asks for a quick stop."""
@@ -219,23 +216,11 @@ WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this compu
 def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
     """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
-    Parameters
-    ----------
-    path : the recording.
-    file : the bus to send on: interface and channel.
-    stop : ends the replay when it has a reason.
-    speed : times as fast as recorded, more than 0.
-    onto_bus : allows interfaces that hardware may be connected to.
+    Commands are never sent. `file` is the bus to send on, `speed` is in times of the recorded one, and `onto_bus` allows
+    interfaces that hardware may be connected to. Returns the number of frames sent.
 
-    Returns
-    -------
-    The number of frames sent.
-
-    Raises
-    ------
-    AcquisitionError
-        `speed` or the interface is refused, the recording holds no frames of drives, any frame of another node is received
-        before or between those that are sent, or the bus takes no frames.
+    Raises `AcquisitionError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
+    node is received before or between those that are sent, or the bus takes no frames.
     """
     if not speed > 0:
         raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
@@ -247,7 +232,7 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
     since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
-    due_s = np.maximum.accumulate(since_s) if len(frames) else since_s
+    due_s = np.maximum.accumulate(since_s)
     link = open_link(file, passive=False)
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 

@@ -17,9 +17,9 @@ from ..bus import (
     error_report,
     joints_of,
     leave_operational,
+    listen_for_others,
     not_disabled,
     refuse_enabled,
-    refuse_other_master,
     refuse_slow_ramps,
     safe_stop,
     send_orders,
@@ -149,7 +149,8 @@ class _Session:
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
             check_carriers(self._bus)
         self._note("phase", "configure")
-        refuse_other_master(self._master)
+        if (refusal := listen_for_others(self._master)) is not None:
+            raise refusal
         # Only reads: a drive that another program has enabled stays as it is.
         self._in_fault = refuse_enabled(self._master)
         self._note("mark", *(f"node {node}: found in fault" for node in self._in_fault))

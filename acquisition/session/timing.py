@@ -99,11 +99,7 @@ class Scheduling:
 
 @contextmanager
 def steady() -> Iterator[Scheduling]:
-    """Real-time scheduling of this thread inside the block; everything is restored after it.
-
-    SCHED_FIFO with SCHED_RESET_ON_FORK (new child processes do not inherit it) where permitted, mlockall(2) where the limit
-    of locked memory is unlimited, and no garbage collection. Yields what was granted.
-    """
+    """Real-time scheduling, locked memory, no garbage collection inside the block where permitted; yields what was granted."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
     gc.collect()
@@ -127,6 +123,7 @@ def steady() -> Iterator[Scheduling]:
 
 def _fifo() -> bool:
     try:
+        # New child processes do not inherit it.
         os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
     except OSError:
         return False

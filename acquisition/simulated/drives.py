@@ -104,13 +104,10 @@ class SimulatedDrives:
         """The frames that the drives send upon a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
-        sent: Sent = []
         if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
             for supervision in self._supervisions:
                 supervision.heartbeat(now_ns, can_id - HEARTBEAT)
-        for node in self.nodes:
-            sent += node.receive(can_id, data)
-        return sent
+        return [frame for node in self.nodes for frame in node.receive(can_id, data)]
 
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
@@ -209,8 +206,7 @@ class SimulatedDrives:
         """Targets (n,) of the motors from 607Ah; the present position where a drive is not enabled or not in that mode."""
         target = position.copy()
         for i, node in enumerate(self.nodes):
-            in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
-            if enabled[i] and in_csp:
+            if enabled[i] and node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION:
                 target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
         return target
 
@@ -274,17 +270,16 @@ def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
     own = open_bus(file, passive=False)
 
     def others(now_ns: int) -> bool:
-        frame = other_end.take(0)
-        sent = [] if frame is None else drives.receive(now_ns, frame.can_id, frame.data)
-        if frame is None:
-            due = drives.due_ns()
-            if due is not None and due <= now_ns:
-                sent = drives.advance(now_ns)
+        frame, sent = other_end.take(0), []
+        if frame is not None:
+            sent = drives.receive(now_ns, frame.can_id, frame.data)
+        elif (due := drives.due_ns()) is not None and due <= now_ns:
+            sent = drives.advance(now_ns)
         for can_id, data in sent:
             other_end.send(can_id, data)
         return frame is not None or bool(sent)
 
-    link = LockStepLink(own, others, drives.due_ns, passive=False, tap=tap)
+    link = LockStepLink(own, others, drives.due_ns, tap)
     for can_id, data in drives.boot():
         other_end.send(can_id, data)
     return DryRun(link=link, drives=drives, other_end=other_end)
