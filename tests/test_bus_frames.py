@@ -62,10 +62,11 @@ MESSAGES = [
 ]  # fmt: skip
 
 
-class KernelSocket:
+class KernelSocket(socket.socket):
     """What `recvmsg` gives, then nothing more; it is told to stop after the first message."""
 
     def __init__(self, messages, receiver_of) -> None:
+        super().__init__()
         self.messages, self.receiver_of, self.options = list(messages), receiver_of, []
 
     def setblocking(self, flag: bool) -> None:

@@ -19,11 +19,11 @@ _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)),
 
 _TIMESPEC_BYTES = 16
 
-DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
-
 
 class Receiver:
     """Takes frames off a bus and only appends them: `run` in a thread, `take` what came since in another."""
+
+    DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
 
     def __init__(self, bus: Any) -> None:
         self._bus, self._items = bus, deque[Any]()
@@ -52,7 +52,7 @@ class Receiver:
                 self._items.append(receive(72, size)[:3])
             except (BlockingIOError, InterruptedError):
                 continue
-        until_s = time.monotonic() + DRAIN_S
+        until_s = time.monotonic() + self.DRAIN_S
         with suppress(BlockingIOError):  # the queue is empty
             while time.monotonic() < until_s:
                 self._items.append(receive(72, size, socket.MSG_DONTWAIT)[:3])
@@ -63,7 +63,7 @@ class Receiver:
         until_s = None
         while until_s is None or time.monotonic() < until_s:
             if self.stopped and until_s is None:
-                until_s = time.monotonic() + DRAIN_S
+                until_s = time.monotonic() + self.DRAIN_S
             try:
                 message = self._bus.recv(0.1 if until_s is None else 0.0)
             except can.CanOperationError as error:

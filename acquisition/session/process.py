@@ -20,17 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Ints
-from ..bus import (
-    DRAIN_S,
-    Receiver,
-    WallClock,
-    command_ids,
-    describe_step,
-    kernel_drops,
-    not_disabled,
-    open_bus,
-    stop_drives,
-)
+from ..bus import Receiver, WallClock, command_ids, describe_step, kernel_drops, not_disabled, open_bus, stop_drives
 from ..errors import AcquisitionError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
@@ -91,8 +81,7 @@ class DeadMan:
         return self._thread.is_alive()
 
     def _run(self) -> None:
-        reason = self._why()
-        if reason is not None:
+        if (reason := self._why()) is not None:
             self._act(reason)
 
     def _why(self) -> str | None:
@@ -234,7 +223,7 @@ def _record(
             if stop_ns is not None:
                 receiver.stopped = True
                 assert thread is not None
-                thread.join(2 * DRAIN_S)
+                thread.join(2 * Receiver.DRAIN_S)
             block = receiver.take()
             _note_step(recorder, clock)
             block["time_ns"] = clock.continued(block["time_ns"])

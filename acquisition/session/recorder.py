@@ -1,23 +1,14 @@
 """Frames of a session into a recording: flushed every half second, watched over, decoded at the end."""
 
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..recording import (
-    FRAME,
-    NO_SAMPLES,
-    Block,
-    Decoded,
-    Header,
-    RecordingWriter,
-    decode,
-    read_recording,
-    written_by_master,
-)
+from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, decode, read_recording, written_by_master
 from ..robot import Bus, Robot, resolve
 
 FLUSH_S = 0.5
@@ -117,8 +108,10 @@ class Recorder:
     def _summed_up(self, recent: Block, elapsed_s: float, drops: int) -> Status:
         was = self._status
         low, high, counted = was.lowest, was.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
-        decoded = self._decoded(recent)
-        if decoded is not None:
+        with suppress(AcquisitionError):  # while there is no SYNC, or no drive answers
+            if self._bus is None:
+                self._bus = resolve(self._robot, self._place, written_by_master(recent))
+            decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), was.lowest or np.inf).tolist())
             high = tuple(np.maximum(q.max(axis=0), was.highest or -np.inf).tolist())
@@ -132,15 +125,6 @@ class Recorder:
             disk_full=shutil.disk_usage(self._path.parent).free < SMALLEST_FREE_BYTES,
             **{word: getattr(was, word) + count for word, count in counted.items()},
         )
-
-    def _decoded(self, frames: Block) -> Decoded | None:
-        """Samples of a piece, for the live line only: None while there is no SYNC, or no drive answers."""
-        try:
-            if self._bus is None:
-                self._bus = resolve(self._robot, self._place, written_by_master(frames))
-            return decode(frames, self._robot, self._bus, self._place, max_missing=1.0)
-        except AcquisitionError:
-            return None
 
     def finish(self, stamp_ns: int) -> Recorded:
         """Decode what was recorded, write the samples after the frames, and end the file."""

@@ -107,7 +107,11 @@ def steady() -> Iterator[Scheduling]:
     # With a limit of locked memory, allocations beyond it would fail in the middle of a session.
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     libc = ctypes.CDLL(None, use_errno=True)
-    granted = Scheduling(fifo=_fifo(), locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0)
+    fifo = False
+    with suppress(OSError):  # not permitted; RESET_ON_FORK: new child processes do not inherit it
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+        fifo = True
+    granted = Scheduling(fifo=fifo, locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0)
     try:
         yield granted
     finally:
@@ -119,15 +123,6 @@ def steady() -> Iterator[Scheduling]:
         if collected:
             gc.enable()
             gc.collect()
-
-
-def _fifo() -> bool:
-    try:
-        # New child processes do not inherit it.
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
-    except OSError:
-        return False
-    return True
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,12 +149,10 @@ def sync_jitter(master: Master) -> Jitter:
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(JITTER_SYNCS, max(FEWEST_SYNCS, round(JITTER_S * 1e9 / period_ns)))
     if file.sync_producer == "recorder":
-        times = []
-        next_ns = link.now_ns() + period_ns
-        for _ in range(count):
-            master.wait(next_ns)
+        times, begin_ns = [], link.now_ns()
+        for k in range(count):
+            master.wait(begin_ns + (k + 1) * period_ns)
             times.append(link.now_ns())
-            next_ns += period_ns
     else:
         first = len(master.sync_times)
         for _ in range(count):
