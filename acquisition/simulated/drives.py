@@ -17,7 +17,6 @@ from ..arrays import Array
 from ..bus import Link, LockStepLink, Tap, open_bus, open_link
 from ..errors import AcquisitionError
 from ..protocol import (
-    DISABLED,
     HEARTBEAT,
     HEARTBEAT_TIME,
     MODE_DISPLAY,
@@ -82,11 +81,6 @@ class SimulatedDrives:
     def states(self) -> list[State]:
         """State of each drive."""
         return [node.state for node in self.nodes]
-
-    @property
-    def all_disabled(self) -> bool:
-        """Whether every drive is in a state without torque."""
-        return all(state in DISABLED for state in self.states)
 
     def set_heartbeats(self, every_ms: int) -> None:
         """From their next boot on, drives whose dictionaries have a heartbeat time (1017h) of 0 send one every `every_ms`."""
