@@ -84,7 +84,6 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
             node.values[0x6085, 0] = node.initial[0x6085, 0] = round(share * COUNTS)
         run = dry_run(drives)
         (found,) = [f for f in look(run.link, bus_of(ROBOT)) if f.subject == "quick stop" and f.node == 2]
-        run.close()
         assert found.ok == ok
         words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
         assert found.found.startswith(f"quick stop ramp {words}")

@@ -99,7 +99,6 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     findings = look(run.link, bus_of(robot))
     assert [f.ok for f in findings if f.subject == "state"] == [False, False]
-    run.close()
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
@@ -175,7 +174,6 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
     assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
     assert "robot.toml: 65536 counts per turn" in found["scale"]
-    run.close()
 
 
 class Asked:

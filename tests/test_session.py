@@ -320,7 +320,6 @@ def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp
     with pytest.raises(AcquisitionError, match=re.escape(expected)):
         session.prepare()
     assert not any(node.operational for node in run.drives.nodes)
-    run.close()
 
 
 class _NoLog:
@@ -457,7 +456,6 @@ def test_a_statusword_from_before_start_counts_for_nothing():
     assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
     master.start()
     assert (master.nodes[0].state, master.nodes[0].counts) == (None, None)
-    run.close()
 
 
 def test_a_mode_in_the_pdo_stays_the_mode(tmp_path):

@@ -1,4 +1,4 @@
-"""A bus as frames and times: opened as the description says, in real time or in lock-step; a passive link never sends.
+"""A bus as frames and times: opened as the description says; a passive link never sends.
 
 Network interfaces stay on this machine unless the description says otherwise.
 """
@@ -8,7 +8,6 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -190,51 +189,6 @@ class Link:
 
         with suppress(can.CanError, OSError):
             self._bus.shutdown()
-
-
-class LockStepLink(Link):
-    """A link in simulated time on an in-process bus: time advances only when all participants have sent their frames.
-
-    `others(now_ns)` lets the other participants act and returns whether they did; `due_ns()` is when they act by themselves.
-    """
-
-    def __init__(
-        self,
-        bus: Any,
-        others: Callable[[int], bool],
-        due_ns: Callable[[], int | None],
-        tap: Tap | None = None,
-    ) -> None:
-        super().__init__(bus, passive=False, tap=tap)
-        self._others, self._due_ns, self._time_ns = others, due_ns, 1_000_000_000
-
-    def now_ns(self) -> int:
-        """Simulated time."""
-        return self._time_ns
-
-    def receive(self, until_ns: int) -> Frame | None:
-        """As `Link.receive`; simulated time advances only when no participant has a frame to send."""
-        while True:
-            frame = self.take(0)
-            if frame is not None:
-                return frame
-            if self._others(self._time_ns):
-                continue
-            due = self._due_ns()
-            if self._time_ns >= until_ns:
-                return None
-            self._time_ns = until_ns if due is None else max(min(until_ns, due), self._time_ns + 1)
-
-    def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the simulated time."""
-        tap, self._tap = self._tap, None
-        frame = super().take(0)
-        self._tap = tap
-        if frame is not None:
-            frame = frame._replace(time_ns=self._time_ns)
-            if tap is not None:
-                tap(frame)
-        return frame
 
 
 def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:

@@ -130,7 +130,8 @@ def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[
     mechanism = mechanism_of(robot, bus)
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
-    with closing(log), closing(dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)) as run:
+    with closing(log):
+        run = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
             log.event(run.link.now_ns(), "warning", f"dry run: {mechanism.warning}")
         yield run.link, log

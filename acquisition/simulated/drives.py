@@ -4,17 +4,16 @@ At SYNC a drive samples, answers, and applies the targets received since the las
 period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
 """
 
-import itertools
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bus import Link, LockStepLink, Tap, open_bus, open_link
+from ..bus import Frame, Link, Tap, open_link
 from ..errors import AcquisitionError
 from ..protocol import (
     HEARTBEAT,
@@ -30,6 +29,7 @@ from ..protocol import (
     quick_stop_ramp,
     saturated,
 )
+from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, Mechanism, cubic, mechanism_of
 from .node import Sent, SimulatedNode, Supervision, simulated_node
@@ -236,47 +236,60 @@ def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
 
 
 IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them
-_NUMBERS = itertools.count()
+
+
+class LockStepLink(Link):
+    """A link to simulated drives in simulated time, which advances only when nobody has a frame to send or take."""
+
+    def __init__(self, drives: SimulatedDrives, tap: Tap | None) -> None:
+        self._drives, self._tap, self._time_ns = drives, tap, 1_000_000_000
+        self._to_drives, self._from_drives = deque[tuple[int, bytes]](), deque(drives.boot())
+
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self._time_ns
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame to the drives."""
+        self._to_drives.append((can_id, data))
+        if self._tap is not None:
+            self._tap(Frame(self._time_ns, can_id, data, SENT))
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """As `Link.receive`."""
+        while not self._from_drives:
+            due_ns = self._drives.due_ns()
+            if self._to_drives:
+                self._from_drives += self._drives.receive(self._time_ns, *self._to_drives.popleft())
+                continue
+            if due_ns is not None and due_ns <= self._time_ns:
+                self._from_drives += self._drives.advance(self._time_ns)
+                if self._from_drives:
+                    break
+                due_ns = self._drives.due_ns()
+            if self._time_ns >= until_ns:
+                return None
+            self._time_ns = until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
+        frame = Frame(self._time_ns, *self._from_drives.popleft())
+        if self._tap is not None:
+            self._tap(frame)
+        return frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DryRun:
-    """The link of a session in simulated time, and the drives at the other end of the bus; `close` closes both ends."""
+    """The link of a session in simulated time, and the drives at the other end."""
 
     link: LockStepLink
     drives: SimulatedDrives
-    other_end: Link
-
-    def close(self) -> None:
-        """Close both ends of the bus."""
-        self.link.close()
-        self.other_end.close()
 
 
 def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
-    """Put simulated drives, not booted yet, on an in-process `virtual` bus, in lock-step with the link of a session.
+    """Boot simulated drives, in lock-step with the link of a session; every run with the same drives gives the same frames.
 
-    Time is simulated: it advances only when the link waits, and every run with the same drives gives the same frames. `tap`
-    is called with every frame that the session's link sends or receives.
+    Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
     """
-    file = msgspec.structs.replace(drives.bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
-    other_end = Link(open_bus(file, passive=False), passive=False)
-    own = open_bus(file, passive=False)
-
-    def others(now_ns: int) -> bool:
-        frame, sent = other_end.take(0), []
-        if frame is not None:
-            sent = drives.receive(now_ns, frame.can_id, frame.data)
-        elif (due := drives.due_ns()) is not None and due <= now_ns:
-            sent = drives.advance(now_ns)
-        for can_id, data in sent:
-            other_end.send(can_id, data)
-        return frame is not None or bool(sent)
-
-    link = LockStepLink(own, others, drives.due_ns, tap)
-    for can_id, data in drives.boot():
-        other_end.send(can_id, data)
-    return DryRun(link=link, drives=drives, other_end=other_end)
+    return DryRun(link=LockStepLink(drives, tap), drives=drives)
 
 
 def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:
