@@ -117,7 +117,6 @@ def dry_session(
     while run.link.receive(until_ns):
         pass
     recorded = log.finish(run.link.now_ns())
-    run.close()
     return DrySession(
         outcome=outcome,
         raised=raised,

@@ -35,14 +35,13 @@ def drives_of(text: str, **values: int) -> tuple[object, Master]:
 
 def test_joint_positions_in_words_by_hand():
     """65536 counts a turn and a ratio of 50: 409600 counts of node 1 are 6.25 turns of the motor, 45 degrees."""
-    run, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
+    _, master = drives_of(bus_text(2), node_1=409_600, node_2=-819_200)
     shown: list[list[str]] = []
     robot = robot_of(bus_text(2))
     words = confirm_motion(robot, master, lambda words, faults: not shown.append(words))
     assert words == shown[0] == ["joint_1 = 45.00 deg", "joint_2 = -90.00 deg"]
     with pytest.raises(AcquisitionError, match=r"joint angles not confirmed \(joint_1 = 45.00 deg, joint_2"):
         confirm_motion(robot, master, lambda words, faults: False)
-    run.close()
 
 
 def faulted(node: int = 2) -> tuple[object, Master]:
@@ -54,7 +53,7 @@ def faulted(node: int = 2) -> tuple[object, Master]:
 
 
 def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
-    robot, (run, master) = robot_of(bus_text(2)), faulted()
+    robot, (_, master) = robot_of(bus_text(2)), faulted()
     shown: list[list[str]] = []
     with pytest.raises(AcquisitionError) as caught:
         confirm_motion(robot, master, lambda *asked: bool(shown.extend(asked)))
@@ -68,7 +67,6 @@ def test_a_reset_of_faults_is_asked_together_with_the_joint_angles():
     assert "--reset-faults" in caught.value.expected
     assert confirm_motion(robot, master, lambda words, faults: True) == words + faults
     assert confirm_motion(robot, master, lambda words, faults: not faults, reset_faults=True) == words + faults
-    run.close()
 
 
 @pytest.mark.parametrize(
@@ -124,7 +122,6 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
     lacks = [f for f in look(run.link, master.bus) if not f.ok]
     assert [(f.subject, f.node, f.track) for f in lacks] == ([("supervision", 2, True)] if refused else [])
     assert refusal(lacks) == ("no go for --track: supervision of node 2" if refused else "")
-    run.close()
 
 
 def test_a_joint_that_slides_is_told_in_metres():
@@ -147,7 +144,6 @@ def test_a_drive_that_is_not_homed_moves_nothing(name):
     error = caught.value
     assert (error.place, error.key, error.value) == ("node 2 (motor_2)", "homed", robot.bus.drive[1].homed)
     assert error.expected == "a homed drive before motion"
-    run.close()
 
 
 @pytest.mark.parametrize("name", ["6041.32", "604", "6041.", "6041.8.1"])
@@ -261,7 +257,6 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
         found = refuse_jitter(master)
         assert (found.sd_s, found.worst_s) == (pytest.approx(0.004, rel=1e-3), pytest.approx(0.004))
         assert found.off == 1.0
-    run.close()
 
 
 def test_jitter_of_another_producer_that_sends_no_sync():
@@ -272,7 +267,6 @@ def test_jitter_of_another_producer_that_sends_no_sync():
         refuse_jitter(Master(run.link, bus_of(robot)))
     assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
     assert run.link.now_ns() - before_ns == 50 * 2_000_000
-    run.close()
 
 
 def test_the_largest_delay():

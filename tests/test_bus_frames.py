@@ -11,7 +11,6 @@ import pytest
 from acquisition.bus import (
     Frame,
     Link,
-    LockStepLink,
     Receiver,
     WallClock,
     block_of,
@@ -25,6 +24,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
 from acquisition.recording.rows import check_frames
 from acquisition.robot import BusFile, DriveFile
+from acquisition.simulated import dry_run
 
 
 def test_a_row_byte_for_byte():
@@ -62,10 +62,11 @@ MESSAGES = [
 ]  # fmt: skip
 
 
-class KernelSocket:
+class KernelSocket(socket.socket):
     """What `recvmsg` gives, then nothing more; it is told to stop after the first message."""
 
     def __init__(self, messages, receiver_of) -> None:
+        super().__init__()
         self.messages, self.receiver_of, self.options = list(messages), receiver_of, []
 
     def setblocking(self, flag: bool) -> None:
@@ -89,7 +90,7 @@ class KernelSocket:
 def received(messages):
     receivers: list[Receiver] = []
     sock = KernelSocket(messages, lambda: receivers[0])
-    receivers.append(Receiver(None, raw_socket=sock))
+    receivers.append(Receiver(SimpleNamespace(socket=sock)))
     receivers[0].run()
     assert receivers[0].error is None
     return receivers[0]
@@ -119,7 +120,7 @@ def test_a_socket_that_fails_is_told():
 
     sock = KernelSocket([], lambda: None)
     sock.recvmsg = raise_
-    receiver = Receiver(None, raw_socket=sock)
+    receiver = Receiver(SimpleNamespace(socket=sock))
     receiver.run()
     assert receiver.error == "[Errno 19] No such device"
 
@@ -250,16 +251,15 @@ def test_a_bus_that_gives_nothing_back_loses_nothing():
 
 def test_simulated_time_stands_still_while_anybody_speaks():
     """Others act at 5 ns of their own accord, three times; a frame has the time at which it comes."""
-    acts, fake, tapped = [5, 5, 5], FakeBus(message(0x185)), []
+    acts, tapped = [5, 5, 5], []
 
-    def others(now_ns: int) -> bool:
-        if acts and now_ns >= acts[0]:
-            acts.pop(0)
-            fake.messages.append(message(0x285))
-            return True
-        return False
+    def advance(now_ns: int) -> list[tuple[int, bytes]]:
+        assert now_ns >= acts.pop(0)
+        return [(0x285, b"")]
 
-    link = LockStepLink(fake, others, lambda: acts[0] if acts else None, passive=False, tap=tapped.append, start_ns=0)
+    others = SimpleNamespace(boot=lambda: [(0x185, b"")], due_ns=lambda: acts[0] if acts else None, advance=advance)
+    link = dry_run(others, tap=tapped.append).link
+    link._time_ns = 0
     times = []
     while frame := link.receive(20):
         times.append((frame.can_id, frame.time_ns))

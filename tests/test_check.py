@@ -11,9 +11,7 @@ from acquisition.simulated import dry_run
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(3))
-    run = dry_run(FaultyDrives(robot, bus_of(robot)))
-    yield run
-    run.close()
+    return dry_run(FaultyDrives(robot, bus_of(robot)))
 
 
 def test_drives_that_are_alike_share_a_row(run):

@@ -256,7 +256,6 @@ def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
         master.read(1, 0x6041)
     assert times == [k * 50_000_000 for k in range(6)]
     assert run.link.now_ns() - began_ns == 300_000_000
-    run.close()
 
 
 @pytest.mark.slow

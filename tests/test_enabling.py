@@ -8,7 +8,7 @@ from dry_sessions import DrySession, Through, dry_session, swing
 from faulty_drives import Fault, FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.protocol import State
+from acquisition.protocol import DISABLED, State
 from acquisition.recording import SENT
 from acquisition.session import Task
 from acquisition.simulated import SimulatedDrives
@@ -105,7 +105,7 @@ def test_motion_while_enabling_is_a_fault_beyond_its_limit(tmp_path):
     assert -0.98 * sag_deg / DEG > error.value > -1.2 * sag_deg / DEG
     assert error.expected == f"{0.98 * sag_deg / DEG:.4g} at most"
     assert str(error) == beyond.outcome.reason
-    assert beyond.drives.all_disabled
+    assert DISABLED.issuperset(beyond.drives.states)
 
 
 class Runaway(JointwisePlant):
@@ -139,7 +139,7 @@ def test_two_drives_enabled_together_that_run_away_are_stopped_before_they_have_
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=plant, through=Measured)
     assert session.outcome.error.key == "motion while drives were enabled"
     assert 1.0 < farthest[0] < 3.5
-    assert session.drives.all_disabled
+    assert DISABLED.issuperset(session.drives.states)
 
 
 @pytest.mark.parametrize(("extra", "watch_s"), [("", 0.2), ("enable_watch_s = 0.5", 0.5)])
@@ -168,7 +168,7 @@ def test_a_drive_that_falls_out_of_enabled_while_another_is_enabled_is_a_fault(t
     session = dry_session(tmp_path / "a.mcap", TRACK, faults=late, simulated=Falling)
     assert session.outcome.reason == "node 1 (motor_1): ready to switch on in motion: expected operation enabled"
     assert session.events("phase")[-1] == "enable"
-    assert session.drives.all_disabled
+    assert DISABLED.issuperset(session.drives.states)
 
 
 @dataclass(kw_only=True)
@@ -211,7 +211,7 @@ def test_a_joint_that_runs_away_loses_its_voltage_while_the_other_still_waits(tm
     session = dry_session(tmp_path / "a.mcap", TRACK, plant=runaway(), faults=late, through=Here)
     assert session.outcome.fault
     assert session.outcome.reason.startswith("joint_1: ")
-    assert session.outcome.all_disabled
+    assert not session.outcome.unconfirmed
 
     def first(state: State) -> float:
         return next(t for t, one, _ in history if one is state) * 1e-9

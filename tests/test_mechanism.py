@@ -31,7 +31,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     names = ",".join(joint.name for joint in robot.joints)
     np.savetxt(table, np.column_stack([t_s, reference]), delimiter=",", header=f"time_s,{names}", comments="")
     outcome, _ = record(robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), Operator())
-    assert (outcome.reason, outcome.all_disabled) == ("finished", True)
+    assert (outcome.reason, outcome.unconfirmed) == ("finished", ())
     recording = read_recording(tmp_path / "a.mcap")
     # Its copy of the description states the law of the simulated drives; theirs is the described one where there is one.
     assert recording.robot.controller.structure == ("pid" if name == "tx40" else "pd_velocity_feedforward")

@@ -95,7 +95,6 @@ def test_voltage_goes_off_at_standstill_or_where_nothing_else_helps(after, at_s,
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert off_s(sent, 1) == pytest.approx(at_s, abs=within_s)
     assert off_s(sent, 2) == pytest.approx(0.014, abs=0.012)  # it stands, whatever the other does
-    run.close()
 
 
 COUNTS = 50 * 65536 / (2 * np.pi)  # per rad of a joint
@@ -118,27 +117,24 @@ COUNTS = 50 * 65536 / (2 * np.pi)  # per rad of a joint
     ],
 )
 def test_a_quick_stop_is_let_finish_by_its_ramp_and_only_one_that_does_not_work_is_cut(after, ramp, at_s):
-    run, master, sent = moving(after, ramp=ramp)
+    _, master, sent = moving(after, ramp=ramp)
     assert safe_stop(master) == []
     assert off_s(sent, 1) == pytest.approx(at_s, abs=0.02)
-    run.close()
 
 
 def test_a_slow_stop_is_not_cut_while_its_ramp_is_still_being_read():
-    run, master, sent = moving(
+    _, master, sent = moving(
         lambda t: max(0.0, 1 - 0.5 * t), ramp={0x6085: round(COUNTS)}, simulated=SlowAnswers
     )  # fmt: skip
     assert safe_stop(master) == []
     assert off_s(sent, 1) == pytest.approx(1.98, abs=0.02)
-    run.close()
 
 
 def test_where_sync_of_another_producer_ends_nothing_stands():
-    run, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
+    _, master, sent = moving(lambda t: 1.0, extra='sync_producer = "other"')
     master.synced_ns = None  # it was not ours
     safe_stop(master)
     assert off_s(sent, 1) == pytest.approx(0.5 + 1.2 * np.deg2rad(200) / LIMIT, abs=0.03)
-    run.close()
 
 
 def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp():
@@ -150,18 +146,16 @@ def test_a_drive_that_sends_no_position_any_more_is_given_the_time_of_its_ramp()
     run, master, sent = moving(silence)
     assert safe_stop(master) == [1]
     assert off_s(sent, 1) == pytest.approx(CAP_S, abs=0.03)
-    run.close()
 
 
 def test_quick_stop_goes_to_all_nodes_at_once_by_pdo_and_by_sdo():
-    run, master, sent = moving(lambda t: 0.0)
+    _, master, sent = moving(lambda t: 0.0)
     safe_stop(master)
     first_ns = sent[0][0]
     at_once = {(can_id, data) for t, can_id, data in sent if t == first_ns}
     quick = bytes.fromhex("2b40600002000000")  # two bytes to 6040h:0
     assert {(0x601, quick), (0x602, quick)} <= at_once
     assert {can_id for can_id, data in at_once if data[:2] == b"\x02\x00"} >= {0x201, 0x202}
-    run.close()
 
 
 def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
@@ -169,7 +163,6 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
     assert safe_stop(master) == []
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
     assert not any(can_id in (0x201, 0x202) for _, can_id, _ in sent)  # no position was heard: no target is made up
-    run.close()
 
 
 def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
@@ -180,7 +173,6 @@ def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
     assert run.drives.states[0] is State.SWITCH_ON_DISABLED
     assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
     assert (run.link.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
-    run.close()
 
 
 def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
@@ -199,7 +191,6 @@ def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
     steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
     assert steps.max() > 25_000_000
     assert steps.min() >= 1_000_000
-    run.close()
 
 
 def test_a_sync_of_the_stop_that_is_late_by_less_than_a_period_moves_no_later_one():
@@ -218,7 +209,6 @@ def test_a_sync_of_the_stop_that_is_late_by_less_than_a_period_moves_no_later_on
     assert safe_stop(master) == []
     steps_ms = np.diff([t for t, can_id, _ in sent if can_id == 0x80]) // 1_000_000
     assert steps_ms[18:22].tolist() == [2, 3, 1, 2]
-    run.close()
 
 
 def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
@@ -228,7 +218,6 @@ def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
     words = [can_id for _, can_id, _ in sent if can_id in (0x80, 0x201)]
     assert len(words) > 100
     assert words[:100] == [0x201, 0x80] * 50
-    run.close()
 
 
 def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
@@ -237,14 +226,12 @@ def test_voltage_off_is_commanded_as_soon_as_a_drive_has_confirmed():
     run.drives.nodes[0].state = State.SWITCH_ON_DISABLED  # by its own reaction, at speed
     assert safe_stop(master) == []
     assert off_s(sent, 1) < 0.045  # earlier than any judgement of its speed
-    run.close()
 
 
 def test_switched_on_is_not_disabled(monkeypatch):
-    run, master, _ = moving(lambda t: 0.0)
+    _, master, _ = moving(lambda t: 0.0)
     monkeypatch.setattr(SimulatedNode, "statusword", property(lambda node: 0x0233 if node.drive.node == 2 else 0x0250))
     assert safe_stop(master) == [2]
-    run.close()
 
 
 def test_a_fault_is_disabled_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
@@ -258,7 +245,6 @@ def test_a_fault_is_disabled_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
     monkeypatch.setattr(run.link, "send", refuse)
     monkeypatch.setattr(run.link, "receive", refuse)
     assert safe_stop(master) == [1, 2]
-    run.close()
 
 
 def test_after_it_no_session_can_enable_by_pdo():
@@ -272,7 +258,6 @@ def test_after_it_no_session_can_enable_by_pdo():
         master.sync()
         master.wait(run.link.now_ns() + 2_000_000)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
-    run.close()
 
 
 def test_disable_and_the_second_stop_leave_every_node_in_pre_operational(monkeypatch):

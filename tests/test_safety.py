@@ -20,7 +20,15 @@ import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
 from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
-from acquisition.protocol import Mode, ObjectDictionary, State, interpolation_period, load_dictionary, write_request
+from acquisition.protocol import (
+    DISABLED,
+    Mode,
+    ObjectDictionary,
+    State,
+    interpolation_period,
+    load_dictionary,
+    write_request,
+)
 from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
@@ -91,7 +99,6 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     findings = look(run.link, bus_of(robot))
     assert [f.ok for f in findings if f.subject == "state"] == [False, False]
-    run.close()
 
 
 @pytest.mark.parametrize("task", [TRACK, Task(duration_s=1.0)])
@@ -100,7 +107,7 @@ def test_a_stop_before_anything_began(tmp_path, task):
     assert session.raised is None
     assert session.outcome is not None
     assert (session.outcome.reason, session.outcome.fault) == ("stopped by SIGTERM", False)
-    assert session.drives.all_disabled
+    assert DISABLED.issuperset(session.drives.states)
 
 
 def test_nothing_is_said_of_drives_that_were_not_addressed_and_nobody_confirms_for_those_away(tmp_path):
@@ -167,7 +174,6 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
     assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
     assert "robot.toml: 65536 counts per turn" in found["scale"]
-    run.close()
 
 
 class Asked:
@@ -227,7 +233,7 @@ def test_sync_of_another_producer_stops_ours(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, through=AnotherSync)
     assert session.outcome is not None
     assert session.outcome.reason == "bus: another producer sends SYNC"
-    assert session.drives.all_disabled
+    assert DISABLED.issuperset(session.drives.states)
 
 
 def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
@@ -236,7 +242,7 @@ def test_answers_are_counted_with_sync_of_another_producer_too(tmp_path):
     session = dry_session(tmp_path / "a.mcap", TRACK, robot=robot, through=SyncOfAnother, faults=[fault])
     assert session.outcome is not None
     assert "node 1 (motor_1): 3 SYNC not answered" in session.outcome.reason
-    assert session.drives.all_disabled
+    assert DISABLED.issuperset(session.drives.states)
 
 
 def test_a_drive_that_is_only_starting_has_not_left_sync_unanswered():

@@ -73,7 +73,6 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert session.events("warning") == [warning]
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     found = [(f.subject, f.node, f.ok) for f in look(run.link, bus_of(robot)) if f.found == warning]
-    run.close()
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 
@@ -84,15 +83,13 @@ def test_another_drive_than_the_dictionary_says_is_told():
     assert master.differences() == []
     made.drives.nodes[0].values[0x1018, 1] = 0x123
     assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
-    made.close()
 
 
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(1))
     made = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    yield made, Master(made.link, bus_of(robot))
-    made.close()
+    return made, Master(made.link, bus_of(robot))
 
 
 def test_sdo_server_refuses_what_a_drive_refuses(run):
@@ -183,4 +180,3 @@ def test_a_boot_up_counts_as_the_first_heartbeat():
     assert made.drives.advance(1_000_000_000) == []
     assert made.drives.advance(1_099_000_000) == []
     assert made.drives.advance(1_100_000_000) == [(0x701, b"\x7f")]
-    made.close()

@@ -90,7 +90,6 @@ def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, st
     master.wait(run.link.now_ns() + 3 * MS)
     assert run.drives.states == [state] * 2
     assert master.nodes[0].emergency == 0x8130
-    run.close()
 
 
 def test_an_unsupervised_drive_notices_nothing():
@@ -98,7 +97,6 @@ def test_an_unsupervised_drive_notices_nothing():
     assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [True, True]
     master.wait(run.link.now_ns() + 2000 * MS)
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
-    run.close()
 
 
 def test_consumers_of_others_stay_as_they_are(tmp_path, monkeypatch):
@@ -159,7 +157,6 @@ def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
         del node.values[key]
     master = Master(run.link, bus_of(robot))
     text = "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
-    run.close()
     return text
 
 
@@ -195,7 +192,6 @@ def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
     run = dry_run(SimulatedDrives(robot, bus_of(robot)))
     (reaction,) = [f for f in look(run.link, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
-    run.close()
     assert reaction.found.startswith("1: fault")
     file = bus_of(robot).file
     assert second_stop(file).startswith("the recorder's process stops the drives")
@@ -213,7 +209,6 @@ def test_a_simulated_drive_stops_at_its_own_following_error():
     assert (supervision.follow(91_022), node.state) == ([], State.OPERATION_ENABLED)
     assert supervision.follow(-91_023) == [(0x81, bytes.fromhex("1186010000000000"))]
     assert node.state is State.FAULT
-    run.close()
 
 
 def test_a_second_session_on_the_same_simulated_drives():
@@ -224,4 +219,3 @@ def test_a_second_session_on_the_same_simulated_drives():
     heartbeat.request()
     master.wait(run.link.now_ns() + 100 * MS)
     assert [watch.emergency for watch in master.nodes] == [0x8700] * 2  # SYNC is lost, the master is not
-    run.close()

@@ -11,12 +11,11 @@ from .before_motion import (
     listen_for_others,
     position_words,
     refuse_enabled,
-    refuse_other_master,
 )
 from .frames import SUFFIXES, Frame, Tap, block_of, command_ids, read_log, service_of
-from .links import QUEUE_BYTES, SHARED, Link, LockStepLink, kernel_drops, open_bus, open_link, queue_bytes, socket_of
-from .master import OPERATIONAL, Master, Orders, Wire, send_orders
-from .receiving import DRAIN_S, Receiver, WallClock, describe_step
+from .links import QUEUE_BYTES, SHARED, Link, kernel_drops, open_bus, open_link, queue_bytes, socket_of
+from .master import OPERATIONAL, Master, Orders, send_orders
+from .receiving import Receiver, WallClock, describe_step
 from .stopping import leave_operational, not_disabled, safe_stop, stop_drives
 from .supervision import (
     MasterHeartbeat,

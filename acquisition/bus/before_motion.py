@@ -32,23 +32,13 @@ def listen_for_others(master: Master) -> AcquisitionError | None:
         if node is not None:
             text = f"heartbeat of node {node}: a device that robot.toml does not describe, or a wrong node id"
             expected = f"it in other_nodes = [{node}] of [bus], unless it is a master. Nothing was sent"
-            device = AcquisitionError(
-                text, place="bus", key="other_nodes", value=master.bus.file.other_nodes, expected=expected
-            )
+            known = master.bus.file.other_nodes
+            device = AcquisitionError(text, place="bus", key="other_nodes", value=known, expected=expected)
     return device
 
 
-def refuse_other_master(master: Master) -> None:
-    """Raise `AcquisitionError` where another master or an unknown device is heard, before anything is sent."""
-    if (refusal := listen_for_others(master)) is not None:
-        raise refusal
-
-
 def refuse_enabled(master: Master) -> list[int]:
-    """Read the state (6041h) of every drive, write nothing, and return the node ids of the drives in fault.
-
-    An `AcquisitionError` where a drive gives torque although no master was heard, or does not answer.
-    """
+    """Nodes in fault; nothing is written. Raises `AcquisitionError` where a drive gives torque, though no master was heard."""
     in_fault = []
     for drive in master.bus.drives:
         state = master.state(drive)
@@ -67,10 +57,7 @@ Confirm = Callable[[list[str], list[str]], bool]
 
 
 def joint_positions(robot: Robot, master: Master) -> Array:
-    """Positions (n,) of the joints in rad or m, from the position objects (6064h or as described) read by SDO.
-
-    Raises `AcquisitionError` where a drive does not answer.
-    """
+    """Joint positions (n,), rad or m, from position objects read by SDO. Raises `AcquisitionError` where a drive is silent."""
     counts = []
     for drive in master.bus.drives:
         raw = master.read(drive.node, drive.position.index, drive.position.sub)
@@ -94,23 +81,12 @@ def position_words(robot: Robot, q: Array) -> list[str]:
 
 
 def homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the object or bit that the description names for it (`homed`) reports the drive as homed; None without one.
-
-    Raises `AcquisitionError` where the drive does not answer.
-    """
+    """Whether the object or bit of the description's `homed` is set, read from the drive; None where none is described."""
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
     value = master.read(drive.node, index, sub)
     return bool(value if bit is None else value >> bit & 1)
-
-
-def refuse_unhomed(master: Master) -> None:
-    """Raise `AcquisitionError` where a drive reports that it is not homed."""
-    for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-        if homed(master, drive, file) is False:
-            where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
-            raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
 
 
 def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faults: bool = False) -> list[str]:
@@ -119,7 +95,10 @@ def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faul
     With `reset_faults` the reset of drives in fault is not asked. Returns a text for each joint and drive in fault, as
     confirmed: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
     """
-    refuse_unhomed(master)
+    for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
+        if homed(master, drive, file) is False:
+            where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
+            raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
     words = position_words(robot, joint_positions(robot, master))
     in_fault = [drive for drive in master.bus.drives if master.state(drive) is State.FAULT]
     faults = [f"in fault: {error_report(master, drive) or f'node {drive.node} ({drive.name})'}" for drive in in_fault]

@@ -1,7 +1,4 @@
-"""A CAN frame, blocks of frames as rows of `FRAME`, the service of a frame in words, and CAN logs of other tools.
-
-Services by identifier: CiA 301, predefined connection set.
-"""
+"""A CAN frame, blocks of frames, the service of a frame in words (CiA 301's connection set), and CAN logs of other tools."""
 
 import logging
 import re
@@ -111,10 +108,7 @@ def _is_boot_up(frame: Frame) -> bool:
 
 
 def other_node(frame: Frame, bus: Bus) -> int | None:
-    """Node id of a heartbeat that neither a drive of the description nor one of `other_nodes` has, else None.
-
-    A boot-up only shows that a node was switched on.
-    """
+    """Node id of a heartbeat, not of a boot-up, that neither a drive nor one of `other_nodes` has, else None."""
     node, known = frame.can_id & 0x7F, {0, *bus.file.other_nodes, *(drive.node for drive in bus.drives)}
     beats = frame.can_id & 0x780 == HEARTBEAT and not frame.flags & EXTENDED and not _is_boot_up(frame)
     return node if beats and node not in known else None

@@ -1,4 +1,4 @@
-"""A bus as frames and times: opened as the description says, in real time or in lock-step; a passive link never sends.
+"""A bus as frames and times: opened as the description says; a passive link never sends.
 
 Network interfaces stay on this machine unless the description says otherwise.
 """
@@ -8,7 +8,6 @@ import socket
 import struct
 import time
 from collections import deque
-from collections.abc import Callable
 from contextlib import suppress
 from typing import Any
 
@@ -19,9 +18,8 @@ from .frames import Frame, Tap, frame_of
 
 QUEUE_BYTES = 4 * 2**20  # of the kernel's receive queue; the usual 212992 hold 31 ms of a full bus
 
-_SO_MEMINFO, _DROPS = 55, 8  # of Linux: nine counters, the last one counts frames dropped before the socket
-
-_SO_RCVBUFFORCE = 33
+# Of Linux; of the nine counters of SO_MEMINFO the last one counts frames dropped before the socket.
+_SO_RCVBUFFORCE, _SO_MEMINFO, _DROPS = 33, 55, 8
 
 
 def stay_on_loopback(bus: Any, file: BusFile) -> None:
@@ -35,10 +33,8 @@ def stay_on_loopback(bus: Any, file: BusFile) -> None:
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(group) + here)
     except OSError:
         return  # loopback is the group's interface already
-    try:
+    with suppress(OSError):  # it never was joined elsewhere
         sock.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, socket.inet_aton(group) + bytes(4))
-    except OSError:
-        return  # it never was joined elsewhere
 
 
 def socket_of(bus: Any) -> socket.socket | None:
@@ -50,11 +46,9 @@ def socket_of(bus: Any) -> socket.socket | None:
 def enlarge_queue(sock: socket.socket) -> None:
     """Ask for a receive queue of `QUEUE_BYTES`; a smaller one stays where the kernel refuses."""
     sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
-    if sock.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) < QUEUE_BYTES:
-        try:  # past net.core.rmem_max, where we may
+    if queue_bytes(sock) < QUEUE_BYTES:
+        with suppress(OSError):  # past net.core.rmem_max, where we may
             sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, QUEUE_BYTES)
-        except OSError:
-            return
 
 
 def queue_bytes(sock: socket.socket) -> int:
@@ -73,8 +67,6 @@ def kernel_drops(sock: socket.socket | None) -> int:
 
 
 SHARED = ("socketcan", "udp_multicast", "virtual")  # interfaces that several programs (or bus objects) may open at once
-
-_SILENT: dict[str, dict[str, Any]] = {"slcan": {"listen_only": True}}  # what makes an adapter not even acknowledge
 
 # python-can's own warnings are not printed; its errors are raised and reported in one line.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -99,23 +91,19 @@ def is_no_frame(bus: Any, error: Exception) -> bool:
 
 
 def open_bus(file: BusFile, *, passive: bool) -> Any:
-    """Open the bus of a description as python-can does, with a receive queue of `QUEUE_BYTES` where the kernel grants it.
-
-    A `passive` bus object cannot send, and an slcan adapter does not even acknowledge.
-    """
+    """python-can's bus of a description. A `passive` one cannot send, and an slcan adapter does not even acknowledge."""
     import can
 
     options: dict[str, Any] = {"interface": file.interface, "channel": file.channel, "ignore_config": True}
-    if file.interface in ("socketcan", "virtual", "udp_multicast"):
-        if file.interface == "udp_multicast":
-            # A hop limit of 0 keeps every frame on this machine.
-            options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
-            group, _, port = file.channel.partition(":")
-            options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
-    else:
+    if file.interface == "udp_multicast":
+        # A hop limit of 0 keeps every frame on this machine.
+        options |= {"hop_limit": 0 if file.loopback else 1, "fd": False}
+        group, _, port = file.channel.partition(":")
+        options |= {"channel": group} | ({"port": int(port)} if port.isdigit() else {})
+    elif file.interface not in SHARED:
         options["bitrate"] = file.bitrate
-    if passive:
-        options |= _SILENT.get(file.interface, {})
+    if passive and file.interface == "slcan":
+        options["listen_only"] = True
     try:
         bus = can.Bus(**options)
     except (can.CanError, OSError, ValueError, TypeError, ImportError, NotImplementedError) as error:
@@ -136,10 +124,7 @@ ECHOING = ("gs_usb", "cantact")  # modules of python-can whose buses return ever
 
 
 class Link:
-    """A bus in real time. Where `passive`, sending raises: nothing ever goes out.
-
-    `tap` is called with every frame sent and received.
-    """
+    """A bus in real time; a `passive` one raises where it should send. `tap` is called with every frame sent and received."""
 
     def __init__(self, bus: Any, *, passive: bool, tap: Tap | None = None) -> None:
         self._bus, self._passive, self._tap = bus, passive, tap
@@ -204,54 +189,6 @@ class Link:
 
         with suppress(can.CanError, OSError):
             self._bus.shutdown()
-
-
-class LockStepLink(Link):
-    """A link in simulated time on an in-process bus: time advances only when all participants have sent their frames.
-
-    `others(now_ns)` lets the other participants act and returns whether they did; `due_ns()` is when they act by themselves.
-    """
-
-    def __init__(
-        self,
-        bus: Any,
-        others: Callable[[int], bool],
-        due_ns: Callable[[], int | None],
-        *,
-        passive: bool,
-        tap: Tap | None = None,
-        start_ns: int = 1_000_000_000,
-    ) -> None:
-        super().__init__(bus, passive=passive, tap=tap)
-        self._others, self._due_ns, self._time_ns = others, due_ns, start_ns
-
-    def now_ns(self) -> int:
-        """Simulated time."""
-        return self._time_ns
-
-    def receive(self, until_ns: int) -> Frame | None:
-        """As `Link.receive`; simulated time advances only when no participant has a frame to send."""
-        while True:
-            frame = self.take(0)
-            if frame is not None:
-                return frame
-            if self._others(self._time_ns):
-                continue
-            due = self._due_ns()
-            if self._time_ns >= until_ns:
-                return None
-            self._time_ns = until_ns if due is None else max(min(until_ns, due), self._time_ns + 1)
-
-    def take(self, timeout_s: float) -> Frame | None:
-        """The next frame, with the simulated time."""
-        tap, self._tap = self._tap, None
-        frame = super().take(0)
-        self._tap = tap
-        if frame is not None:
-            frame = frame._replace(time_ns=self._time_ns)
-            if tap is not None:
-                tap(frame)
-        return frame
 
 
 def open_link(file: BusFile, *, passive: bool, tap: Tap | None = None) -> Link:

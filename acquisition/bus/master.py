@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from ..errors import AcquisitionError
 from ..protocol import (
@@ -28,6 +27,7 @@ from ..protocol import (
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST
 from ..robot import Bus, Drive, axis_of
 from .frames import Frame, command_ids, sign_of_master
+from .links import Link
 
 SDO_TIMEOUT_NS, _SLICE_NS = 300_000_000, 50_000_000
 START, PRE_OPERATIONAL = 1, 128
@@ -35,42 +35,22 @@ OPERATIONAL = 5
 INTERPOLATION_PERIOD = 0x60C2
 
 
-class Wire(Protocol):
-    """The link as a master uses it."""
-
-    def now_ns(self) -> int:
-        """The time of this link, that of deadlines."""
-        ...
-
-    def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame."""
-        ...
-
-    def receive(self, until_ns: int) -> Frame | None:
-        """The next frame before `until_ns`, or None."""
-        ...
-
-
 @dataclass(kw_only=True)
 class NodeWatch:
-    """The last values received from a drive; `answers` counts its position PDOs since SYNC, `silent_syncs` SYNCs without one.
-
-    `ramp_objects`: what it has in `RAMP_OBJECTS`, None where it has none; those that were not asked for are not there.
-    `started`: its heartbeat has reported operational since START; `unstarted` counts the heartbeats before that.
-    """
+    """The last values received from a drive."""
 
     drive: Drive
     statusword: int | None = None
     counts: int | None = None
-    answers: int = 0
-    silent_syncs: int = 0
+    answers: int = 0  # position PDOs since SYNC
+    silent_syncs: int = 0  # in a row without one
     nmt: int | None = None
-    started: bool = False
-    unstarted: int = 0
+    started: bool = False  # its heartbeat has reported operational since START
+    unstarted: int = 0  # heartbeats before that
     heard_ns: int = 0
     emergency: int | None = None
     booted: bool = False
-    ramp_objects: dict[int, int | None] = field(default_factory=dict)
+    ramp_objects: dict[int, int | None] = field(default_factory=dict)  # of `RAMP_OBJECTS`; None where it has none
 
     @property
     def state(self) -> State | None:
@@ -84,7 +64,7 @@ class NodeWatch:
 class Master:
     """Sends requests and holds the last values received. Every frame received passes `dispatch`, whatever is awaited."""
 
-    def __init__(self, link: Wire, bus: Bus) -> None:
+    def __init__(self, link: Link, bus: Bus) -> None:
         self.link, self.bus = link, bus
         self.nodes = [NodeWatch(drive=drive) for drive in bus.drives]
         self.bus_error: str | None = None
@@ -182,11 +162,6 @@ class Master:
         """Send an NMT command to one node; never to all (0), because other devices may be on the bus."""
         self.link.send(0, bytes([command, node]))
 
-    def nmt_drives(self, command: int) -> None:
-        """Send an NMT command to each drive."""
-        for drive in self.bus.drives:
-            self.nmt(command, drive.node)
-
     def start(self) -> None:
         """Send START to all drives. Values received before are discarded, so that no old position is taken for a new one."""
         for watch in self.nodes:
@@ -194,7 +169,8 @@ class Master:
             watch.answers, watch.silent_syncs = 0, 0
             watch.booted, watch.emergency, watch.nmt = False, None, None
             watch.started, watch.unstarted = False, 0
-        self.nmt_drives(START)
+        for drive in self.bus.drives:
+            self.nmt(START, drive.node)
         for watch in self.nodes:
             watch.heard_ns = self.link.now_ns()
 
@@ -237,11 +213,9 @@ class Master:
         raise AcquisitionError(problem, place=place)
 
     def configure(self) -> None:
-        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described.
-
-        Raises `AcquisitionError` where a drive refuses a value or does not answer.
-        """
-        self.nmt_drives(PRE_OPERATIONAL)
+        """Set every drive to PRE-OPERATIONAL, and write its heartbeat time (1017h) and PDO parameters as described."""
+        for drive in self.bus.drives:
+            self.nmt(PRE_OPERATIONAL, drive.node)
         self.wait(self.link.now_ns() + 20_000_000)
         every_ms = round(self.bus.file.heartbeat_s * 1000)
         for drive in self.bus.drives:
@@ -307,7 +281,7 @@ def send_orders(master: Master, orders: Orders) -> None:
 
 
 def send_order(master: Master, watch: NodeWatch, control: int, target: int) -> None:
-    """Send the RPDOs of one drive that carry a command and nothing else. Raises `AcquisitionError` as above."""
+    """Send the RPDOs of one drive that carry a command and nothing else."""
     drive = watch.drive
     values = {
         (drive.control.index, drive.control.sub): control,

@@ -19,23 +19,19 @@ _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)),
 
 _TIMESPEC_BYTES = 16
 
-DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
-
 
 class Receiver:
-    """Takes frames off a bus and only appends them: `run` in a thread, `take` what came since in another.
+    """Takes frames off a bus and only appends them: `run` in a thread, `take` what came since in another."""
 
-    A socket of the kernel's CAN is read directly, which costs a third of python-can's messages.
-    """
+    DRAIN_S = 2.0  # at most, to take what the kernel still holds when a recording ends
 
-    def __init__(self, bus: Any, *, raw_socket: socket.socket | None = None) -> None:
+    def __init__(self, bus: Any) -> None:
         self._bus, self._items = bus, deque[Any]()
-        self._raw = raw_socket
-        self.sock = raw_socket or socket_of(bus)
+        self.sock = socket_of(bus)
+        # A socket of the kernel's CAN is read directly, which costs a third of python-can's messages.
+        self._raw = self.sock if getattr(bus, "socket", None) is self.sock else None
         self.stopped = False
         self.error: str | None = None
-        if raw_socket is None and self.sock is not None and getattr(bus, "socket", None) is self.sock:
-            self._raw = self.sock
 
     def run(self) -> None:
         """Until `stopped` and what had arrived is taken; an error of the bus ends it and is stored in `error`."""
@@ -56,7 +52,7 @@ class Receiver:
                 self._items.append(receive(72, size)[:3])
             except (BlockingIOError, InterruptedError):
                 continue
-        until_s = time.monotonic() + DRAIN_S
+        until_s = time.monotonic() + self.DRAIN_S
         with suppress(BlockingIOError):  # the queue is empty
             while time.monotonic() < until_s:
                 self._items.append(receive(72, size, socket.MSG_DONTWAIT)[:3])
@@ -67,7 +63,7 @@ class Receiver:
         until_s = None
         while until_s is None or time.monotonic() < until_s:
             if self.stopped and until_s is None:
-                until_s = time.monotonic() + DRAIN_S
+                until_s = time.monotonic() + self.DRAIN_S
             try:
                 message = self._bus.recv(0.1 if until_s is None else 0.0)
             except can.CanOperationError as error:
@@ -117,16 +113,13 @@ _BLOCKS_WAITED = 2  # for the stamps to jump
 
 
 class WallClock:
-    """Compares the clock that can be set with the one that cannot, and continues its times as if it had not been set.
-
-    `offset_ns` is the difference of the two at the beginning of a session; without it the present one.
-    """
+    """Compares the clock that can be set with the one that cannot, and continues its times as if it had not been set."""
 
     def __init__(
         self,
         wall_ns: Callable[[], int] = time.time_ns,
         monotonic_ns: Callable[[], int] = time.monotonic_ns,
-        offset_ns: int | None = None,
+        offset_ns: int | None = None,  # of the two clocks when a session began; None: the present one
     ) -> None:
         self._wall_ns, self._monotonic_ns = wall_ns, monotonic_ns
         self._begin_ns = wall_ns() - monotonic_ns() if offset_ns is None else offset_ns

@@ -112,10 +112,7 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             break
         for one in drives:
             command = Command.QUICK_STOP if one.off_ns is None else Command.DISABLE_VOLTAGE
-            with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
-                _command(master, one.watch, command)
-            with suppress(AcquisitionError):
-                _ask(master, one, command)
+            _command(master, one, command)
         next_ns = _sync(master, next_ns)
         with suppress(AcquisitionError):
             after_sync()
@@ -130,18 +127,12 @@ def safe_stop(master: Master, *, after_sync: Callable[[], object] = lambda: None
             break
     unconfirmed = [one for one in drives if not one.confirmed]
     for one in unconfirmed:
-        with suppress(AcquisitionError):
-            _command(master, one.watch, Command.DISABLE_VOLTAGE)
-        with suppress(AcquisitionError):
-            _ask(master, one, Command.DISABLE_VOLTAGE)
+        _command(master, one, Command.DISABLE_VOLTAGE)
     return [one.watch.drive.node for one in unconfirmed]
 
 
 def stop_drives(bus: Bus) -> list[int]:
-    """Open the bus, stop and disable every drive (`safe_stop`), then set every node to PRE-OPERATIONAL.
-
-    Returns the node ids of the drives that did not confirm that they are disabled.
-    """
+    """Open the bus, `safe_stop`, then PRE-OPERATIONAL; the node ids of the drives that did not confirm to be disabled."""
     link = open_link(bus.file, passive=False)
     try:
         master = Master(link, bus)
@@ -165,10 +156,13 @@ def leave_operational(master: Master) -> None:
             master.nmt(PRE_OPERATIONAL, watch.drive.node)
 
 
-def _command(master: Master, watch: NodeWatch, command: Command) -> None:
-    """Send the command by PDO. The target is the last measured position; without one nothing is sent."""
-    if watch.counts is not None:
-        send_order(master, watch, command.controlword, watch.counts)
+def _command(master: Master, one: _Stopping, command: Command) -> None:
+    """Send the command by PDO, with the last measured position as target (without one: not at all), and by SDO."""
+    with suppress(AcquisitionError):  # a bus that refuses frames now may accept them later
+        if one.watch.counts is not None:
+            send_order(master, one.watch, command.controlword, one.watch.counts)
+    with suppress(AcquisitionError):
+        _ask(master, one, command)
 
 
 def _ask(master: Master, one: _Stopping, command: Command) -> None:

@@ -17,6 +17,7 @@ from ..protocol import (
     QUICK_STOP_OPTION,
     RAMP_OBJECTS,
     SHUTDOWN_OPTION,
+    STOP_OPTIONS,
     quick_stop_ramp,
 )
 from ..robot import BusFile, Drive, axis_of
@@ -62,10 +63,7 @@ class MasterHeartbeat:
         self._sent_ns: int | None = None
 
     def request(self) -> list[str]:
-        """Write this master to 1016h of every drive, and send heartbeats with SYNC from now on; they start the supervision.
-
-        Returns a line, with the reason, for each drive that does not supervise this master.
-        """
+        """Write this master to 1016h of every drive, and beat at SYNC; a line for each drive that does not supervise it."""
         refused = []
         for drive in self._master.bus.drives:
             node, entry = drive.node, entry_of(self._file)
@@ -131,13 +129,7 @@ OPTIONS = {
     FAULT_OPTION: _THEN_OFF,
     ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
 }
-_SUBJECTS = (
-    (QUICK_STOP_OPTION, "quick stop"),
-    (SHUTDOWN_OPTION, "shutdown"),
-    (DISABLE_OPTION, "disable operation"),
-    (FAULT_OPTION, "fault reaction"),
-)
-
+_STOPS = dict(zip(STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
 
 NOT_THERE = "not there"
 Property = tuple[str, str]  # of a drive: its name, and what was found
@@ -149,12 +141,20 @@ def supervision_of(master: Master, drive: Drive) -> list[Property]:
     Read by SDO: 1016h, 6007h, 1029h, 1400h:5, 605Ah, 605Bh, 605Ch, 605Eh, 6065h, 6066h. An object that the drive does not
     have is reported as not there; nothing is raised.
     """
+    behaviour, timer = _read(master, drive, ERROR_BEHAVIOUR, 1), _read(master, drive, RPDO_PARAMETERS, 5)
+    behaves = f"{NOT_THERE}: pre-operational (CiA 301)" if behaviour is None else _in_words(ERROR_BEHAVIOUR, behaviour)
+    missed = f"{timer}: an error after {timer} ms without the PDO"
+    if not timer:
+        missed = f"{0 if timer == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
     return [
         _consumers(master, drive),
         _option(master, drive, ABORT_CONNECTION, "reaction"),
-        _behaviour(master, drive),
-        _event_timer(master, drive),
-        *(_option(master, drive, index, name) for index, name in _SUBJECTS),
+        (f"communication error {ERROR_BEHAVIOUR:04X}:1", behaves),
+        (
+            f"missing targets {RPDO_PARAMETERS:04X}:5",
+            f"{timer}: an error after {timer} ms without the PDO" if timer else missed,
+        ),
+        *(_option(master, drive, index, name) for index, name in _STOPS.items()),
         _following_error(master, drive),
     ]
 
@@ -226,34 +226,18 @@ def _consumers(master: Master, drive: Drive) -> Property:
     text, sub = ", ".join(used) or "none in use", free_entry(entries, file.master_node)
     if sub is None:
         return name, f"{text}: no free sub-index: the drive does not notice when the master dies"
-    entry = entry_of(file)
-    return (
-        name,
-        f"{text}; --track writes 0x{entry:08X} (node {file.master_node}, {timeout_ms(file)} ms) to sub-index {sub}",
-    )
+    writes = f"--track writes 0x{entry_of(file):08X} (node {file.master_node}, {timeout_ms(file)} ms)"
+    return name, f"{text}; {writes} to sub-index {sub}"
 
 
 def _option(master: Master, drive: Drive, index: int, name: str) -> Property:
     """An option code in words; the objects of CiA 402 of each further axis are 800h higher."""
     raw, name = _read(master, drive, index + axis_of(drive)), f"{name} {index + axis_of(drive):04X}"
-    if raw is None:
-        return name, NOT_THERE
-    value = raw - 0x10000 if raw >= 0x8000 else raw
-    return name, f"{value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
+    return name, NOT_THERE if raw is None else _in_words(index, raw - 0x10000 if raw >= 0x8000 else raw)
 
 
-def _behaviour(master: Master, drive: Drive) -> Property:
-    raw, name = _read(master, drive, ERROR_BEHAVIOUR, 1), f"communication error {ERROR_BEHAVIOUR:04X}:1"
-    if raw is None:
-        return name, f"{NOT_THERE}: pre-operational (CiA 301)"
-    return name, f"{raw}: {OPTIONS[ERROR_BEHAVIOUR].get(raw, 'of the manufacturer')}"
-
-
-def _event_timer(master: Master, drive: Drive) -> Property:
-    raw, name = _read(master, drive, RPDO_PARAMETERS, 5), f"missing targets {RPDO_PARAMETERS:04X}:5"
-    if not raw:
-        return name, f"{0 if raw == 0 else NOT_THERE}: a missing PDO to the drive has no effect"
-    return name, f"{raw}: an error after {raw} ms without the PDO"
+def _in_words(index: int, value: int) -> str:
+    return f"{value}: {OPTIONS[index].get(value, 'of the manufacturer')}"
 
 
 def _following_error(master: Master, drive: Drive) -> Property:

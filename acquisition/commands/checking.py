@@ -10,7 +10,6 @@ from ..bus import (
     QUEUE_BYTES,
     Link,
     Master,
-    Wire,
     homed,
     joint_positions,
     listen_for_others,
@@ -92,7 +91,7 @@ def refusal(findings: list[Finding]) -> str:
     return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
 
 
-def look(link: Wire, bus: Bus) -> list[Finding]:
+def look(link: Link, bus: Bus) -> list[Finding]:
     """Findings of the drives and of SYNC over an open link; nothing is sent if another node is heard first."""
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:

@@ -14,14 +14,8 @@ import numpy as np
 from ..arrays import Array, Ints
 from ..errors import AcquisitionError, Place
 
-INTEGERS = {
-    2: "I8",
-    3: "I16",
-    4: "I32",
-    5: "U8",
-    6: "U16",
-    7: "U32",
-}  # types of dictionaries by their number in CiA 301
+# Types of dictionaries by their number in CiA 301.
+INTEGERS = {2: "I8", 3: "I16", 4: "I32", 5: "U8", 6: "U16", 7: "U32"}
 BITS = {kind: int(kind[1:]) for kind in INTEGERS.values()}
 
 
@@ -136,10 +130,7 @@ class EffortCodec:
 
 @dataclass(frozen=True, kw_only=True)
 class PositionCodec:
-    """Between counts and rad (or m) of the motor: counts = zero_counts + sign · counts_per_unit · position.
-
-    Of one motor, or of n with a vector in each field.
-    """
+    """Between counts and rad (or m) of a motor, or of n: counts = zero_counts + sign · counts_per_unit · position."""
 
     counts_per_unit: float | Array
     sign: int | Array

@@ -95,10 +95,7 @@ def command_of(controlword: int) -> Command | None:
 
 
 def toward(state: State, goal: State) -> Command | None:
-    """First command on the shortest way from `state` to `goal`; None: already there, or the drive needs no command.
-
-    Raises `AcquisitionError` when no way leads there.
-    """
+    """First command on the shortest way to `goal`, None where none is needed. Raises `AcquisitionError`: none leads there."""
     reached: dict[State, Command | None] = {state: None}
     queue = [state]
     for at in queue:
@@ -178,12 +175,16 @@ _COUNTERS = 0x200  # class: bytes 6 and 7 hold the controller's error counters
 def error_frame_words(can_id: int, data: bytes) -> str:
     """The classes of an error frame and their details; its bytes in hex where no class is known (another adapter's frame)."""
     data = data.ljust(8, b"\0")
+    halves = ("H", data[4] & 0xF), ("L", data[4] >> 4)
+    wires = [f"CAN_{name} {_WIRE[half]}" for name, half in halves if half in _WIRE]
+    if data[4] & 0xF0 == _SHORT_TO_EACH_OTHER:
+        wires.append("CAN_L short to CAN_H")
     details = {
         0x002: [f"at bit {data[0]}"] if data[0] else [],
         0x004: [words for bit, words in _CONTROLLER.items() if data[1] & bit],
         0x008: [words for bit, words in _PROTOCOL.items() if data[2] & bit]
         + ([f"in {_LOCATIONS[data[3]]}"] if data[3] in _LOCATIONS else []),
-        0x010: _wires(data[4]),
+        0x010: wires,
     }
     parts = []
     for bit, words in _CLASSES.items():
@@ -192,11 +193,6 @@ def error_frame_words(can_id: int, data: bytes) -> str:
     if can_id & _COUNTERS:
         parts.append(f"{data[6]} transmit errors and {data[7]} receive errors counted")
     return "; ".join(parts) or f"identifier 0x{can_id:03X}, data {data.hex()}"
-
-
-def _wires(state: int) -> list[str]:
-    wires = [f"CAN_{name} {_WIRE[half]}" for name, half in (("H", state & 0xF), ("L", state >> 4)) if half in _WIRE]
-    return wires + (["CAN_L short to CAN_H"] if state & 0xF0 == _SHORT_TO_EACH_OTHER else [])
 
 
 # Bits of the statusword (6041h) other than those of the state; 12 and 13 as in cyclic synchronous position mode (CiA 402-2).

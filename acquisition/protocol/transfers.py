@@ -41,12 +41,9 @@ class Pdo:
 
     def offset(self, index: int, sub: int) -> int | None:
         """First byte of an object in the frame, None where it is not in it."""
-        at = 0
-        for entry in self.entries:
-            if (entry.index, entry.sub) == (index, sub):
-                return at
-            at += entry.bits // 8
-        return None
+        keys = [entry.key for entry in self.entries]
+        at = keys.index((index, sub)) if (index, sub) in keys else None
+        return None if at is None else sum(entry.bits for entry in self.entries[:at]) // 8
 
     def pack(self, values: Mapping[tuple[int, int], int]) -> bytes:
         """The frame's data from values by (index, sub-index); two's complement."""

@@ -4,6 +4,5 @@ from .logs import InlineLog, ProcessLog
 from .process import Role
 from .recorder import Recorded, Recorder, Status, write_decoded
 from .running import Operator, RecordOptions, record, replay, stop_on_signals
-from .session import run_active
-from .task import Outcome, Stop, Task
+from .session import Outcome, Stop, Task, run_active
 from .timing import DEVIATIONS, steady, sync_jitter

@@ -6,6 +6,7 @@ Where an interface can be opened once only, the session hands its frames over; e
 import multiprocessing
 import signal
 import time
+from collections.abc import Callable
 from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
@@ -24,11 +25,15 @@ SILENT_S = 5.0  # without a status for so long the disk is taken to hang
 _ENDED = "the recorder has ended: expected it to go on until the session ends"
 
 
+OnStatus = Callable[[Status, int], None]  # called with each status, and the time
+
+
 class InlineLog:
     """A recorder in the session's own process, for simulated time: `tap` takes the link's frames."""
 
     def __init__(self, recorder: Recorder) -> None:
         self._recorder, self._frames = recorder, list[Frame]()
+        self.on_status: OnStatus = lambda status, stamp_ns: None
 
     def tap(self, frame: Frame) -> None:
         """A frame sent or received."""
@@ -42,7 +47,10 @@ class InlineLog:
         """Write what came; a status every half second."""
         if self._frames and stamp_ns - self._frames[0].time_ns >= BLOCK_S * 1e9:
             self._write()
-        return self._recorder.tick(stamp_ns, 0)
+        status = self._recorder.tick(stamp_ns, 0)
+        if status is not None:
+            self.on_status(status, stamp_ns)
+        return status
 
     def alive(self) -> None:
         """There is no second stop: drives in simulated time are simulated."""
@@ -66,7 +74,7 @@ class InlineLog:
 
 
 class ProcessLog:
-    """A recorder in a process of its own. In the role `FED` the session's link must be tapped by `tap`.
+    """A recorder in a process of its own. In the role `FED` the session's link must be tapped by `tap`; no other link may be.
 
     Raises `AcquisitionError` where the process cannot open the bus or the file.
     """
@@ -77,7 +85,8 @@ class ProcessLog:
         self._connection, other = context.Pipe()
         watched, signs = context.Pipe() if role is Role.GUARD else (None, None)
         self._signs = None if signs is None else SignsOfLife(signs)
-        self._frames: list[Frame] | None = [] if role is Role.FED else None
+        self._frames: list[Frame] = []
+        self.on_status: OnStatus = lambda status, stamp_ns: None
         arguments = (other, path.absolute(), dict(robot.files), place, role, watched)
         self._process = context.Process(target=run, args=arguments, name="recorder", daemon=True)
         # Blocked while it starts: a Ctrl-C of the whole group must not meet it before it ignores them.
@@ -101,9 +110,8 @@ class ProcessLog:
         return self._process.pid
 
     def tap(self, frame: Frame) -> None:
-        """A frame sent or received by the session, where it feeds the recorder."""
-        if self._frames is not None:
-            self._frames.append(frame)
+        """A frame sent or received by the session."""
+        self._frames.append(frame)
 
     def event(self, stamp_ns: int, kind: str, text: str) -> None:
         """Note what happened."""
@@ -148,6 +156,8 @@ class ProcessLog:
         self._hangs = silent_s > SILENT_S
         if self._hangs:
             raise AcquisitionError(f"no status from the recorder for {silent_s:.1f} s", expected="one every 0.5 s")
+        if status is not None:
+            self.on_status(status, stamp_ns)
         return status
 
     def finish(self, stamp_ns: int) -> Recorded:
@@ -169,7 +179,7 @@ class ProcessLog:
         self._process.join(30)
 
     def _hand_over(self) -> None:
-        frames, self._frames = self._frames or [], []
+        frames, self._frames = self._frames, []
         self._send(("frames", block_of(frames).tobytes()))
 
     def _send(self, message: tuple[Any, ...]) -> None:
@@ -190,3 +200,6 @@ class ProcessLog:
         except (EOFError, OSError) as error:
             raise AcquisitionError(_ENDED) from error
         raise AcquisitionError(f"the recorder did not answer in {timeout_s:g} s", expected=wanted)
+
+
+SessionLog = InlineLog | ProcessLog

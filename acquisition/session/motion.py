@@ -97,27 +97,15 @@ _OPERATING = {
 
 @dataclass(kw_only=True)
 class MotionState:
-    """State of the motion that the guards compare with, from the start of enabling on.
+    """State of the motion that the guards compare with, from the start of enabling on."""
 
-    Attributes:
-        enabling: until all drives have been enabled for `enable_watch_s`.
-        start: joint positions (n,) when enabling began.
-        measured: joint positions of the last SYNCs, latest last.
-        target: target position (n,) of the drives, None where they have none.
-        enabled: nodes that have been enabled.
-        seen: bits of the statusword that each node has set while it was enabled.
-        clear: number of SYNCs in a row in which each (node, bit) was 0.
-        noted: node and text of the warnings that were recorded.
-    """
-
-    enabling: bool = True
-    start: Array | None = None
-    measured: list[Array] = field(default_factory=list)
-    target: Array | None = None
-    enabled: set[int] = field(default_factory=set)
-    seen: dict[int, int] = field(default_factory=dict)
-    clear: dict[tuple[int, int], int] = field(default_factory=dict)
-    noted: set[tuple[int, str]] = field(default_factory=set)
+    enabling: bool = True  # until all drives have been enabled for `enable_watch_s`
+    start: Array | None = None  # joint positions (n,) when enabling began
+    measured: list[Array] = field(default_factory=list)  # joint positions of the last SYNCs, latest last
+    target: Array | None = None  # target position (n,) of the drives, None where they have none
+    enabled: set[int] = field(default_factory=set)  # nodes that have been enabled
+    seen: dict[int, int] = field(default_factory=dict)  # bits of the statusword set by each node while it was enabled
+    clear: dict[tuple[int, int], int] = field(default_factory=dict)  # SYNCs in a row in which a (node, bit) was 0
 
 
 def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
@@ -142,11 +130,6 @@ def node_fault(master: Master, now_ns: int) -> AcquisitionError | None:
         if watch.silent_syncs >= SILENT_SYNCS:
             return AcquisitionError(f"{watch.silent_syncs} SYNC not answered", place=node)
     return None
-
-
-def motion_fault(master: Master, robot: Robot, motion: MotionState) -> AcquisitionError | None:
-    """State, limit or following error: ends motion. Called once per SYNC."""
-    return state_fault(master, motion) or joint_fault(master, robot, motion)
 
 
 def state_fault(master: Master, motion: MotionState) -> AcquisitionError | None:

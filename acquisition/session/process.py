@@ -20,17 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from ..arrays import Ints
-from ..bus import (
-    DRAIN_S,
-    Receiver,
-    WallClock,
-    command_ids,
-    describe_step,
-    kernel_drops,
-    not_disabled,
-    open_bus,
-    stop_drives,
-)
+from ..bus import Receiver, WallClock, command_ids, describe_step, kernel_drops, not_disabled, open_bus, stop_drives
 from ..errors import AcquisitionError
 from ..protocol import HEARTBEAT
 from ..recording import FRAME, SENT
@@ -76,15 +66,12 @@ class SignsOfLife:
 
 
 class DeadMan:
-    """The recorder's end: a thread that waits for signs of life, and acts when they stop.
-
-    `events` are (kind, text) for the recording; `reason` says why it acted, None while it has not.
-    """
+    """The recorder's end: a thread that waits for signs of life, and acts when they stop."""
 
     def __init__(self, connection: Connection, bus: Bus) -> None:
         self._connection, self._bus = connection, bus
-        self.events = deque[tuple[int, str, str]]()
-        self.reason: str | None = None
+        self.events = deque[tuple[int, str, str]]()  # stamp, kind and text for the recording
+        self.reason: str | None = None  # why it acted
         self._thread = threading.Thread(target=self._run, daemon=True)
         self._thread.start()
 
@@ -94,8 +81,7 @@ class DeadMan:
         return self._thread.is_alive()
 
     def _run(self) -> None:
-        reason = self._why()
-        if reason is not None:
+        if (reason := self._why()) is not None:
             self._act(reason)
 
     def _why(self) -> str | None:
@@ -237,7 +223,7 @@ def _record(
             if stop_ns is not None:
                 receiver.stopped = True
                 assert thread is not None
-                thread.join(2 * DRAIN_S)
+                thread.join(2 * Receiver.DRAIN_S)
             block = receiver.take()
             _note_step(recorder, clock)
             block["time_ns"] = clock.continued(block["time_ns"])

@@ -1,26 +1,14 @@
-"""Frames of a session into a recording: flushed every half second, watched over, decoded at the end.
-
-Where time is simulated a `Recorder` works in the session's own process; else `process` runs it in its own.
-"""
+"""Frames of a session into a recording: flushed every half second, watched over, decoded at the end."""
 
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import AcquisitionError
-from ..recording import (
-    FRAME,
-    NO_SAMPLES,
-    Block,
-    Decoded,
-    Header,
-    RecordingWriter,
-    decode,
-    read_recording,
-    written_by_master,
-)
+from ..recording import FRAME, NO_SAMPLES, Block, Header, RecordingWriter, decode, read_recording, written_by_master
 from ..robot import Bus, Robot, resolve
 
 FLUSH_S = 0.5
@@ -29,26 +17,18 @@ SMALLEST_FREE_BYTES = 100 * 2**20  # with less left on the disk the session ends
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """The recorder half second by half second.
+    """The recorder half second by half second."""
 
-    Attributes:
-        frames, rate_hz: in all, and in the last half second.
-        drops: frames that the kernel dropped.
-        late, missing, duplicate, short: PDOs, in all.
-        lowest, highest: position of each joint so far, rad or m; empty before the first sample.
-        disk_full: less than the least free space is left.
-    """
-
-    frames: int = 0
-    rate_hz: float = 0.0
-    drops: int = 0
-    late: int = 0
+    frames: int = 0  # in all
+    rate_hz: float = 0.0  # of frames, in the last half second
+    drops: int = 0  # frames that the kernel dropped
+    late: int = 0  # PDOs in all, as the next three
     missing: int = 0
     duplicate: int = 0
     short: int = 0
-    lowest: tuple[float, ...] = ()
+    lowest: tuple[float, ...] = ()  # position of each joint so far, rad or m; empty before the first sample
     highest: tuple[float, ...] = ()
-    disk_full: bool = False
+    disk_full: bool = False  # less than the least free space is left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,38 +42,33 @@ class Recorded:
 
 
 class Recorder:
-    """Writes the recording `path`. The file is open from the start, and what is flushed survives a kill.
-
-    Raises `AcquisitionError` when the file exists already or cannot be written.
-    """
+    """Writes the recording `path`; what is flushed survives a kill. Raises `AcquisitionError` where it exists or fails."""
 
     def __init__(self, path: Path, robot: Robot, *, source: str, place: str) -> None:
         assert robot.bus is not None
         self._path, self._robot, self._place = path, robot, place
-        self._by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
-        self._bus: Bus | None = None if self._by_traffic else resolve(robot, place)
+        by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
+        self._bus: Bus | None = None if by_traffic else resolve(robot, place)
         file = robot.bus
         if path.exists():
             expected = "a new name; recordings are not replaced"
             raise AcquisitionError("is there already", place=str(path), expected=expected)
+        header = Header(
+            robot=robot,
+            source=source,
+            sample_rate_hz=1.0 / file.sync_period_s,
+            effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
+            effort_timing=file.effort_timing,
+            notes={
+                "bus": f"{file.interface} {file.channel}",
+                "bitrate": str(file.bitrate),
+                "sync_period_s": repr(file.sync_period_s),
+                "clock": "receive times of the recorder; samples at the times of their SYNCs",
+                **(_table(self._bus) if self._bus else {}),
+            },
+        )
         try:
-            self._writer = RecordingWriter(
-                path,
-                Header(
-                    robot=robot,
-                    source=source,
-                    sample_rate_hz=1.0 / file.sync_period_s,
-                    effort_provenance=self._bus.provenance if self._bus else "mapped by another master, see the frames",
-                    effort_timing=file.effort_timing,
-                    notes={
-                        "bus": f"{file.interface} {file.channel}",
-                        "bitrate": str(file.bitrate),
-                        "sync_period_s": repr(file.sync_period_s),
-                        "clock": "receive times of the recorder; samples at the times of their SYNCs",
-                        **(_table(self._bus) if self._bus else {}),
-                    },
-                ),
-            )
+            self._writer = RecordingWriter(path, header)
         except OSError as error:
             raise AcquisitionError(f"cannot be written: {error.strerror or error}", place=str(path)) from error
         self.channel = "".join(c if c.isalnum() or c in "_.-" else "_" for c in file.channel)[:64] or "can"
@@ -133,8 +108,10 @@ class Recorder:
     def _summed_up(self, recent: Block, elapsed_s: float, drops: int) -> Status:
         was = self._status
         low, high, counted = was.lowest, was.highest, dict.fromkeys(("late", "missing", "duplicate", "short"), 0)
-        decoded = self._decoded(recent)
-        if decoded is not None:
+        with suppress(AcquisitionError):  # while there is no SYNC, or no drive answers
+            if self._bus is None:
+                self._bus = resolve(self._robot, self._place, written_by_master(recent))
+            decoded = decode(recent, self._robot, self._bus, self._place, max_missing=1.0)
             q = decoded.samples["position"]
             low = tuple(np.minimum(q.min(axis=0), was.lowest or np.inf).tolist())
             high = tuple(np.maximum(q.max(axis=0), was.highest or -np.inf).tolist())
@@ -148,15 +125,6 @@ class Recorder:
             disk_full=shutil.disk_usage(self._path.parent).free < SMALLEST_FREE_BYTES,
             **{word: getattr(was, word) + count for word, count in counted.items()},
         )
-
-    def _decoded(self, frames: Block) -> Decoded | None:
-        """Samples of a piece, for the live line only: None while there is no SYNC, or no drive answers."""
-        try:
-            if self._bus is None:
-                self._bus = resolve(self._robot, self._place, written_by_master(frames))
-            return decode(frames, self._robot, self._bus, self._place, max_missing=1.0)
-        except AcquisitionError:
-            return None
 
     def finish(self, stamp_ns: int) -> Recorded:
         """Decode what was recorded, write the samples after the frames, and end the file."""

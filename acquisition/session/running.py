@@ -32,8 +32,7 @@ from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
-from .session import run_active
-from .task import Outcome, Stop, Task
+from .session import Outcome, Stop, Task, run_active
 from .timing import refuse_jitter, steady
 
 STOPPED = "stopped by"
@@ -42,20 +41,15 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 
 @dataclass(frozen=True, kw_only=True)
 class Operator:
-    """Whoever runs a session: how they stop it, what they are shown and asked.
+    """Whoever runs a session: how they stop it, what they are shown and asked. By default nothing moves.
 
-    Attributes:
-        stop: set by the operator (Ctrl-C) to end the session.
-        confirm: shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
-            Default: nothing moves.
-        show: called twice a second with the recorder's status and the seconds left.
-        announce: called with the outcome as soon as it is known.
+    `confirm` shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
     """
 
     stop: Stop = field(default_factory=Stop)
     confirm: Confirm = lambda words, faults: False
-    show: ShowStatus = lambda status, left_s: None
-    announce: Callable[[Outcome], None] = lambda outcome: None
+    show: ShowStatus = lambda status, left_s: None  # called twice a second
+    announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
 
 
 def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator: Operator) -> tuple[Outcome, Recorded]:
@@ -68,37 +62,40 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
     if robot.bus is None:
         expected = "a [bus] section with one drive per motor"
         raise AcquisitionError(place=place, key="bus", value=None, expected=expected)
-    task = _task_of(robot, place, options, operator)
-    if options.passive and any(drive.mapping == "traffic" for drive in robot.bus.drive):
-        return _listen(robot, place, out, task, operator)
-    bus = resolve(robot, place)  # refuses what it can before anything is opened
-    if options.passive:
-        return _listen(robot, place, out, task, operator)
-    refuse_load(bus, place)
-    with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
-        link, log = ends
-        started_ns = link.now_ns()
-        watched = _StatusLog(log, operator.show, lambda now_ns: _left(task, bus, now_ns - started_ns))
-        with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
-            if granted is not None and isinstance(log, ProcessLog):
-                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
-                log.granted(granted.counters)
-            outcome = run_active(robot, Master(link, bus), watched, task, operator.stop, operator.announce)
-        try:
-            return outcome, log.finish(link.now_ns())
-        except AcquisitionError as error:
-            raise outcome.error or error from error  # the first error may be the cause of the second
-
-
-def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operator) -> Task:
-    """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
-    assert robot.bus is not None
     by_traffic = any(drive.mapping == "traffic" for drive in robot.bus.drive)
     if options.passive and (options.track is not None or options.dry_run):
         raise AcquisitionError("sends nothing", place="--passive", expected="it without --track and --dry-run")
     if by_traffic and not options.passive:
         expected = "'table' or 'dictionary' in an active session"
         raise AcquisitionError(place=place, key="mapping", value="traffic", expected=expected)
+    task = _task_of(robot, robot.bus.sync_period_s, options, operator)
+    bus = None if by_traffic else resolve(robot, place)  # refuses what it can before anything is opened
+    if bus is None or options.passive:
+        return _listen(robot, place, out, task, operator)
+    refuse_load(bus, place)
+    with _simulated(bus, robot, out, place) if options.dry_run else _on_bus(bus, robot, out, place, options) as ends:
+        link, log = ends
+        started_ns = link.now_ns()
+        whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
+
+        def show(status: Status, now_ns: int) -> None:
+            left_s = None if whole_s is None else max(0.0, whole_s - (now_ns - started_ns) * 1e-9)
+            operator.show(status, left_s)
+
+        log.on_status = show
+        with steady() if isinstance(log, ProcessLog) else nullcontext() as granted:  # after the recorder has started
+            if granted is not None and isinstance(log, ProcessLog):
+                log.event(link.now_ns(), "mark", f"SYNC loop: {granted.words}")
+                log.granted(granted.counters)
+            outcome = run_active(robot, Master(link, bus), log, task, operator.stop, operator.announce)
+        try:
+            return outcome, log.finish(link.now_ns())
+        except AcquisitionError as error:
+            raise outcome.error or error from error  # the first error may be the cause of the second
+
+
+def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Operator) -> Task:
+    """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
         raise AcquisitionError("lasts as long as its reference", place="--track", expected="it without --duration")
     if options.track is None and options.speed != 1.0:
@@ -107,8 +104,8 @@ def _task_of(robot: Robot, place: str, options: RecordOptions, operator: Operato
         raise AcquisitionError(key="--speed", value=options.speed, expected="more than 0, and 1 at most")
     if options.track is None:
         return Task(duration_s=options.duration_s)
-    reference = table_reference(options.track, robot, robot.bus.sync_period_s, options.speed)
-    check_limits(reference, robot, robot.bus.sync_period_s, str(options.track))
+    reference = table_reference(options.track, robot, period_s, options.speed)
+    check_limits(reference, robot, period_s, str(options.track))
     task = Task(reference=reference, place=str(options.track))
     if options.dry_run:
         return task
@@ -121,7 +118,8 @@ def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[
     mechanism = mechanism_of(robot, bus)
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
-    with closing(log), closing(dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)) as run:
+    with closing(log):
+        run = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
             log.event(run.link.now_ns(), "warning", f"dry run: {mechanism.warning}")
         yield run.link, log
@@ -183,27 +181,6 @@ def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator)
         log.close()
 
 
-class _StatusLog:
-    """A log that also shows each status of the recorder."""
-
-    def __init__(self, log: InlineLog | ProcessLog, show: ShowStatus, left: Callable[[int], float | None]) -> None:
-        self._log, self._show, self._left = log, show, left
-        self.event, self.alive, self.ended = log.event, log.alive, log.ended
-
-    def poll(self, stamp_ns: int) -> Status | None:
-        """As the log."""
-        status = self._log.poll(stamp_ns)
-        if status is not None:
-            self._show(status, self._left(stamp_ns))
-        return status
-
-
-def _left(task: Task, bus: Bus, elapsed_ns: int) -> float | None:
-    """Seconds left of the task, None where it has no end."""
-    whole_s = task.duration_s if task.reference is None else len(task.reference) * bus.file.sync_period_s
-    return None if whole_s is None else max(0.0, whole_s - elapsed_ns * 1e-9)
-
-
 @contextmanager
 def stop_on_signals(stop: Stop) -> Iterator[None]:
     """Inside the block Ctrl-C, SIGTERM and a closed terminal set `stop`; Ctrl-C after any of them asks for a quick stop."""
@@ -228,23 +205,11 @@ WITHOUT_HARDWARE = ("virtual", "udp_multicast")  # the second: UDP on this compu
 def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bus: bool = False) -> int:
     """Send the frames that the drives of a recording sent, and its SYNCs, in their order and with their timing.
 
-    Parameters
-    ----------
-    path : the recording.
-    file : the bus to send on: interface and channel.
-    stop : ends the replay when it has a reason.
-    speed : times as fast as recorded, more than 0.
-    onto_bus : allows interfaces that hardware may be connected to.
+    Commands are never sent. `file` is the bus to send on, `speed` is in times of the recorded one, and `onto_bus` allows
+    interfaces that hardware may be connected to. Returns the number of frames sent.
 
-    Returns
-    -------
-    The number of frames sent.
-
-    Raises
-    ------
-    AcquisitionError
-        `speed` or the interface is refused, the recording holds no frames of drives, any frame of another node is received
-        before or between those that are sent, or the bus takes no frames.
+    Raises `AcquisitionError`: `speed` or the interface is refused, the recording holds no frames of drives, a frame of another
+    node is received before or between those that are sent, or the bus takes no frames.
     """
     if not speed > 0:
         raise AcquisitionError(key="--speed", value=speed, expected="more than 0")
@@ -256,7 +221,7 @@ def replay(path: Path, file: BusFile, stop: Stop, *, speed: float = 1.0, onto_bu
     frames = from_drives(recording, str(path))
     assert recording.robot.bus is not None  # else there were no drives
     since_s = (frames["time_ns"] - frames["time_ns"][:1]) * 1e-9 / speed
-    due_s = np.maximum.accumulate(since_s) if len(frames) else since_s
+    due_s = np.maximum.accumulate(since_s)
     link = open_link(file, passive=False)
     count, sync_can_id = 0, recording.robot.bus.sync_can_id
 

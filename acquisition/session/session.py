@@ -5,9 +5,9 @@ recording says which of them confirmed it.
 """
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from ..arrays import Array
 from ..bus import (
@@ -17,8 +17,9 @@ from ..bus import (
     error_report,
     joints_of,
     leave_operational,
+    listen_for_others,
+    not_disabled,
     refuse_enabled,
-    refuse_other_master,
     refuse_slow_ramps,
     safe_stop,
     send_orders,
@@ -26,11 +27,49 @@ from ..bus import (
 from ..errors import AcquisitionError
 from ..protocol import DISABLED, Command, Mode, State, notices
 from ..robot import Drive, Robot, approach, check_carriers, check_limits, follow, refuse_out_of_range
-from .motion import MotionState, all_enabled, disable, enable, motion_fault, node_fault
-from .task import Outcome, SessionLog, Stop, Task
+from .logs import SessionLog
+from .motion import MotionState, all_enabled, disable, enable, joint_fault, node_fault, state_fault
 from .timing import Pace
 
 HOLD_S = 0.3  # the drives hold their position at the end of motion, before they are disabled
+
+
+@dataclass(kw_only=True)
+class Stop:
+    """Ends a session when `reason` is set from outside (Ctrl-C, SIGTERM); `at_once`: by a quick stop."""
+
+    reason: str = ""
+    at_once: bool = False
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """The task of a session: to record for a time, or to follow a reference; without one nothing moves.
+
+    `before_motion` checks the drives before anything is written to them; it returns texts for the recording, and raises
+    `AcquisitionError` where nothing may move.
+    """
+
+    duration_s: float | None = None  # of a session without a reference; None: until it is stopped
+    reference: Array | None = None  # joint positions (N, n), one row per SYNC, rad or m
+    place: str = "reference"  # its name in errors
+    before_motion: Callable[[Master], Iterable[str]] = lambda _: ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """How a session ended."""
+
+    reason: str
+    fault: bool  # whether an error ended it
+    error: AcquisitionError | None = None
+    unconfirmed: tuple[int, ...] = ()  # nodes of commanded drives that did not confirm to be disabled
+    reports: tuple[str, ...] = ()  # of drives in fault, one line each
+
+    @property
+    def alarm(self) -> str:
+        """The message that is shown first; empty where every drive confirmed."""
+        return not_disabled(self.unconfirmed) if self.unconfirmed else ""
 
 
 def run_active(
@@ -98,7 +137,7 @@ class _Session:
         self._motion: MotionState | None = None
         self._held: list[int] = []  # last target counts of the drives
         self._targets: list[Array] = []  # the last joint targets
-        self._warned: set[str] = set()
+        self._noted: set[str] = set()  # texts of warnings that were recorded
         self._in_fault: list[int] = []  # nodes found in fault before motion
         self._started = False
         self.addressed = False  # whether anything was commanded or written to the drives
@@ -109,15 +148,14 @@ class _Session:
             check_limits(self._task.reference, self._robot, self._period_s, self._task.place)
             refuse_out_of_range(self._task.reference, self._robot, self._bus, self._task.place)
             check_carriers(self._bus)
-        self._log.event(self._link.now_ns(), "phase", "configure")
-        refuse_other_master(self._master)
+        self._note("phase", "configure")
+        if (refusal := listen_for_others(self._master)) is not None:
+            raise refusal
         # Only reads: a drive that another program has enabled stays as it is.
         self._in_fault = refuse_enabled(self._master)
-        for node in self._in_fault:
-            self._log.event(self._link.now_ns(), "mark", f"node {node}: found in fault")
+        self._note("mark", *(f"node {node}: found in fault" for node in self._in_fault))
         if self._task.reference is not None:
-            for text in self._task.before_motion(self._master):
-                self._log.event(self._link.now_ns(), "mark", text)
+            self._note("mark", *self._task.before_motion(self._master))
             self._master.wait(self._link.now_ns())  # takes the frames received while the operator was asked
         self.addressed = True
         self._master.configure()
@@ -126,15 +164,22 @@ class _Session:
             raise AcquisitionError("; ".join(differences))
         if self._task.reference is not None:
             self._master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
-            for text in refuse_slow_ramps(self._master):
-                self._log.event(self._link.now_ns(), "mark", text)
-            for text in self._heartbeat.request():
-                self._log.event(self._link.now_ns(), "warning", text)
+            self._note("mark", *refuse_slow_ramps(self._master))
+            self._note("warning", *self._heartbeat.request())
         self._master.start()
         self._started = True
         self._pace.start()
         if self._task.duration_s is not None:
             self._until_ns = self._link.now_ns() + round(self._task.duration_s * 1e9)
+
+    def _note(self, kind: str, *texts: str) -> None:
+        for text in texts:
+            self._log.event(self._link.now_ns(), kind, text)
+
+    def _note_once(self, kind: str, text: str) -> None:
+        if text not in self._noted:
+            self._noted.add(text)
+            self._note(kind, text)
 
     def phases(self) -> None:
         """Run one phase after the other."""
@@ -182,10 +227,12 @@ class _Session:
                 motion.measured = [*motion.measured[-10:], q]
                 # A drive takes a period to reach a target: its position now belongs to the target before the last.
                 motion.target = self._targets[-2] if len(self._targets) >= 2 else None
-                error = motion_fault(self._master, self._robot, motion)
+                error = state_fault(self._master, motion) or joint_fault(self._master, self._robot, motion)
             if error is None and self._stop.at_once:
                 error = AcquisitionError(f"{self._stop.reason}, then again: quick stop")
-            self._note(motion)
+            for watch in self._master.nodes:
+                for text in notices(watch.statusword or 0):
+                    self._note_once("mark", f"node {watch.drive.node} ({watch.drive.name}): {text}")
         if error is not None:
             raise error
         status = self._log.poll(now_ns)
@@ -199,30 +246,13 @@ class _Session:
             error = AcquisitionError(f"{sign}: another master is active", place="bus", expected="none in motion")
             if in_motion and commands:
                 return error
-            if sign not in self._warned:
-                self._warned.add(sign)
-                self._log.event(self._link.now_ns(), "warning", str(error))
+            self._note_once("warning", str(error))
         return None
-
-    def _note(self, motion: MotionState) -> None:
-        """Record the warnings of the drives, each once."""
-        for watch in self._master.nodes:
-            for text in notices(watch.statusword or 0):
-                if (watch.drive.node, text) not in motion.noted:
-                    motion.noted.add((watch.drive.node, text))
-                    place = f"node {watch.drive.node} ({watch.drive.name})"
-                    self._log.event(self._link.now_ns(), "mark", f"{place}: {text}")
 
     def _positions(self) -> Array | None:
         """Measured joint positions (n,), None until every drive has sent its own."""
         counts = [watch.counts for watch in self._master.nodes if watch.counts is not None]
         return joints_of(self._robot, self._bus, counts) if len(counts) == self._robot.n else None
-
-    def _orders(self, q: Array) -> Orders:
-        """Orders that keep drives enabled and give them the joint targets q (n,)."""
-        motor = self._robot.motor_position(q[None])[0]
-        counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
-        return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]
 
     def _record(self) -> Iterator[None]:
         while not self._stop.reason and (self._until_ns is None or self._link.now_ns() < self._until_ns):
@@ -237,18 +267,20 @@ class _Session:
                 return
             yield order
         watched = round(self._bus.file.enable_watch_s / self._period_s)
-        yield from itertools.takewhile(lambda _: not self._stop.reason, itertools.repeat(self._held_orders(), watched))
+        yield from itertools.takewhile(
+            lambda _: not self._stop.reason, itertools.repeat(_enabled_at(self._held), watched)
+        )
         self._motion.enabling = False
 
     def _follow(self, path: Array) -> Iterator[Orders]:
+        """Orders that keep drives enabled and give them the joint targets of `path` (N, n)."""
         for q in follow(path, self._robot, self._period_s, lambda: bool(self._stop.reason)):
-            yield self._orders(q)
+            motor = self._robot.motor_position(q[None])[0]
+            counts = [int(drive.position_codec.raw(motor[i])) for i, drive in enumerate(self._bus.drives)]
+            yield _enabled_at(counts)
 
     def _hold(self) -> Iterator[Orders]:
-        yield from itertools.repeat(self._held_orders(), max(3, round(HOLD_S / self._period_s)))
-
-    def _held_orders(self) -> Orders:
-        return [(Command.ENABLE_OPERATION.controlword, target) for target in self._held]
+        yield from itertools.repeat(_enabled_at(self._held), max(3, round(HOLD_S / self._period_s)))
 
     def _disable(self) -> Iterator[Orders]:
         """All drives to switch on disabled, without the guards of motion: drives leave operation enabled here."""
@@ -286,6 +318,11 @@ class _Session:
         if not self.addressed:
             return
         with suppress(AcquisitionError):
-            for text in self._heartbeat.release([d.node for d in self._bus.drives if d.node not in unconfirmed]):
-                self._log.event(self._link.now_ns(), "warning", text)
+            nodes = [drive.node for drive in self._bus.drives if drive.node not in unconfirmed]
+            self._note("warning", *self._heartbeat.release(nodes))
         leave_operational(self._master)
+
+
+def _enabled_at(counts: list[int]) -> Orders:
+    """Orders that keep drives enabled at the target counts."""
+    return [(Command.ENABLE_OPERATION.controlword, target) for target in counts]

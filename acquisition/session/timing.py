@@ -99,21 +99,24 @@ class Scheduling:
 
 @contextmanager
 def steady() -> Iterator[Scheduling]:
-    """Real-time scheduling of this thread inside the block; everything is restored after it.
-
-    SCHED_FIFO with SCHED_RESET_ON_FORK (new child processes do not inherit it) where permitted, mlockall(2) where the limit
-    of locked memory is unlimited, and no garbage collection. Yields what was granted.
-    """
+    """Real-time scheduling, locked memory, no garbage collection inside the block where permitted; yields what was granted."""
     policy, parameter = os.sched_getscheduler(0), os.sched_getparam(0)
     collected = gc.isenabled()
     gc.collect()
     gc.disable()
-    granted = Scheduling(fifo=_fifo(), locked=_lock_memory())
+    # With a limit of locked memory, allocations beyond it would fail in the middle of a session.
+    unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
+    libc = ctypes.CDLL(None, use_errno=True)
+    fifo = False
+    with suppress(OSError):  # not permitted; RESET_ON_FORK: new child processes do not inherit it
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
+        fifo = True
+    granted = Scheduling(fifo=fifo, locked=unlimited and libc.mlockall(MCL_CURRENT | MCL_FUTURE) == 0)
     try:
         yield granted
     finally:
         if granted.locked:
-            _libc().munlockall()
+            libc.munlockall()
         if granted.fifo:
             with suppress(OSError):
                 os.sched_setscheduler(0, policy, parameter)
@@ -122,39 +125,14 @@ def steady() -> Iterator[Scheduling]:
             gc.collect()
 
 
-def _fifo() -> bool:
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(PRIORITY))
-    except OSError:
-        return False
-    return True
-
-
-def _lock_memory() -> bool:
-    """Lock all memory if there is no limit: with one, allocations beyond it would fail in the middle of a session."""
-    soft, _ = resource.getrlimit(resource.RLIMIT_MEMLOCK)
-    return soft == resource.RLIM_INFINITY and _libc().mlockall(MCL_CURRENT | MCL_FUTURE) == 0
-
-
-def _libc() -> ctypes.CDLL:
-    return ctypes.CDLL(None, use_errno=True)
-
-
 @dataclass(frozen=True, kw_only=True)
 class Jitter:
-    """Intervals between SYNCs.
-
-    Attributes:
-        sd_s: standard deviation.
-        worst_s: largest deviation from the period.
-        off: share of intervals that deviate by more than half a period, 0 to 1.
-        largest_s: largest delay of SYNC that is accepted in motion.
-    """
+    """Intervals between SYNCs."""
 
     sd_s: float
-    worst_s: float
-    off: float
-    largest_s: float
+    worst_s: float  # largest deviation from the period
+    off: float  # share of intervals that deviate by more than half a period, 0 to 1
+    largest_s: float  # largest delay of SYNC that is accepted in motion
 
     @property
     def fit_for_motion(self) -> bool:
@@ -171,12 +149,10 @@ def sync_jitter(master: Master) -> Jitter:
     file, period_ns, link = master.bus.file, master.bus.period_ns, master.link
     count = min(JITTER_SYNCS, max(FEWEST_SYNCS, round(JITTER_S * 1e9 / period_ns)))
     if file.sync_producer == "recorder":
-        times = []
-        next_ns = link.now_ns() + period_ns
-        for _ in range(count):
-            master.wait(next_ns)
+        times, begin_ns = [], link.now_ns()
+        for k in range(count):
+            master.wait(begin_ns + (k + 1) * period_ns)
             times.append(link.now_ns())
-            next_ns += period_ns
     else:
         first = len(master.sync_times)
         for _ in range(count):

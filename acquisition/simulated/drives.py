@@ -4,20 +4,18 @@ At SYNC a drive samples, answers, and applies the targets received since the las
 period. Time is that of the frames passed in, so a run in lock-step repeats bit for bit.
 """
 
-import itertools
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..bus import Link, LockStepLink, Tap, open_bus, open_link
+from ..bus import Frame, Link, Tap, open_link
 from ..errors import AcquisitionError
 from ..protocol import (
-    DISABLED,
     HEARTBEAT,
     HEARTBEAT_TIME,
     MODE_DISPLAY,
@@ -31,6 +29,7 @@ from ..protocol import (
     quick_stop_ramp,
     saturated,
 )
+from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
 from .mechanism import SUBSTEPS, Mechanism, cubic, mechanism_of
 from .node import Sent, SimulatedNode, Supervision, simulated_node
@@ -83,11 +82,6 @@ class SimulatedDrives:
         """State of each drive."""
         return [node.state for node in self.nodes]
 
-    @property
-    def all_disabled(self) -> bool:
-        """Whether every drive is in a state without torque."""
-        return all(state in DISABLED for state in self.states)
-
     def set_heartbeats(self, every_ms: int) -> None:
         """From their next boot on, drives whose dictionaries have a heartbeat time (1017h) of 0 send one every `every_ms`."""
         for node in self.nodes:
@@ -104,13 +98,10 @@ class SimulatedDrives:
         """The frames that the drives send upon a frame."""
         if can_id == self.bus.file.sync_can_id:
             return self._sync(now_ns)
-        sent: Sent = []
         if HEARTBEAT < can_id < HEARTBEAT + 0x80 and data:
             for supervision in self._supervisions:
                 supervision.heartbeat(now_ns, can_id - HEARTBEAT)
-        for node in self.nodes:
-            sent += node.receive(can_id, data)
-        return sent
+        return [frame for node in self.nodes for frame in node.receive(can_id, data)]
 
     def due_ns(self) -> int | None:
         """When `advance` must be called next, None where nothing is due."""
@@ -209,8 +200,7 @@ class SimulatedDrives:
         """Targets (n,) of the motors from 607Ah; the present position where a drive is not enabled or not in that mode."""
         target = position.copy()
         for i, node in enumerate(self.nodes):
-            in_csp = node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION
-            if enabled[i] and in_csp:
+            if enabled[i] and node.values.get((MODE_DISPLAY, 0), 8) == Mode.CYCLIC_SYNCHRONOUS_POSITION:
                 target[i] = node.drive.position_codec.si(np.array(node.values[node.drive.target.key]))
         return target
 
@@ -246,48 +236,60 @@ def _ramp(node: SimulatedNode, values: Mapping[tuple[int, int], int]) -> float:
 
 
 IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens first must hear them
-_NUMBERS = itertools.count()
+
+
+class LockStepLink(Link):
+    """A link to simulated drives in simulated time, which advances only when nobody has a frame to send or take."""
+
+    def __init__(self, drives: SimulatedDrives, tap: Tap | None) -> None:
+        self._drives, self._tap, self._time_ns = drives, tap, 1_000_000_000
+        self._to_drives, self._from_drives = deque[tuple[int, bytes]](), deque(drives.boot())
+
+    def now_ns(self) -> int:
+        """Simulated time."""
+        return self._time_ns
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame to the drives."""
+        self._to_drives.append((can_id, data))
+        if self._tap is not None:
+            self._tap(Frame(self._time_ns, can_id, data, SENT))
+
+    def receive(self, until_ns: int) -> Frame | None:
+        """As `Link.receive`."""
+        while not self._from_drives:
+            due_ns = self._drives.due_ns()
+            if self._to_drives:
+                self._from_drives += self._drives.receive(self._time_ns, *self._to_drives.popleft())
+                continue
+            if due_ns is not None and due_ns <= self._time_ns:
+                self._from_drives += self._drives.advance(self._time_ns)
+                if self._from_drives:
+                    break
+                due_ns = self._drives.due_ns()
+            if self._time_ns >= until_ns:
+                return None
+            self._time_ns = until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
+        frame = Frame(self._time_ns, *self._from_drives.popleft())
+        if self._tap is not None:
+            self._tap(frame)
+        return frame
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class DryRun:
-    """The link of a session in simulated time, and the drives at the other end of the bus; `close` closes both ends."""
+    """The link of a session in simulated time, and the drives at the other end."""
 
     link: LockStepLink
     drives: SimulatedDrives
-    other_end: Link
-
-    def close(self) -> None:
-        """Close both ends of the bus."""
-        self.link.close()
-        self.other_end.close()
 
 
 def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
-    """Put simulated drives, not booted yet, on an in-process `virtual` bus, in lock-step with the link of a session.
+    """Boot simulated drives, in lock-step with the link of a session; every run with the same drives gives the same frames.
 
-    Time is simulated: it advances only when the link waits, and every run with the same drives gives the same frames. `tap`
-    is called with every frame that the session's link sends or receives.
+    Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
     """
-    file = msgspec.structs.replace(drives.bus.file, interface="virtual", channel=f"dry_run_{next(_NUMBERS)}")
-    other_end = Link(open_bus(file, passive=False), passive=False)
-    own = open_bus(file, passive=False)
-
-    def others(now_ns: int) -> bool:
-        frame = other_end.take(0)
-        sent = [] if frame is None else drives.receive(now_ns, frame.can_id, frame.data)
-        if frame is None:
-            due = drives.due_ns()
-            if due is not None and due <= now_ns:
-                sent = drives.advance(now_ns)
-        for can_id, data in sent:
-            other_end.send(can_id, data)
-        return frame is not None or bool(sent)
-
-    link = LockStepLink(own, others, drives.due_ns, passive=False, tap=tap)
-    for can_id, data in drives.boot():
-        other_end.send(can_id, data)
-    return DryRun(link=link, drives=drives, other_end=other_end)
+    return DryRun(link=LockStepLink(drives, tap), drives=drives)
 
 
 def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:

@@ -28,15 +28,12 @@ class Plant(Protocol):
 
     def state(self) -> tuple[Array, Array]:
         """Position and speed, each (n,)."""
-        ...
 
     def prescribed_effort(self) -> Array | None:
         """Effort (n,) that drives report in place of that of their loops; None for a plant that their loops move."""
-        ...
 
     def step(self, effort: Array, held: Mask, duration_s: float) -> None:
         """Step by `duration_s` under constant `effort` (n,); brakes hold the joints where `held` (n,)."""
-        ...
 
 
 class JointwisePlant:
@@ -71,10 +68,7 @@ class JointwisePlant:
 
 
 def typical_plant(robot: Robot, rated_motor_effort: Array, load_share: float = TYPICAL_LOAD) -> JointwisePlant:
-    """Independent joints that suit the drives of `robot`: half the rated effort gives the stated acceleration.
-
-    A horizontal joint carries `load_share` of its rated effort. Each joint starts in the middle of its range.
-    """
+    """Independent joints that suit the drives, amid their ranges; a horizontal one carries `load_share` of its rated effort."""
     rated = np.abs(robot.joint_effort(rated_motor_effort[None])[0])
     speed = np.array([j.si("speed") or 1.0 for j in robot.joints])
     return JointwisePlant(
@@ -134,23 +128,17 @@ class LoopGains:
     """The law of the drives, each with its own motor: u = Kp e + Kd (phi dr - dq) + Ki integral(alpha e - (1 - phi) dq).
 
     e = r - q, in rad (or m) of the motor; u in the recorded effort; gains (n,).
-
-    Attributes:
-        position, velocity, integral: Kp, Kd, Ki.
-        position_share: alpha, (n,).
-        feedforward: phi, the share of the reference's speed that is fed forward.
-        smooth: whether the reference between two targets is a cubic of continuous speed. Else it is a line, from which motion
-            deviates: the demand has a ripple in each SYNC period.
-        current_s: time constant of the current loop.
     """
 
-    position: Array
-    velocity: Array
-    integral: Array
-    position_share: Array
-    feedforward: float = 1.0
+    position: Array  # Kp
+    velocity: Array  # Kd
+    integral: Array  # Ki
+    position_share: Array  # alpha
+    feedforward: float = 1.0  # phi, the share of the reference's speed that is fed forward
+    # Between two targets the reference is a cubic of continuous speed. Else it is a line, from which motion deviates: the
+    # demand has a ripple in each SYNC period.
     smooth: bool = True
-    current_s: float = 3e-4
+    current_s: float = 3e-4  # time constant of the current loop
 
 
 def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
@@ -160,9 +148,8 @@ def cascaded_loops(robot: Robot, inertia: Array) -> LoopGains:
     """
     w = 2 * np.pi * robot.bandwidth_hz
     velocity = 4 * w * (np.linalg.inv(robot.R) ** 2).T @ inertia / robot.gain
-    return LoopGains(
-        position=2 * w * velocity, velocity=velocity, integral=w**2 * velocity, position_share=np.ones(robot.n)
-    )
+    position, integral = 2 * w * velocity, w**2 * velocity
+    return LoopGains(position=position, velocity=velocity, integral=integral, position_share=np.ones(robot.n))
 
 
 def describe_loops(robot: Robot, loops: LoopGains) -> Robot:
@@ -204,10 +191,7 @@ class Mechanism:
 
 
 def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
-    """The mechanism of a description: the robot of its `[parameters]`, or independent joints without them.
-
-    Independent joints, with a warning, also where no installed package offers the robot's dynamics.
-    """
+    """The robot of `[parameters]`; independent joints, with a warning, without them or where no package offers its dynamics."""
     if not robot.parameters:
         return _stand_in(robot, bus, "robot.toml has no [parameters]")
     offered = list(entry_points(group=GROUP))

@@ -57,7 +57,6 @@ def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *,
         log.finish(simulated.link.now_ns())
     finally:
         log.close()
-        simulated.close()
     if outcome.fault:
         raise IdentificationError(f"{out}: the simulated session failed: {outcome.reason}")
 

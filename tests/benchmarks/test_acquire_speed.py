@@ -12,6 +12,7 @@ import struct
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -50,7 +51,7 @@ def _recorder(connection, port: int, path: str) -> None:
         return finish(stamp_ns)
 
     recorder.finish = timed_finish  # type: ignore[method-assign]
-    done = _record(connection, recorder, Receiver(None, raw_socket=sock), np.zeros(0, np.int64))
+    done = _record(connection, recorder, Receiver(SimpleNamespace(socket=sock)), np.zeros(0, np.int64), None)
     connection.send(("done", (done, *times[0])))
 
 
