@@ -6,16 +6,60 @@ The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity`
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..robot import Robot
-from .table_map import EFFORT_UNITS, POSITION_UNITS, VELOCITY_UNITS, Quantity, Side
 
 Units = Mapping[str, tuple[str, float]]
+Side = Literal["motor", "joint"]
+TableNumber = Annotated[int, msgspec.Meta(ge=1)]
+
+# Of each unit the SI unit that values are converted to, and the factor.
+POSITION_UNITS = {
+    "rad": ("rad", 1.0),
+    "deg": ("rad", np.pi / 180),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+}
+VELOCITY_UNITS = {
+    "rad/s": ("rad", 1.0),
+    "deg/s": ("rad", np.pi / 180),
+    "rpm": ("rad", np.pi / 30),
+    "m/s": ("m", 1.0),
+    "mm/s": ("m", 1e-3),
+}
+EFFORT_UNITS = {
+    "A": ("A", 1.0),
+    "mA": ("A", 1e-3),
+    "V": ("V", 1.0),
+    "mV": ("V", 1e-3),
+    "N m": ("N m", 1.0),
+    "mN m": ("N m", 1e-3),
+    "N": ("N", 1.0),
+}
+
+
+class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[position]`, `[effort]` and the like: the columns, one per motor or joint, and what they are.
+
+    Attributes:
+        table: place of the file on the command line, from 1.
+        columns: names, or numbers from 1.
+        unit: one for all columns, or one for each.
+        side: `motor` or `joint`; may be left out where it makes no difference or the unit decides.
+    """
+
+    columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]
+    unit: str | tuple[str, ...]
+    table: TableNumber = 1
+    side: Side | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

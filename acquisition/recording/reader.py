@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
@@ -255,27 +255,3 @@ def rewrite(
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
         add(writer)
-
-
-def recover(
-    cut_path: Path, out_path: Path, decode: Callable[[Recording, RecordingWriter], None] | None = None
-) -> Recording:
-    """Write a whole recording of everything before the cut of one without its end; returns what was read.
-
-    `decode` writes the samples of a recording that has frames.
-
-    An `AcquisitionError` as of `read_recording`; also if the file is not cut, or `out_path` cannot be written.
-    """
-    recording = read_recording(cut_path)
-    if not recording.cut:
-        Place(str(cut_path)).refuse(text="has its proper end: nothing to recover")
-
-    def add(writer: RecordingWriter) -> None:
-        if recording.frames and decode is not None:
-            decode(recording, writer)
-        elif recording.samples is not None:
-            writer.samples(recording.samples)
-
-    notes = {**recording.metadata, "recovered_from": recording.sha256}
-    rewrite(recording, replace(recording.header, notes=notes), out_path, add)
-    return recording
