@@ -49,7 +49,7 @@ def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collectio
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
     Those of the fields `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field
-    `extra` (extra,), named by `extra_objects.extra_columns`.
+    `extra` (extra,), named by `robot.extra_columns`.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []

@@ -24,8 +24,7 @@ from ..protocol import (
 )
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, Values, refuse_counts, refuse_pdos
-from .extra_objects import effort_scale, extra_object
+from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, extra_object, refuse_counts, refuse_pdos
 from .robot import Robot
 
 Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
