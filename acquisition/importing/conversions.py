@@ -47,13 +47,13 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     if not recording.frames:
         Place(str(path)).refuse(text="holds no CAN frames", expected="a recording of drives")
     frames = max(recording.frames.values(), key=len)
-    decoded, of_bus = _decoded(frames, robot, str(path), place)
+    decoded = _decoded(frames, robot, str(path), place)
     decoded = replace(decoded, warnings=(*decoded.warnings, *_fallen(recording, decoded)))
     notes = {**recording.metadata, "decoded_from": recording.sha256}
-    header, end_ns = replace(recording.header, notes=notes, **of_bus), int(frames["time_ns"][-1])
+    header, end_ns = replace(recording.header, notes=notes, **_of_bus(decoded)), int(frames["time_ns"][-1])
     # Warnings are those of the decoding before.
     rewrite(recording, header, out, lambda writer: decoded.write(writer, end_ns), without="warning")
-    return _imported(header, decoded, out)
+    return _imported(decoded, out)
 
 
 def row_doubts(recording: Recording) -> str:
@@ -62,7 +62,7 @@ def row_doubts(recording: Recording) -> str:
         return ""
     frames = max(recording.frames.values(), key=len)
     try:
-        decoded, _ = _decoded(frames, recording.robot, "its frames", "its robot.toml")
+        decoded = _decoded(frames, recording.robot, "its frames", "its robot.toml")
     except AcquisitionError as error:
         return f"all {len(recording.samples)} fall: {error}"
     return "; ".join(_fallen(recording, decoded))
@@ -129,14 +129,14 @@ def import_log(log: Path, out: Path, robot: Robot, place: str) -> Imported:
     """
     frames, left_out = _of_one_interface(log, robot)
     frames["time_ns"] = np.maximum.accumulate(frames["time_ns"])
-    decoded, of_bus = _decoded(frames, robot, str(log), place)
+    decoded = _decoded(frames, robot, str(log), place)
     decoded = replace(decoded, warnings=left_out + decoded.warnings)
     notes = {"left_out": "; ".join(left_out)} if left_out else {}
-    header = Header(source=f"log {log.name}", notes=notes, **of_bus)
+    header = Header(source=f"log {log.name}", notes=notes, **_of_bus(decoded))
     with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
         writer.frames("log", frames)
         decoded.write(writer, int(frames["time_ns"][-1]))
-    return _imported(header, decoded, out)
+    return _imported(decoded, out)
 
 
 def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
@@ -164,27 +164,31 @@ def _of_one_interface(log: Path, robot: Robot) -> tuple[Block, tuple[str, ...]]:
     return frames, (f"frames left out: {', '.join(left_out)}",) if left_out else ()
 
 
-def _decoded(frames: Block, robot: Robot, name: str, place: str) -> tuple[Decoded, dict[str, Any]]:
-    """Samples of frames, checked, and what a header says of them."""
-    bus = resolve(robot, place, written_by_master(frames))
-    decoded = decode(frames, robot, bus, name)
+def _decoded(frames: Block, robot: Robot, name: str, place: str) -> Decoded:
+    """Samples of frames, checked."""
+    decoded = decode(frames, robot, resolve(robot, place, written_by_master(frames)), name)
     q = np.concatenate([block["position"].copy() for block in decoded.blocks()])  # a view would keep its whole block
     warnings = check_recorded_positions(robot, decoded.stamps * np.float64(1e-9), q, name)
-    of_bus = {
-        "robot": robot,
-        "sample_rate_hz": 1.0 / bus.file.sync_period_s,
-        "effort_provenance": bus.provenance,
-        "effort_timing": bus.file.effort_timing,
+    return replace(decoded, warnings=decoded.warnings + warnings)
+
+
+def _of_bus(decoded: Decoded) -> dict[str, Any]:
+    """What a header says of the drives."""
+    file = decoded.bus.file
+    return {
+        "robot": decoded.robot,
+        "sample_rate_hz": 1.0 / file.sync_period_s,
+        "effort_provenance": decoded.bus.provenance,
+        "effort_timing": file.effort_timing,
     }
-    return replace(decoded, warnings=decoded.warnings + warnings), of_bus
 
 
-def _imported(header: Header, decoded: Decoded, out: Path) -> Imported:
+def _imported(decoded: Decoded, out: Path) -> Imported:
     return Imported(
         out=out,
-        robot=header.robot.name,
+        robot=decoded.robot.name,
         samples=len(decoded.stamps),
-        sample_rate_hz=header.sample_rate_hz,
+        sample_rate_hz=1.0 / decoded.bus.file.sync_period_s,
         has_reference=decoded.targets is not None,
         warnings=decoded.warnings,
     )

@@ -54,17 +54,21 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
     samples, robot = _samples(path, warn)
     names, fields, nothing = [joint.name for joint in robot.joints], samples.dtype.names or (), np.zeros(0)
     t_s = (samples["stamp_ns"] - samples["stamp_ns"][0]) * np.float64(1e-9)
-    counts, first = Counter[str](), 0
-    with new_bag(out) as bag:
+    counts, first, messages = Counter[str](), 0, RosMessages()
+    with _new_bag(out) as bag:
         if robot.urdf is not None:
-            bag.text(DESCRIPTION, int(samples["stamp_ns"][0]), robot.urdf)
+            channel = bag.add_connection(DESCRIPTION, TEXT, typestore=messages.store, offered_qos_profiles=[_latched()])
+            bag.write(channel, int(samples["stamp_ns"][0]), messages.text(robot.urdf))
             counts[DESCRIPTION] += 1
+        channels = {
+            field: bag.add_connection(topic, JOINT_STATE, typestore=messages.store)
+            for field, topic in TOPICS.items()
+            if field in fields
+        }
         for part in in_parts(samples):
             around = slice(max(0, first - 1), first + len(part) + 1)
-            speeds = {
-                field: _derivative(samples[field][around], t_s[around])[first - around.start :]
-                for field in ("position", "reference")
-                if field in fields
+            speeds: dict[str, Array] = {
+                field: _derivative(samples[field][around], t_s[around])[first - around.start :] for field in channels
             }
             if "velocity" in fields:
                 speeds["position"] = part["velocity"]
@@ -72,7 +76,9 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
                 for field, speed in speeds.items():
                     # N m or N by definition of the message.
                     effort = row["effort"] if field == "position" and robot.gain_known else nothing
-                    bag.joint_state(TOPICS[field], int(row["stamp_ns"]), names, (row[field], speed[k], effort))
+                    stamp_ns = int(row["stamp_ns"])
+                    state = messages.joint_state(stamp_ns, names, row[field], speed[k], effort)
+                    bag.write(channels[field], stamp_ns, state)
             counts.update({TOPICS[field]: len(part) for field in speeds})
             first += len(part)
     return counts
@@ -104,31 +110,8 @@ def _unit(robot: Robot, field: str, joint: int) -> str:
     return f"{unit}_s" if field == "velocity" else unit
 
 
-class BagWriter:
-    """Adds messages to the open `writer` of a bag."""
-
-    def __init__(self, writer: Any) -> None:
-        self._writer, self._messages = writer, RosMessages()
-        self._channels: dict[str, Any] = {}
-
-    def joint_state(self, topic: str, stamp_ns: int, names: list[str], values: tuple[Array, Array, Array]) -> None:
-        """Write a JointState of position, velocity, effort (n,) each, or empty."""
-        self._write(topic, JOINT_STATE, stamp_ns, self._messages.joint_state(stamp_ns, names, *values))
-
-    def text(self, topic: str, stamp_ns: int, text: str) -> None:
-        """Write a String that subscribers get however late they come."""
-        self._write(topic, TEXT, stamp_ns, self._messages.text(text))
-
-    def _write(self, topic: str, kind: str, stamp_ns: int, data: bytes) -> None:
-        if topic not in self._channels:
-            self._channels[topic] = self._writer.add_connection(
-                topic, kind, typestore=self._messages.store, offered_qos_profiles=[_latched()] if kind == TEXT else []
-            )
-        self._writer.write(self._channels[topic], stamp_ns, data)
-
-
 @contextmanager
-def new_bag(folder: Path) -> Iterator[BagWriter]:
+def _new_bag(folder: Path) -> Iterator[Any]:
     """Write a ROS 2 bag, a folder with an .mcap of CDR channels, whole or not at all."""
     from rosbags.rosbag2 import StoragePlugin, Writer
 
@@ -141,7 +124,7 @@ def new_bag(folder: Path) -> Iterator[BagWriter]:
         writer = Writer(partial / folder.name, version=_BAG_VERSION, storage_plugin=StoragePlugin.MCAP)
         writer.open()
         try:
-            yield BagWriter(writer)
+            yield writer
         except BaseException:
             writer.abort()
             raise
