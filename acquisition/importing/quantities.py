@@ -49,11 +49,8 @@ EFFORT_UNITS = {
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """`[position]`, `[effort]` and the like: the columns, one per motor or joint, and what they are.
 
-    Attributes:
-        table: place of the file on the command line, from 1.
-        columns: names, or numbers from 1.
-        unit: one for all columns, or one for each.
-        side: `motor` or `joint`; may be left out where it makes no difference or the unit decides.
+    `table` is the place of the file on the command line, from 1, as numbers of columns are. `side` may be left out where it
+    makes no difference or the unit decides.
     """
 
     columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]

@@ -109,8 +109,7 @@ def check_frames(frames: Block, place: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
-            where = Place(f"{place}: row {first + row + 1}")
-            where.refuse(text=problem, expected="8 bytes at most and a time from 0")
+            Place(f"{place}: row {first + row + 1}").refuse(text=problem, expected="8 bytes at most and a time from 0")
         first += len(rows)
 
 
