@@ -52,7 +52,7 @@ def import_bag(
     joints = [joint.name for joint in robot.joints]
     place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
-    stamps_ns, received, parts, doubts = read_joint_states(bag, topic, joints)
+    stamps_ns, received, parts, doubts = _joint_states(bag, topic, joints)
     position = parts["position"]
     parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
     _refuse_several(position, parts["effort"], joints, place)
@@ -125,37 +125,28 @@ def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], plac
 
 
 def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
-    finite = np.isfinite(effort)
-    for j, joint in enumerate(robot.joints):
-        where = f"effort of joint {joint.name}"
-        if not finite[:, j].any():
-            place.refuse(where, expected="measured efforts", text="is not a number throughout")
-        if not finite[:, j].all():
-            row = int(np.argmin(finite[:, j]))
-            Place(f"{place}: state {row + 1}").refuse(where, float(effort[row, j]), "a finite number")
+    names = [joint.name for joint in robot.joints]
+    for name, x in zip(names, effort.T, strict=True):
+        if not np.isfinite(x).any():
+            place.refuse(f"effort of joint {name}", expected="measured efforts", text="is not a number throughout")
+    _refuse_infinite("effort", effort, names, place)
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
         place.refuse("effort", expected=expected, text="is zero throughout")
 
 
-def read_joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, bool, dict[str, Array], list[str]]:
+def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -> None:
+    if not np.isfinite(x).all():
+        row, joint = np.argwhere(~np.isfinite(x))[0]
+        key = f"{kind} of joint {joints[joint]}"
+        Place(f"{place}: state {row + 1}").refuse(key, float(x[row, joint]), "a finite number")
+
+
+def _joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, bool, dict[str, Array], list[str]]:
     """Joint states of the `joints`, by name, in the order of the bag.
 
-    Parameters
-    ----------
-    path : folder of a bag, or its file: .mcap (zstd, lz4 or no compression) or .db3.
-    topic : of sensor_msgs/msg/JointState.
-
-    Returns
-    -------
     Stamps (N,) in ns of the headers, of reception where headers have none (True then); `position` (N, n), `velocity` and
     `effort` where messages have them; warnings.
-
-    Raises
-    ------
-    AcquisitionError
-        The bag cannot be read, the topic does not exist or is of another type, joints are missing, messages come from several
-        publishers, or a position is not finite.
     """
     parts = _Parts(joints, Place(f"{path}: {topic}"))
     try:
@@ -183,12 +174,11 @@ def _refuse_topic(topic: str, found: dict[str, str], place: Place) -> None:
     if found.get(topic) == JOINT_STATE:
         return
     states = [name for name, kind in found.items() if kind == JOINT_STATE]
-    if topic in found:
-        place.refuse(topic, expected=f"{JOINT_STATE}: {listed(states)}", text=f"of type {found[topic]}")
-    expected = f"one of {JOINT_STATE}: {listed(states)}"
-    if not states:
-        expected = f"a topic of {JOINT_STATE}; it has {listed([*found])}"
-    place.refuse(expected=expected, text=f"topic {topic} is not there")
+    problem = f"of type {found[topic]}" if topic in found else "is not there"
+    expected = (
+        f"one of {JOINT_STATE}: {listed(states)}" if states else f"a topic of {JOINT_STATE}; it has {listed([*found])}"
+    )
+    place.refuse(expected=expected, text=f"topic {topic} {problem}")
 
 
 class _Parts:
@@ -250,20 +240,14 @@ class _Parts:
         stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
         received = not stamps.any()
         if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
-            row = 1 + int(np.argmin(stamps[1:] != 0))
-            where = Place(f"{self._place}: state {row + 1}")
-            where.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
+            place = Place(f"{self._place}: state {2 + int(np.argmin(stamps[1:] != 0))}")
+            place.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
         for kind, values in self._values.items():
             if len(values) not in (0, count):
                 problem = f"{kind} in {len(values)} of {count} messages"
                 self._place.refuse(expected=f"{kind} in all or in none", text=problem)
         arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
-        position = arrays["position"]
-        if not np.isfinite(position).all():
-            row, joint = np.argwhere(~np.isfinite(position))[0]
-            key = f"position of joint {self._joints[joint]}"
-            where = Place(f"{self._place}: state {row + 1}")
-            where.refuse(key, float(position[row, joint]), "a finite number")
+        _refuse_infinite("position", arrays["position"], self._joints, self._place)
         doubts = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
         if self.publishers > 1:
             doubts.append(f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one")
