@@ -43,7 +43,7 @@ def header(robot: Robot, sample_rate_hz: float = 1000.0) -> Header:
     return Header(robot=robot, source="", sample_rate_hz=sample_rate_hz, effort_provenance="")
 
 
-def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40) -> None:
+def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40, with_frames: bool = True) -> None:
     """A small recording with something of everything, in as many chunks as there are blocks."""
     with RecordingWriter(
         path,
@@ -60,7 +60,8 @@ def write(path: Path, robot: Robot, *, blocks: int = 6, rows: int = 40) -> None:
         writer.event(0, "phase", "track")
         for k in range(0, len(samples), rows):
             writer.samples(samples[k : k + rows])
-            writer.frames("can0", frames[k : k + rows])
+            if with_frames:
+                writer.frames("can0", frames[k : k + rows])
             writer.health(k, {"kernel_drops": k, "jitter_s": 1e-5})
             writer.flush()
         writer.event(len(samples), "phase", "stop")

@@ -17,7 +17,7 @@ from made_up_recordings import write
 from acquisition.errors import AcquisitionError
 from acquisition.files import read_columns
 from acquisition.importing import import_tables
-from acquisition.importing.table_map import TableMap
+from acquisition.importing.tables import TableMap
 from acquisition.recording import read_recording
 from acquisition.robot import Robot, parse_toml, robot_from_files
 

@@ -16,7 +16,7 @@ from identification.regression.motion import later
 def everything_on_disk(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(on_disk, "HELD", 1000)
     monkeypatch.setattr(on_disk, "_ROWS", 999)
-    monkeypatch.setattr("acquisition.recording.rows._CHECKED", 700)
+    monkeypatch.setattr("acquisition.recording.rows._AT_ONCE", 700)
 
 
 def is_on_disk(x: np.ndarray) -> bool:

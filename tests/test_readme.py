@@ -13,7 +13,7 @@ from msgspec.json import schema_components
 from test_dynamics import URDF
 
 from acquisition.commands.program import PROGRAM as ACQUIRE
-from acquisition.importing.table_map import TableMap
+from acquisition.importing.tables import TableMap
 from acquisition.recording import read_recording
 from acquisition.robot import BusFile, RobotFile
 from identification.commands.program import PROGRAM as IDENTIFY

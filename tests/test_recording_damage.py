@@ -12,12 +12,13 @@ from typing import IO, Any
 
 import numpy as np
 import pytest
-from made_up_recordings import attempt, is_prefix, same, some_samples
+from made_up_recordings import attempt, is_prefix, same, some_samples, write
 from mcap.writer import Writer
 
 from acquisition.errors import AcquisitionError
+from acquisition.importing import recover_recording
 from acquisition.recording import content as mcap_content
-from acquisition.recording import read_recording, recover
+from acquisition.recording import read_recording
 from acquisition.robot import Robot
 
 
@@ -114,23 +115,28 @@ def test_a_flipped_bit_in_a_cut_file_is_found_in_all_it_tells(whole: Path, tmp_p
         assert isinstance(found, str) or is_prefix(found, full), f"byte {place}"
 
 
-def test_recovers_a_cut_file(whole: Path, tmp_path: Path) -> None:
-    data = whole.read_bytes()
+@pytest.mark.parametrize("with_frames", [True, False])
+def test_recovers_a_cut_file(robot: Robot, tmp_path: Path, with_frames: bool) -> None:
     cut, out = tmp_path / "cut.mcap", tmp_path / "out.mcap"
+    write(cut, robot, with_frames=with_frames)
+    data = cut.read_bytes()
     cut.write_bytes(data[: len(data) * 2 // 3])
-    returned = recover(cut, out)
+    returned, _ = recover_recording(cut, out)
     recovered, before = read_recording(out), read_recording(cut)
     assert not recovered.cut
     assert before.samples is not None
     assert len(before.samples) > 0
+    assert recovered.metadata["recovered_from"] == before.sha256 == returned.sha256
+    if with_frames:  # samples are made of them anew, if the description says how
+        assert recovered.events[-1].text.startswith("no samples: ")
+        recovered = replace(recovered, samples=before.samples, events=recovered.events[:-1])
     kept = {k: v for k, v in recovered.metadata.items() if k not in ("recovered_from", "crc32")}
     assert same(replace(recovered, metadata={**kept, "crc32": before.metadata["crc32"]}), before)
-    assert recovered.metadata["recovered_from"] == before.sha256 == returned.sha256
 
 
 def test_a_whole_file_needs_no_recovery(whole: Path, tmp_path: Path) -> None:
     with pytest.raises(AcquisitionError, match="nothing to recover"):
-        recover(whole, tmp_path / "out.mcap")
+        recover_recording(whole, tmp_path / "out.mcap")
     assert not (tmp_path / "out.mcap").exists()
 
 

@@ -3,19 +3,17 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, NoReturn
 
 import numpy as np
 
-from ..arrays import Array
-from ..errors import Place
-from ..recording import Header
+from ..arrays import Array, Ints
+from ..errors import AcquisitionError, Place, listed
+from ..recording import JOINT_STATE, Header
 from ..robot import Robot
-from .bag_reader import read_joint_states
-from .quantities import effort_at_joint, effort_side, position_side, si_units
-from .samples import Imported, write_samples
+from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .stamps import smallest_difference
-from .table_map import EFFORT_UNITS, LARGEST_GAP_PERIODS
-from .time_base import resample, with_doubts
+from .time_base import Imported, resample, with_doubts, write_samples
 
 SUFFIXES = (".mcap", ".db3")
 # Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
@@ -54,7 +52,7 @@ def import_bag(
     joints = [joint.name for joint in robot.joints]
     place = Place(f"{bag}: {topic}")
     position_side(robot, "joint", "position", place)
-    stamps_ns, received, parts, doubts = read_joint_states(bag, topic, joints)
+    stamps_ns, received, parts, doubts = _joint_states(bag, topic, joints)
     position = parts["position"]
     parts["effort"], provenance = _effort(robot, parts.get("effort"), effort_unit, place)
     _refuse_several(position, parts["effort"], joints, place)
@@ -63,7 +61,7 @@ def import_bag(
         doubts.append("velocities that are not finite numbers are left out")
     first_ns = int(stamps_ns[0])
     time_s = np.asarray((stamps_ns - first_ns) * np.float64(1e-9))
-    grid = resample(time_s, parts, rate_hz=resample_hz, largest_gap_periods=LARGEST_GAP_PERIODS, place=place)
+    grid = resample(time_s, parts, rate_hz=resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
     grid = replace(with_doubts(grid, time_s, position, clock, way_out), first_ns=first_ns)
@@ -127,14 +125,132 @@ def _effort(robot: Robot, effort: Array | None, effort_unit: Sequence[str], plac
 
 
 def _refuse_no_effort(robot: Robot, effort: Array, place: Place) -> None:
-    finite = np.isfinite(effort)
-    for j, joint in enumerate(robot.joints):
-        where = f"effort of joint {joint.name}"
-        if not finite[:, j].any():
-            place.refuse(where, expected="measured efforts", text="is not a number throughout")
-        if not finite[:, j].all():
-            row = int(np.argmin(finite[:, j]))
-            Place(f"{place}: state {row + 1}").refuse(where, float(effort[row, j]), "a finite number")
+    names = [joint.name for joint in robot.joints]
+    for name, x in zip(names, effort.T, strict=True):
+        if not np.isfinite(x).any():
+            place.refuse(f"effort of joint {name}", expected="measured efforts", text="is not a number throughout")
+    _refuse_infinite("effort", effort, names, place)
     if not effort.any():
         expected = "measured efforts; this driver does not publish them"
         place.refuse("effort", expected=expected, text="is zero throughout")
+
+
+def _refuse_infinite(kind: str, x: Array, joints: Sequence[str], place: Place) -> None:
+    if not np.isfinite(x).all():
+        row, joint = np.argwhere(~np.isfinite(x))[0]
+        key = f"{kind} of joint {joints[joint]}"
+        Place(f"{place}: state {row + 1}").refuse(key, float(x[row, joint]), "a finite number")
+
+
+def _joint_states(path: Path, topic: str, joints: Sequence[str]) -> tuple[Ints, bool, dict[str, Array], list[str]]:
+    """Joint states of the `joints`, by name, in the order of the bag.
+
+    Stamps (N,) in ns of the headers, of reception where headers have none (True then); `position` (N, n), `velocity` and
+    `effort` where messages have them; warnings.
+    """
+    parts = _Parts(joints, Place(f"{path}: {topic}"))
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+
+        with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_JAZZY)) as reader:
+            connections = [c for c in reader.connections if c.topic == topic]
+            _refuse_topic(topic, {c.topic: c.msgtype for c in reader.connections}, Place(str(path)))
+            parts.publishers = sum(max(1, len(getattr(c.ext, "offered_qos_profiles", ()))) for c in connections)
+            for connection, received_ns, raw in reader.messages(connections=connections):
+                parts.add(received_ns, reader.deserialize(raw, connection.msgtype))
+    except AcquisitionError:
+        raise
+    except OSError as error:
+        Place(str(path)).refuse(text=f"cannot be read: {error.strerror or error}")
+    except Exception as error:  # readers and SQLite meet damage with whatever their parts raise
+        after = f" after {parts.count} messages" if parts.count else ""
+        problem = f"cannot be read{after}: {(str(error) or type(error).__name__)[:200]}"
+        Place(str(path)).refuse(expected="a ROS 2 bag: a folder, .mcap or .db3", text=problem)
+    return parts.states(topic)
+
+
+def _refuse_topic(topic: str, found: dict[str, str], place: Place) -> None:
+    if found.get(topic) == JOINT_STATE:
+        return
+    states = [name for name, kind in found.items() if kind == JOINT_STATE]
+    problem = f"of type {found[topic]}" if topic in found else "is not there"
+    expected = (
+        f"one of {JOINT_STATE}: {listed(states)}" if states else f"a topic of {JOINT_STATE}; it has {listed([*found])}"
+    )
+    place.refuse(expected=expected, text=f"topic {topic} {problem}")
+
+
+class _Parts:
+    """Joint states so far. Messages of one publisher have one frame and one list of names."""
+
+    def __init__(self, joints: Sequence[str], place: Place) -> None:
+        self._joints, self._place = list(joints), place
+        self._places: dict[tuple[str, tuple[str, ...]], list[int] | None] = {}
+        self._source: tuple[str, tuple[str, ...]] | None = None
+        self._received: list[int] = []
+        self._stamps: list[int] = []
+        self._values: dict[str, list[Array]] = {"position": [], "velocity": [], "effort": []}
+        self.count, self._others, self.publishers = 0, 0, 1
+
+    def add(self, received_ns: int, message: Any) -> None:
+        """Add a message."""
+        self.count += 1
+        source = (message.header.frame_id, tuple(message.name))
+        if source not in self._places:
+            self._places[source] = self._checked(source)
+        places = self._places[source]
+        if places is None:
+            self._others += 1
+            return
+        self._received.append(received_ns)
+        self._stamps.append(message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec)
+        for kind, values in self._values.items():
+            found = getattr(message, kind)
+            if len(found) not in (0, len(source[1])) or (kind == "position" and not len(found)):
+                self._refuse_message(f"{len(found)} values of {kind}", f"{len(source[1])}, one for each name")
+            if len(found):
+                values.append(found[places])
+
+    def _checked(self, source: tuple[str, tuple[str, ...]]) -> list[int] | None:
+        """Places of the joints in messages of a source; None for one that has none of them."""
+        names = source[1]
+        missing = [joint for joint in self._joints if joint not in names]
+        if len(missing) == len(self._joints) and self._joints:
+            return None
+        if missing:
+            problem = f"joints {listed(missing)} missing among {listed(names)}"
+            self._refuse_message(problem, "all joints of robot.toml in each message, by the names that it gives them")
+        if self._source is not None:
+            apart = f"frame {source[0]!r} after {self._source[0]!r}" if source[1] == self._source[1] else "other names"
+            expected = "one publisher; record the topic of the arm's own driver"
+            self._refuse_message(f"messages of several publishers: {apart}", expected)
+        self._source = source
+        return [names.index(joint) for joint in self._joints]
+
+    def _refuse_message(self, problem: str, expected: str) -> NoReturn:
+        Place(f"{self._place}: message {self.count}").refuse(expected=expected, text=problem)
+
+    def states(self, topic: str) -> tuple[Ints, bool, dict[str, Array], list[str]]:
+        """All that was added."""
+        if not self._stamps:
+            names = sorted({name for _, names in self._places for name in names})
+            found = f"has {listed(names)}" if names else "has no messages"
+            self._place.refuse(expected=f"the joints {listed(self._joints)} of robot.toml", text=found)
+        stamps, count = np.array(self._stamps, dtype=np.int64), len(self._stamps)
+        received = not stamps.any()
+        if not received and not stamps[1:].all():  # a clock that begins at 0 stamps the first with it
+            place = Place(f"{self._place}: state {2 + int(np.argmin(stamps[1:] != 0))}")
+            place.refuse(expected="stamps in all headers or in none", text="a header without a stamp")
+        for kind, values in self._values.items():
+            if len(values) not in (0, count):
+                problem = f"{kind} in {len(values)} of {count} messages"
+                self._place.refuse(expected=f"{kind} in all or in none", text=problem)
+        arrays = {kind: np.array(values, dtype=np.float64) for kind, values in self._values.items() if values}
+        _refuse_infinite("position", arrays["position"], self._joints, self._place)
+        doubts = ["headers have no stamps: times are those of reception, which jitter more"] if received else []
+        if self.publishers > 1:
+            doubts.append(f"{topic} has {self.publishers} publishers (connections or QoS profiles): record it with one")
+        if self._others:
+            doubts.append(f"{self._others} messages without any of the joints are left out")
+        return np.array(self._received, dtype=np.int64) if received else stamps, received, arrays, doubts

@@ -6,16 +6,62 @@ The rule from motors to joints is `Robot.joint_position`, `Robot.joint_velocity`
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
+import msgspec
 import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..robot import Robot
-from .table_map import EFFORT_UNITS, POSITION_UNITS, VELOCITY_UNITS, Quantity, Side
 
 Units = Mapping[str, tuple[str, float]]
+Side = Literal["motor", "joint"]
+TableNumber = Annotated[int, msgspec.Meta(ge=1)]
+
+# Of each unit the SI unit that values are converted to, and the factor.
+POSITION_UNITS = {
+    "rad": ("rad", 1.0),
+    "deg": ("rad", np.pi / 180),
+    "m": ("m", 1.0),
+    "mm": ("m", 1e-3),
+    "um": ("m", 1e-6),
+}
+VELOCITY_UNITS = {
+    "rad/s": ("rad", 1.0),
+    "deg/s": ("rad", np.pi / 180),
+    "rpm": ("rad", np.pi / 30),
+    "m/s": ("m", 1.0),
+    "mm/s": ("m", 1e-3),
+}
+EFFORT_UNITS = {
+    "A": ("A", 1.0),
+    "mA": ("A", 1e-3),
+    "V": ("V", 1.0),
+    "mV": ("V", 1e-3),
+    "N m": ("N m", 1.0),
+    "mN m": ("N m", 1e-3),
+    "N": ("N", 1.0),
+}
+# Efforts that are of one side only, and why.
+ONE_SIDE: Mapping[str, tuple[Side, str]] = {
+    "known_torque": ("joint", "where it acts"),
+    "feedforward": ("motor", "where the controller's output acts"),
+}
+
+
+class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[position]`, `[effort]` and the like: the columns, one per motor or joint, and what they are.
+
+    `table` is the place of the file on the command line, from 1, as numbers of columns are. `side` may be left out where it
+    makes no difference or the unit decides.
+    """
+
+    columns: Annotated[tuple[str | int, ...], msgspec.Meta(min_length=1)]
+    unit: str | tuple[str, ...]
+    table: TableNumber = 1
+    side: Side | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,20 +102,13 @@ class Source:
         joint_effort, rule = effort_at_joint(self.robot, values, side)
         return joint_effort, f"{origin}; {rule}"
 
-    def known_torque(self, key: str, quantity: Quantity) -> Array:
-        """Known torques (N, n) on the joints in N m, forces in N."""
-        if not self.robot.gain_known:
+    def effort_of_one_side(self, key: str, quantity: Quantity) -> Array:
+        """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the units of the recorded effort."""
+        side, why = ONE_SIDE[key]
+        if side == "joint" and not self.robot.gain_known:
             problem = "cannot be added to efforts in " + one(self.robot.effort_units)
             expected = "the drive gains in robot.toml, which make them N m or N"
             self.place.refuse(key, expected=expected, text=problem)
-        return self._effort_at(key, quantity, "joint", "where it acts")
-
-    def feedforward(self, key: str, quantity: Quantity) -> Array:
-        """What is added to the controller's output (N, n), by motor, in the units of the recorded effort."""
-        return self._effort_at(key, quantity, "motor", "where the controller's output acts")
-
-    def _effort_at(self, key: str, quantity: Quantity, side: Side, why: str) -> Array:
-        """Efforts (N, n) that can only be of one side, as they are there."""
         if quantity.side not in (None, side):
             self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
         units, values = self._read(key, quantity, EFFORT_UNITS)

@@ -6,21 +6,64 @@ The recording notes which columns the efforts are of, by which rule, and what th
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Annotated
 
+import msgspec
 import numpy as np
 
 from ..arrays import Array
 from ..errors import Place
 from ..files import read_columns
 from ..recording import OPTIONAL, Header
-from ..robot import Robot, parse_toml
-from .quantities import Source
-from .samples import Imported, write_samples
+from ..robot import EffortTiming, Positive, Robot, parse_toml
+from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
-from .table_map import FROM_VELOCITY, TIME_UNITS, TableMap, Time
-from .time_base import OnGrid, even, resample, with_doubts
+from .time_base import LARGEST_GAP_PERIODS, Imported, OnGrid, even, resample, with_doubts, write_samples
+
+Periods = Annotated[float, msgspec.Meta(ge=1.5)]
 
 TICK_OFF = 0.01  # a tick that differs by more than this share from that of the stamps is a mistake
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}  # in s
+
+FROM_VELOCITY = "from velocity"  # in place of the column of a counter
+
+
+class Time(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`[time]`: the column of sample times, or of a counter, and whether rows are interpolated to a uniform grid.
+
+    Attributes:
+        column, unit: times of the rows.
+        ticks, tick_s: a counter and the time of one count; it is the time, `column` is then only compared with it. Ticks
+            `FROM_VELOCITY` are counted by positions and recorded speeds.
+        resample_hz: rate of the grid that all values are interpolated to.
+        largest_gap_periods: longest step between two rows that is interpolated over, in periods of the rows.
+    """
+
+    column: str | int | None = None
+    unit: str = "s"
+    table: TableNumber = 1
+    ticks: str | int | None = None
+    tick_s: Positive | None = None
+    resample_hz: Positive | None = None
+    largest_gap_periods: Periods = LARGEST_GAP_PERIODS
+
+
+class TableMap(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """`map.toml`: where positions, efforts and what else was recorded are found, and the rate or the times of the samples.
+
+    `effort_timing`: efforts are commands, each held from its sample to the next, means over the period about it, or were
+    measured at its instant.
+    """
+
+    position: Quantity
+    effort: Quantity
+    reference: Quantity | None = None
+    velocity: Quantity | None = None
+    known_torque: Quantity | None = None
+    feedforward: Quantity | None = None
+    time: Time | None = None
+    sample_rate_hz: Positive | None = None
+    effort_timing: EffortTiming = "unknown"
 
 
 def import_tables(tables: Sequence[Path], robot: Robot, map_path: Path, out: Path) -> Imported:
@@ -68,10 +111,10 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
     parts["effort"], provenance = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
-    for name, read in zip(OPTIONAL, (source.velocity, source.known_torque, source.feedforward), strict=True):
+    for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:
-            parts[name] = read(name, quantity)
+            parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(name, quantity)
     return parts, provenance
 
 

@@ -1,18 +1,22 @@
-"""Times of rows as somebody's clock gave them → a uniform grid, and a report of what was found on the way."""
+"""Times of rows as somebody's clock gave them → a uniform grid, with a report of what was found on the way → a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from ..arrays import Array, Ints
 from ..errors import Place
-from ..recording import LARGEST_STAMP_NS
+from ..files import atomic_write
+from ..recording import LARGEST_STAMP_NS, Header, RecordingWriter, sample_dtype
+from ..robot import check_recorded_positions, check_recorded_velocities
 from .stamps import LONG_STEP, row_numbers, rows_in_time, stamps_warning
 
 POSITION = "position"
 COARSER, FINER = 0.9, 2.5  # times the rows' rate: grids beyond are warned of
 MANY_OFF = 0.02  # of the rows left out: more is warned of
+LARGEST_GAP_PERIODS = 3.0  # a longer step is not interpolated over, unless the map says so
 FINEST = 100.0  # times the rows' rate: a finer grid is a mistake
 
 
@@ -118,7 +122,12 @@ def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
 
 
 def resample(
-    time_s: Array, parts: Mapping[str, Array], *, rate_hz: float | None, largest_gap_periods: float, place: Place
+    time_s: Array,
+    parts: Mapping[str, Array],
+    *,
+    rate_hz: float | None,
+    largest_gap_periods: float = LARGEST_GAP_PERIODS,
+    place: Place,
 ) -> OnGrid:
     """Interpolate `parts` (N, n) at the times (N,) to a uniform grid, by cubic splines.
 
@@ -243,3 +252,58 @@ def even(time_s: Array, parts: Mapping[str, Array], place: Place) -> OnGrid:
     scatter = min(max(float(off.max()) / duration_s, 1e-12), 1e-4)
     rate_hz = _roundest(1 / period, scatter)
     return OnGrid(parts=parts, start_s=float(time_s[0]), rate_hz=rate_hz, report=report_of(time_s))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """What was written: sizes, what was recorded besides position, the report of the times, warnings."""
+
+    out: Path
+    robot: str
+    samples: int
+    sample_rate_hz: float
+    has_reference: bool
+    effort_units: tuple[str, ...] = ()
+    optional: tuple[str, ...] = ()
+    times: str = ""
+    warnings: tuple[str, ...] = ()
+
+
+def write_samples(header: Header, grid: OnGrid, doubts: Sequence[str], place: str, out: Path) -> Imported:
+    """Check samples and write them as the recording `out`, whole or not at all.
+
+    Parameters
+    ----------
+    header : the robot, where the samples come from, and what the grid says of their times.
+    grid : values by the names of a sample's fields.
+    doubts : warnings, which are written into the recording.
+    place : the files, for errors.
+
+    Raises `AcquisitionError` for stamps, positions or speeds that no robot has.
+    """
+    robot, parts, stamps = header.robot, grid.parts, grid.stamps_ns(place)
+    t_s = (stamps - stamps[0]) * np.float64(1e-9)
+    warnings = check_recorded_positions(robot, t_s, parts["position"], place)
+    dead = [joint.name for joint, column in zip(robot.joints, parts["effort"].T, strict=True) if not column.any()]
+    doubts = [*doubts, *grid.doubts, *([f"the effort of {', '.join(dead)} is zero throughout"] if dead else [])]
+    if "velocity" in parts:
+        doubts += check_recorded_velocities(robot, parts["position"], parts["velocity"], grid.rate_hz, place)
+    rows = np.empty(len(t_s), sample_dtype(robot.n, reference="reference" in parts, optional=parts))
+    rows["stamp_ns"] = stamps
+    for name, part in parts.items():
+        rows[name] = part
+    with atomic_write(out) as partial, RecordingWriter(partial, header) as writer:
+        writer.samples(rows)
+        for text in doubts:
+            writer.event(int(stamps[-1]), "warning", text)
+    return Imported(
+        out=out,
+        robot=robot.name,
+        samples=len(rows),
+        sample_rate_hz=grid.rate_hz,
+        has_reference="reference" in parts,
+        effort_units=robot.effort_units,
+        optional=tuple(name for name in parts if name not in ("position", "effort", "reference")),
+        times=grid.notes.get("times", ""),
+        warnings=(*warnings, *doubts),
+    )

@@ -1,7 +1,7 @@
 """The recording: the MCAP file read, written and recovered; its frames decoded to rows on the grid of SYNC."""
 
 from .decoding import UNCERTAIN, Decoded, decode
-from .reader import NO_SAMPLES, Recording, has_reference, read_recording, recover, rewrite
+from .reader import NO_SAMPLES, Recording, has_reference, read_recording, rewrite
 from .rows import (
     ERROR,
     EXTENDED,

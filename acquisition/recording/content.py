@@ -27,7 +27,7 @@ _MESSAGE = struct.Struct("<HIQQ")  # channel, sequence, log time, publish time
 _LARGEST_CHUNK = 64 * 2**20  # bytes; chunks are written at about 1 MiB, so more is a hostile or damaged size
 _LARGEST_TOTAL = 4 * 2**30  # bytes of all chunks unpacked
 Accept: TypeAlias = Callable[[Mapping[str, str], str], None]
-Wanted: TypeAlias = Callable[[str], bool]
+Wanted: TypeAlias = Callable[[str], object]  # true of topics that are read
 _DAMAGE = (McapError, zstandard.ZstdError, struct.error, ValueError, MemoryError, OverflowError)
 
 

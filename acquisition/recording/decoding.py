@@ -182,7 +182,7 @@ def decode(frames: Block, robot: Robot, bus: Bus, place: str, *, max_missing: fl
     times = traffic.at("time_ns", sync_rows)
     clock = sync_times(times, index_of, int(steps.sum()), ours=ours, nominal_ns=bus.period_ns)
     if len(sync_rows) >= FEWEST_SYNCS:
-        _refuse_period(clock.period_s, bus, place)
+        _refuse_period(clock.period_s, bus.file.sync_period_s, place)
     del times
     answered, rows_of_pdos, losses, missing_share = associate(pdos, sync_rows, steps, paused, torn)
     del pdos, rows  # of a long session these are much memory
@@ -274,9 +274,8 @@ def _targets(traffic: Traffic, sync_rows: Rows, index_of: Ints, answered: Rows, 
     return found if all((held >= 0).any() for held in found) else None
 
 
-def _refuse_period(measured_s: float, bus: Bus, place: str) -> None:
+def _refuse_period(measured_s: float, stated_s: float, place: str) -> None:
     """Refuse a SYNC period that is not the described one: rates and filters are computed from the description."""
-    stated_s = bus.file.sync_period_s
     if abs(measured_s / stated_s - 1) > LARGEST_PERIOD_ERROR:
         Place(place).refuse(
             text=f"SYNC came every {measured_s * 1e3:.4g} ms; bus.sync_period_s = {stated_s:g} in robot.toml",

@@ -4,7 +4,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from os import PathLike
 from pathlib import Path
@@ -23,6 +23,7 @@ from .writer import EFFORT_TIMINGS, FRAMES_TOPIC, SCHEMA_VERSION, Header, Record
 FIRST_DATE_NS = 946_684_800 * 10**9  # 2000-01-01; stamps before it count from the start of a computer or a recording
 
 NO_SAMPLES = "no samples: "  # begins the event that says why
+_READ = re.compile(f"/samples|/events|/health|{FRAMES_TOPIC.pattern}")  # all topics but those for viewers
 
 
 class _EventText(msgspec.Struct):
@@ -54,12 +55,8 @@ class Recording:
     Attributes:
         samples: rows of `sample_dtype` with strictly increasing stamps, joint side, SI; `None` if there are none.
         frames: rows of `FRAME` by CAN channel.
-        metadata: the record `recording`: source, created, versions, `effort_provenance`.
         attachments: by name; names are labels, never paths.
-        robot: built from the attachments.
-        sample_rate_hz: nominal rate of the samples.
         cut: the file has no proper end: this is what was written before the cut.
-        sha256: of the file, hexadecimal.
     """
 
     samples: Block | None
@@ -123,14 +120,7 @@ class Recording:
 def read_recording(path: str | PathLike[str]) -> Recording:
     """Read a recording; CRCs are checked.
 
-    Parameters
-    ----------
-    path : of the MCAP file; one of an older schema version is read too.
-
-    Returns
-    -------
-    What the file holds: samples in SI at the joints, raw frames, events, health, and the robot built from the attached
-    description. A file without its end reads as far as it goes, with `cut` set.
+    One of an older schema version is read too, and one without its end as far as it goes, with `cut` set.
 
     Raises
     ------
@@ -140,7 +130,7 @@ def read_recording(path: str | PathLike[str]) -> Recording:
     """
     path = Path(path)
     place = Place(str(path))
-    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", _check_metadata, _is_read)
+    metadata, attachments, topics, cut, sha256 = read_content(path, "recording", _check_metadata, _READ.fullmatch)
     note = " (the file is cut before its description)" if cut else ""
     if metadata is None:
         place.refuse(text=f"holds no metadata record 'recording'{note}", expected="a recording of robot-acquire")
@@ -215,11 +205,6 @@ def _decoded(topics: Mapping[str, Messages], topic: str, kind: Any, path: Path) 
         Place(f"{path}: {topic}").refuse(text=str(error))
 
 
-def _is_read(topic: str) -> bool:
-    """All but the channels for viewers."""
-    return topic in ("/samples", "/events", "/health") or FRAMES_TOPIC.fullmatch(topic) is not None
-
-
 def _check_metadata(metadata: Mapping[str, str], place: str) -> None:
     text = metadata.get("schema_version", "")
     if not re.fullmatch("[0-9]{1,9}", text, re.ASCII) or int(text) < 1:
@@ -255,27 +240,3 @@ def rewrite(
         for health in recording.health:
             writer.health(health.stamp_ns, health.counters)
         add(writer)
-
-
-def recover(
-    cut_path: Path, out_path: Path, decode: Callable[[Recording, RecordingWriter], None] | None = None
-) -> Recording:
-    """Write a whole recording of everything before the cut of one without its end; returns what was read.
-
-    `decode` writes the samples of a recording that has frames.
-
-    An `AcquisitionError` as of `read_recording`; also if the file is not cut, or `out_path` cannot be written.
-    """
-    recording = read_recording(cut_path)
-    if not recording.cut:
-        Place(str(cut_path)).refuse(text="has its proper end: nothing to recover")
-
-    def add(writer: RecordingWriter) -> None:
-        if recording.frames and decode is not None:
-            decode(recording, writer)
-        elif recording.samples is not None:
-            writer.samples(recording.samples)
-
-    notes = {**recording.metadata, "recovered_from": recording.sha256}
-    rewrite(recording, replace(recording.header, notes=notes), out_path, add)
-    return recording

@@ -49,7 +49,7 @@ def sample_dtype(n: int, *, reference: bool, extra: int = 0, optional: Collectio
     """Row of joint samples of `n` joints: `stamp_ns`, `position` (n,) rad or m, `effort` (n,), and `reference` (n,).
 
     Those of the fields `OPTIONAL` that are in `optional` follow, (n,) each. `extra` further values of drives are in the field
-    `extra` (extra,), named by `extra_objects.extra_columns`.
+    `extra` (extra,), named by `robot.extra_columns`.
     """
     fields: list[Any] = [("stamp_ns", "<i8"), ("position", "<f8", (n,)), ("effort", "<f8", (n,))]
     fields += [("reference", "<f8", (n,))] if reference else []
@@ -109,8 +109,7 @@ def check_frames(frames: Block, place: str) -> None:
         if bad.any():
             row = int(np.argmax(bad))
             problem = f"length = {rows['length'][row]}, time_ns = {rows['time_ns'][row]}"
-            where = Place(f"{place}: row {first + row + 1}")
-            where.refuse(text=problem, expected="8 bytes at most and a time from 0")
+            Place(f"{place}: row {first + row + 1}").refuse(text=problem, expected="8 bytes at most and a time from 0")
         first += len(rows)
 
 

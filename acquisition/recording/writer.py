@@ -50,11 +50,8 @@ class Header:
     """What a recording holds before its data.
 
     Attributes:
-        robot: its files are attached.
         source: where the data come from, in words.
-        sample_rate_hz: nominal rate of the samples.
         effort_provenance: object, reference or actual, raw unit, rated value and rule of each effort, in words.
-        effort_timing: what instants efforts belong to.
         notes: further metadata by key (bus, bitrate); keys that the header writes itself are written anew.
         attachments: files by name, in addition to the robot's own.
     """

@@ -1,9 +1,19 @@
 """The robot's description: joints, motors, limits, bus and drives, resolved; the references that it may follow."""
 
 from .bus import BusFile, DriveFile, EffortTiming, demand_ripple_warnings, parse_homed
-from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile, low_speed_by_method
-from .drives import LARGEST_LOAD, Bus, Drive, axis_index, axis_of, check_carriers, refuse_load, refuse_out_of_range
-from .extra_objects import ExtraColumn, extra_columns
+from .description import Capsule, Controller, Edges, FrictionTerm, Joint, LowSpeed, RobotFile
+from .drives import (
+    LARGEST_LOAD,
+    Bus,
+    Drive,
+    ExtraColumn,
+    axis_index,
+    axis_of,
+    check_carriers,
+    extra_columns,
+    refuse_load,
+    refuse_out_of_range,
+)
 from .limits import EffortLimits, check_recorded_positions, check_recorded_velocities, effort_limits
 from .reference import (
     HARMONICS,

@@ -59,7 +59,6 @@ class DriveFile(TomlTable, frozen=True):
     """One `[[bus.drive]]`, in the order of the motors.
 
     Attributes:
-        node: CANopen node id.
         dictionary: EDS or DCF beside robot.toml.
         objects: types of objects written out, `"30D0:0" = "I32"`, in place of a dictionary, or in addition to one.
         reference, actual: objects of the current or torque reference and of the actual value; one may be missing.
@@ -138,9 +137,7 @@ class BusFile(TomlTable, frozen=True):
     """`[bus]`: python-can's interface and channel, SYNC, the drives.
 
     Attributes:
-        sync_period_s: time from SYNC to SYNC.
         sync_producer: `recorder` (we send it) or `other`.
-        sync_can_id: identifier of SYNC.
         loopback: whether network interfaces (udp_multicast) stay on this machine.
         heartbeat_s: time between heartbeats, of drives and of this master; whoever is silent for three times as long is lost.
         master_node: node id under which this master sends its heartbeat while it moves drives.

@@ -5,6 +5,7 @@ Angles are degrees here.
 """
 
 import math
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 import msgspec
@@ -96,17 +97,17 @@ class Joint(TomlTable, frozen=True):
                 if getattr(self, name) is not None:
                     self.refuse(name, getattr(self, name), "no such key beside a list of terms in friction")
 
-    @property
+    @cached_property
     def position_unit(self) -> str:
         """`rad` or `m`."""
         return "rad" if self.type == "revolute" else "m"
 
-    @property
+    @cached_property
     def one_sided(self) -> bool:
         """Whether viscous and Coulomb friction are two for the two directions: the word `friction = "asymmetric"`."""
         return self.friction == "asymmetric"
 
-    @property
+    @cached_property
     def terms(self) -> tuple[FrictionTerm, ...]:
         """Friction terms: those of the list `friction`, or else by the keys `viscous`, `coulomb`, `offset`."""
         if isinstance(self.friction, tuple):
@@ -152,12 +153,12 @@ class Motor(TomlTable, frozen=True):
         if self.drive_gain_unit is not None and self.effort_unit not in (None, self.recorded_unit):
             self.refuse("effort_unit", self.effort_unit, f"{self.recorded_unit!r}, as drive_gain_unit says")
 
-    @property
+    @cached_property
     def recorded_unit(self) -> str:
         """Unit of the effort as recorded: what the drive gain divides by, or `effort_unit`."""
         return self.drive_gain_unit.split("/")[1] if self.drive_gain_unit else str(self.effort_unit)
 
-    @property
+    @cached_property
     def gain(self) -> float | None:
         """Motor torque or force per unit of recorded effort; 1 when it is recorded as torque; `None` when unknown."""
         return 1.0 if self.drive_gain_unit is None and self.effort_unit in ("N m", "N") else self.drive_gain
@@ -207,12 +208,8 @@ class Identification(TomlTable, frozen=True):
     @property
     def low_speed(self) -> LowSpeed:
         """`low_speed_percent` by method; a single number holds for both."""
-        return low_speed_by_method(self.low_speed_percent)
-
-
-def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
-    """A low-speed threshold by method, from one number for both or from one for each."""
-    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
+        percent = self.low_speed_percent
+        return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
 class RobotFile(TomlTable, frozen=True):

@@ -89,12 +89,9 @@ def check_recorded_positions(robot: Robot, stamp_s: Array, q: Array, place: str)
     limits by over half the joint's range, or a joint is over three times as fast as it can be, noise of its samples aside.
     """
     overshoots, at = [], Place(place)
-    steps = np.diff(stamp_s)
-    step_s = np.maximum(steps, np.median(steps)) if len(steps) else steps
-    for j, joint in enumerate(robot.joints):
-        x = q[:, j]
+    for joint, x in zip(robot.joints, q.T, strict=True):
         overshoots += _position(joint, stamp_s, x, at)
-        overshoots += _speed(joint, stamp_s, step_s, x, at)
+        overshoots += _speed(joint, stamp_s, x, at)
     return tuple(overshoots)
 
 
@@ -155,12 +152,14 @@ def _position(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]
     place.refuse(text=text, expected=f"a position within them: {causes}, or {joint.key('position')} of robot.toml")
 
 
-def _speed(joint: Joint, stamp_s: Array, step_s: Array, x: Array, place: Place) -> list[str]:
+def _speed(joint: Joint, stamp_s: Array, x: Array, place: Place) -> list[str]:
     stated = joint.si("speed")
     most = FAR_FASTER * stated if stated is not None else UNSTATED_SPEED[joint.type]
     step = np.abs(np.diff(x))
     if len(step) < 4:
         return []
+    step_s = np.diff(stamp_s)
+    step_s = np.maximum(step_s, np.median(step_s))
     # White noise of deviation d has fourth differences of deviation sqrt(70) d, and their median is 0.67 of that; of motion
     # next to nothing is left in them.
     noise = float(np.median(np.abs(np.diff(x, n=4)))) / (0.6745 * math.sqrt(70))

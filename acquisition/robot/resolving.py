@@ -1,7 +1,6 @@
 """`[bus]` and the object dictionaries into PDOs and codecs of every drive, or one line why not."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 
 import numpy as np
 
@@ -24,8 +23,7 @@ from ..protocol import (
 )
 from .bus import DriveFile, PdoFile, dictionary_label, parse_object
 from .description import Motor
-from .drives import POSITION_TYPE, Bus, Drive, Values, refuse_counts, refuse_pdos
-from .extra_objects import effort_scale, extra_object
+from .drives import POSITION_TYPE, Bus, Drive, Values, effort_scale, extra_object, refuse_counts, refuse_pdos
 from .robot import Robot
 
 Entry = Callable[[str, str], ObjectEntry]  # key of the description and name of an object to what the drive has there
@@ -39,36 +37,24 @@ def resolve(robot: Robot, place: str, traffic: Mapping[int, Values] | None = Non
     """
     if robot.bus is None:
         Place(place).refuse("bus", None, "a [bus] section with one drive per motor")
-    drives = []
-    for i, (file, motor) in enumerate(zip(robot.bus.drive, robot.motors, strict=True)):
-        drive = _drive(file, motor, robot.files, Place(place, f"bus.drive[{i}]"), traffic)
-        drives.append(_with_limits(drive, robot, i))
-    bus = Bus(file=robot.bus, drives=tuple(drives))
+    bus = Bus(file=robot.bus, drives=tuple(_drive(robot, i, place, traffic) for i in range(robot.n)))
     refuse_pdos(bus, place)
     for i, file in enumerate(robot.bus.drive):
         refuse_counts(robot, i, file, Place(place, f"bus.drive[{i}]"))
     return bus
 
 
-def _with_limits(drive: Drive, robot: Robot, i: int) -> Drive:
-    """The limits of the joints that motor `i` moves, at the motor: they add up at worst."""
-
-    def limit(quantity: str) -> float | None:
-        moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
-        if any(value is None for _, value in moved):
-            return None
-        return float(sum(r * value for r, value in moved) * drive.position_codec.counts_per_unit)
-
-    per_unit = float(np.abs(robot.R[i]).sum() * drive.position_codec.counts_per_unit)
-    slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
-    scale = (per_unit, "m") if slides else (per_unit * np.pi / 180, "deg")
-    speed, acceleration = limit("speed"), limit("acceleration")
-    return replace(drive, speed_limit=speed, acceleration_limit=acceleration, counts_per_joint=scale)
+def _limit(robot: Robot, i: int, quantity: str) -> float | None:
+    """The limit of a motor: those of the joints that it moves add up at worst; None where one of them states none."""
+    moved = [(abs(r), joint.si(quantity)) for r, joint in zip(robot.R[i], robot.joints, strict=True) if r]
+    if any(value is None for _, value in moved):
+        return None
+    return float(sum(r * value for r, value in moved))
 
 
-def _drive(
-    file: DriveFile, motor: Motor, files: Mapping[str, bytes], at: Place, traffic: Mapping[int, Values] | None
-) -> Drive:
+def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | None) -> Drive:
+    assert robot.bus is not None
+    file, motor, files, at = robot.bus.drive[i], robot.motors[i], robot.files, Place(place, f"bus.drive[{i}]")
     dictionary, types = None, dict(STANDARD)
     if file.dictionary is not None:
         label = dictionary_label(file.dictionary)
@@ -107,6 +93,9 @@ def _drive(
         if file.mapping == "dictionary" and dictionary is not None:
             source = {key: e.value for key, e in dictionary.entries.items() if e.value is not None}
         tpdos, rpdos = (pdos_of(way, source, types, f"{at}: {at.table}.mapping") for way in ("tpdo", "rpdo"))
+    speed, acceleration = (_limit(robot, i, quantity) for quantity in ("speed", "acceleration"))
+    slides = robot.joints[int(np.argmax(np.abs(robot.R[i])))].type == "prismatic"
+    per_joint = float(np.abs(robot.R[i]).sum() * file.counts_per_unit)
     drive = Drive(
         name=motor.name,
         node=file.node,
@@ -123,6 +112,9 @@ def _drive(
         rpdos=rpdos,
         extras=extras,
         dictionary=dictionary,
+        speed_limit=None if speed is None else speed * file.counts_per_unit,
+        acceleration_limit=None if acceleration is None else acceleration * file.counts_per_unit,
+        counts_per_joint=(per_joint, "m") if slides else (per_joint * np.pi / 180, "deg"),
     )
     for needed in measured:
         if (traffic is not None or file.mapping != "traffic") and drive.carrier(needed, "tpdo") is None:
