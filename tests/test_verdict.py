@@ -28,7 +28,8 @@ def verdict(tracking, errors, tests=GOOD):
     direct = [
         DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
     ]
-    return _status((settled,), None, tracking, None, direct, tests)
+    replica = SimpleNamespace(reason=None, tracking_percent=tracking, direct=direct)
+    return _status((settled,), dataclasses.replace(settled, replicas=(replica,)), ["log.mcap"], tests)
 
 
 def test_every_joint_has_to_track():

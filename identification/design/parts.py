@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from ..errors import IdentificationError
 from ..estimation import undetermined_parameters
-from ..regression import Linearised, Regression
+from ..methods import StackedSystem
+from ..regression import Regression
 
 FIFTHS = 5  # of one recording
 LEAST = 2  # parts of which a mean has a standard error
@@ -32,9 +33,9 @@ class Part:
     own: Mask
 
 
-def parts_of(linearised: Linearised, names: Sequence[str]) -> tuple[Part, ...]:
+def parts_of(observed: StackedSystem, names: Sequence[str]) -> tuple[Part, ...]:
     """Fifths of a recording, or each of several; `names` are those of the recordings in the order of their rows."""
-    parameters, lengths = linearised.parameters, linearised.plain.parts
+    parameters, lengths = observed.parameters, observed.regression.parts
     T, none = sum(lengths), np.zeros(len(parameters.names), dtype=bool)
     if len(lengths) == 1:
         edges, names = np.linspace(0, T, FIFTHS + 1).round().astype(int), [f"fifth {k + 1}" for k in range(FIFTHS)]

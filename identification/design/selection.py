@@ -20,8 +20,8 @@ from acquisition.robot import FrictionTerm, LowSpeed, Robot, low_speed_by_method
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..methods import Fit, identify_ls, in_known_time, observe_all
-from ..regression import Linearised, Overrides, Problem, alike, leave_out_untold
+from ..methods import Fit, StackedSystem, alike, identify_ls, in_known_time, leave_out_untold, observe_all
+from ..regression import Overrides, Problem
 from .parts import parts_of, predictable
 from .sets import TRIED, TermSet, described_terms, everywhere, tried_terms, with_terms
 from .trials import Trial, Trials, usual_estimate
@@ -80,10 +80,10 @@ def choose_terms(
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
-    linearised = _told(observed.linearised)
-    about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
-    parts, unpredicted = predictable(parts_of(linearised, names), about)
-    trials = Trials(linearised, parts)
+    observed = _told(observed)
+    about = observed.at(usual_estimate(observed).among(observed.parameters.names))
+    parts, unpredicted = predictable(parts_of(observed, names), about.regression)
+    trials = Trials(observed, parts)
     usual = trials.of(everywhere(robot.joints, frozenset()))
     level = 1 - LEVEL / max(1, sum(len(names) for names in trials.parameters.values()))
     for terms in _for_all_joints(robot):
@@ -93,7 +93,7 @@ def choose_terms(
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         recordings=recordings,
-        problem=linearised.problem,
+        problem=observed.problem,
         held_out=tuple(part.name for part in parts),
         trials=tuple(found),
         usual=usual,
@@ -137,18 +137,17 @@ def recommended(trials: Iterable[Trial], level: float) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _told(linearised: Linearised) -> Linearised:
+def _told(observed: StackedSystem) -> StackedSystem:
     """W and Y without the terms that the recordings cannot tell with all others at hand."""
-    linearised = leave_out_untold(linearised)
-    while load := linearised.load:
-        names = linearised.parameters.names
-        beta = usual_estimate(linearised).among(names)
-        among = [names[place] for place in linearised.load_places(load)]
-        untold = alike(linearised.problem, linearised.at(beta).system, among)
+    observed = leave_out_untold(observed)
+    while observed.load.joints.size:
+        names = observed.parameters.names
+        about = observed.at(usual_estimate(observed).among(names))
+        untold = alike(observed.problem, about.regression.system, [names[place] for place in observed.load_places()])
         if not untold:
             break
-        linearised = linearised.without(untold)
-    return linearised
+        observed = observed.without(untold)
+    return observed
 
 
 def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:

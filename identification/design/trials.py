@@ -24,7 +24,8 @@ from ..estimation import (
     t_quantile,
     weighted_least_squares,
 )
-from ..regression import Linearised, Regression, base_name, load_passes
+from ..methods import StackedSystem, load_passes
+from ..regression import Regression, base_name
 from .parts import Mask, Part
 from .sets import TermSet, parameters_of
 
@@ -82,17 +83,17 @@ class Trial:
 class Trials:
     """Trials of sets of terms; each set is tried once."""
 
-    def __init__(self, linearised: Linearised, parts: Sequence[Part]) -> None:
-        """`linearised` is of the robot with all terms that are tried; `parts` are held out in turn."""
-        self.linearised, self.plain, self.parts = linearised, linearised.plain, parts
-        self.parameters = parameters_of(linearised.problem.model, linearised.problem.base)
-        self._names = linearised.parameters.names
-        self._usual = usual_columns(linearised)
-        self._weights = usual_estimate(linearised).weights
+    def __init__(self, whole: StackedSystem, parts: Sequence[Part]) -> None:
+        """`whole` is of the robot with all terms that are tried; `parts` are held out in turn."""
+        self.whole, self.plain, self.parts = whole, whole.regression, parts
+        self.parameters = parameters_of(whole.problem.model, whole.problem.base)
+        self._names = whole.parameters.names
+        self._usual = usual_columns(whole)
+        self._weights = usual_estimate(whole).weights
         self._moving = are_moving(self.plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
         self._done: dict[TermSet, Trial] = {}
-        self.left_out = dict(linearised.left_out)
+        self.left_out = dict(whole.left_out)
 
     @property
     def done(self) -> Sequence[Trial]:
@@ -170,31 +171,31 @@ class Trials:
 
     def _fit(self, columns: NDArray[np.intp], rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
         """Least squares of some parameters in the rows (T,), and which load friction did not settle."""
-        used, linearised = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.linearised
-        settling = [linearised.problem.base.names.index(base_name(self._names[i])) for i in columns]
-        load = linearised.load.of(settling)
+        used, whole = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.whole
+        settling = [whole.problem.base.names.index(base_name(self._names[i])) for i in columns]
+        load = whole.load.of(settling)
 
         def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
             return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))
 
         beta = self._starts.get(start)
         if beta is None:
-            beta = solve(self.plain, np.setdiff1d(columns, linearised.load_places(load))).among(self._names)
+            beta = solve(self.plain, np.setdiff1d(columns, whole.load_places(load))).among(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
-        _, observed, estimate, unsettled = load_passes(linearised, solve, without_others, load)
+        observed, estimate, unsettled = load_passes(whole, solve, without_others, load)
         self._starts[start] = estimate.among(self._names)
-        return observed, estimate, unsettled
+        return observed.regression, estimate, unsettled
 
 
-def usual_columns(linearised: Linearised) -> Mask:
+def usual_columns(whole: StackedSystem) -> Mask:
     """(b,) which parameters are of the usual terms, not of those that are tried."""
-    tried = parameters_of(linearised.problem.model, linearised.problem.base).values()
-    return ~np.isin(linearised.parameters.names, [name for names in tried for name in names])
+    tried = parameters_of(whole.problem.model, whole.problem.base).values()
+    return ~np.isin(whole.parameters.names, [name for names in tried for name in names])
 
 
-def usual_estimate(linearised: Linearised) -> Estimate:
+def usual_estimate(whole: StackedSystem) -> Estimate:
     """Weighted least squares of the usual terms."""
-    return weighted_least_squares(linearised.plain.system.with_columns(np.flatnonzero(usual_columns(linearised))))
+    return weighted_least_squares(whole.regression.system.with_columns(np.flatnonzero(usual_columns(whole))))
 
 
 def _factor(system: System, weights: Array) -> System:

@@ -25,15 +25,15 @@ from ..regression import Regression, base_name
 from ..report import Method, OwnTest
 from ..simulation import Instruments, Replica
 from ..trust import Evidence, Lag, held_out_recordings, trust_in
-from .fit import Fit, FittedRecording, LeastSquares, Rows, essential_names
+from .fit import Fit, FittedRecording, LeastSquares, essential_names
 from .observation import position_noise_line
-from .recordings import Observed
+from .system import StackedSystem
 
 
-def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
-    first = observed.places()[0].problem()
-    alone = len(observed.observations) == 1 and not observed.linearised.load
+    first = observed.problems()[0].with_samples()
+    alone = len(observed.observations) == 1 and not observed.load.joints.size
     return Evidence(
         recordings=observed.observations,
         observed=observed.regression,
@@ -52,14 +52,14 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: t
     )
 
 
-def factors_of_ls(observed: Observed) -> tuple[tuple[System, Array], ...]:
+def factors_of_ls(observed: StackedSystem) -> tuple[tuple[System, Array], ...]:
     """The reduced system of each of several recordings, W as its instruments; none where rows are held."""
     if not observed.regression.reduced or len(observed.observations) == 1:
         return ()
     return tuple((one.regression.system, one.regression.system.W) for one in observed.observations)
 
 
-def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
+def fit_of(observed: StackedSystem, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
     """A fit of the estimate that was `solved`, judged by its evidence; with the robot simulated in each recording, or none."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
@@ -91,12 +91,10 @@ def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replica
         estimate=solved.estimate,
         intervals=solved.intervals,
         least_squares=solved,
-        rows=Rows(
-            t_s=np.concatenate([one.t_s for one in observed.observations]),
-            tau=rows.tau,
-            tau_predicted=predicted,
-            speed=rows.speed,
-        ),
+        t_s=np.concatenate([one.t_s for one in observed.observations]),
+        tau=rows.tau,
+        tau_predicted=predicted,
+        speed=rows.speed,
         errors=torque_errors(seen.tau, of_model, seen.speed, names),
         lags=evidence.lags,
         warnings=_warnings(observed),
@@ -105,7 +103,7 @@ def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replica
     )
 
 
-def own_test(observed: Observed, full: Estimate) -> OwnTest | None:
+def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
     """The F test of the recordings' own parameters against shared ones, by least squares; None where they have none."""
     parameters, rows = observed.parameters, observed.regression
     if not parameters.any:
@@ -134,7 +132,7 @@ def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, use
     return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
 
 
-def intervals_along(observed: Observed, z: Instruments, estimate: Estimate) -> Intervals:
+def intervals_along(observed: StackedSystem, z: Instruments, estimate: Estimate) -> Intervals:
     """Intervals of an estimate by instruments, from the rows that count or from the blocks of long recordings."""
     if z.system is None:
         about = observed.about(z)
@@ -151,7 +149,7 @@ def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
 
 
-def _warnings(observed: Observed) -> tuple[str, ...]:
+def _warnings(observed: StackedSystem) -> tuple[str, ...]:
     """Those of the settings and of the recordings, which several recordings may share."""
     problems = [observed.observations[k].problem for k in observed.order]
     of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]

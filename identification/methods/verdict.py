@@ -12,7 +12,8 @@ from ..simulation import DirectModelError, Replica, told, worst
 from ..trust import Evidence
 from .assess import fit_of, intervals_along, sums_along
 from .fit import Fit, InstrumentEvidence, LeastSquares, Pass, essential_names
-from .timing import Along, counted
+from .system import StackedSystem
+from .timing import counted
 
 TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
 SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
@@ -20,18 +21,20 @@ WEAK_INSTRUMENTS_F = 10.0
 
 
 def assess_iv(
-    found: Along, ls: LeastSquares, passes: Sequence[Pass], returned: int, start: str, failure: str | None
+    observed: StackedSystem,
+    best: Pass,
+    beginning: tuple[StackedSystem, Pass] | None,
+    ls: LeastSquares,
+    passes: Sequence[Pass],
+    start: str,
 ) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
-    observed, z, estimate, replicas = found.observed.about(found.z), found.z, found.estimate, found.replicas
-    evidence, (system, _) = _evidence_along(found, ls), observed.along(z)
+    observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
+    evidence, (system, _) = _evidence_along(observed, best, ls), observed.along(z)
     tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
-    direct, names = _direct_errors(replicas), [one.problem.signals.recording for one in observed.observations]
-    final_reason = told([one.reason for one in replicas], names)
-    tracking_percent = worst([one.tracking_percent for one in replicas])
-    status, reason = _status(passes, final_reason, tracking_percent, failure, direct, tests)
-    if reason is not None and returned != len(passes):
-        reason += f"; pass {returned} is returned, which tracks best"
+    status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
+    if reason is not None and best.number != len(passes):
+        reason += f"; pass {best.number} is returned, which tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(ls.full.among(estimate.names) - estimate.beta) / evidence.intervals.half)
     first = replicas[observed.order[0]]
@@ -40,14 +43,14 @@ def assess_iv(
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
         controller="described" if all(one.described for one in replicas) else "surrogate",
         passes=tuple(passes),
-        returned=returned,
+        returned=best.number,
         reason=reason,
         tests=tests,
         contrast=float(apart.max()),
         contrast_at=estimate.names[int(apart.argmax())],
         rows_used_percent=float(100 * z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
-        direct=direct,
+        direct=_direct_errors(replicas),
         simulated=first.motion,
         q=first.q,
     )
@@ -59,7 +62,7 @@ def assess_iv(
         unconfirmed=None if status == "converged" else f"status {status}: {reason}",
         factors=z.factors if len(z.factors) > 1 else (),
         blocks=sums_along(z, estimate),
-        looked_at=None if found.beginning is None else _evidence_along(replace(found.beginning, lags=found.lags), ls),
+        looked_at=None if beginning is None else _evidence_along(*beginning, ls),
     )
     own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
     fit = fit_of(observed, evidence, own, replicas)
@@ -67,12 +70,12 @@ def assess_iv(
     return replace(fit, status=status, iv=iv, least_squares=ls, warnings=warnings)
 
 
-def _evidence_along(along: Along, ls: LeastSquares) -> Evidence:
+def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Evidence:
     """What an estimate by instruments rests on, in its rows."""
-    observed, z, estimate = along.observed.about(along.z), along.z, along.estimate
-    within = counted(estimate, intervals_along(observed, z, estimate), along.lags)
+    observed, z, estimate = observed.about(best.z), best.z, best.estimate
+    within = counted(estimate, intervals_along(observed, z, estimate), observed.lags)
     return Evidence(
-        recordings=along.recordings,
+        recordings=observed.simulated(best.replicas),
         observed=observed.regression,
         method="iv",
         fixed_point=True,
@@ -82,7 +85,7 @@ def _evidence_along(along: Along, ls: LeastSquares) -> Evidence:
         intervals=within,
         least_squares=ls.full,
         Z=observed.along(z)[1],
-        lags=along.lags,
+        lags=observed.lags,
         essential=essential_names(ls.essential, estimate, within),
     )
 
@@ -95,7 +98,7 @@ def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> Instr
     return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(weighted) or 0.0)
 
 
-def _direct_errors(replicas: tuple[Replica, ...]) -> tuple[DirectModelError, ...]:
+def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
     """Errors of the simulated robot by joint, of the recording that is worst; none where one could not be simulated."""
     if any(not one.direct for one in replicas):
         return ()
@@ -115,23 +118,18 @@ def _largest(percents: list[float | None]) -> float | None:
 
 
 def _status(
-    passes: Sequence[Pass],
-    final_reason: str | None,
-    tracking_percent: float | None,
-    failure: str | None,
-    direct: tuple[DirectModelError, ...],
-    tests: InstrumentTests,
+    passes: Sequence[Pass], best: Pass, recordings: Sequence[str], tests: InstrumentTests
 ) -> tuple[Status, str | None]:
     """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
 
     One that settled otherwise is `not_confirmed`. Every joint has to track, not the robot on average: a joint of small travel
     would hide behind the others.
     """
-    if failure is not None:
-        return "diverged", failure
+    last, unconfirmed = passes[-1], _unconfirmed(best.replicas, recordings)
+    if last.failure is not None:
+        return "diverged", last.failure
     if not tests.first_stage_F >= 1.0:
         return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
-    last, unconfirmed = passes[-1], _unconfirmed(final_reason, tracking_percent, direct)
     if last.settled:
         if unconfirmed is None and last.z.kind != "simulated":
             unconfirmed = f"settled without simulated instruments: {last.z.reason}"
@@ -146,15 +144,15 @@ def _status(
     return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
 
 
-def _unconfirmed(
-    final_reason: str | None, tracking_percent: float | None, direct: tuple[DirectModelError, ...]
-) -> str | None:
+def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str | None:
     """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
-    if final_reason is not None:
-        return f"the final estimate cannot be simulated: {final_reason}"
+    reason = told([one.reason for one in replicas], recordings)
+    if reason is not None:
+        return f"the final estimate cannot be simulated: {reason}"
+    tracking_percent = worst([one.tracking_percent for one in replicas])
     if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
         return "the simulated position does not follow the measured one"
-    for d in direct:
+    for d in _direct_errors(replicas):
         if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
             return f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
     return None

@@ -1,6 +1,6 @@
 """Parameters that each of several recordings has for itself, such as an offset: Off1@A beside Off1@B in place of Off1."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from .problem import Problem
-from .system import Regression
+from .system import Regression, stacked
 
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}  # of `own`, and of the terms of the model
 
@@ -41,11 +41,6 @@ class OwnParameters:
         """(b,) where the base parameters of recording k are among all."""
         return np.array([self.names.index(name) for name in self.of[k]])
 
-    def without(self, names: Collection[str]) -> "OwnParameters":
-        """The same without parameters that the recordings share."""
-        of = tuple(tuple(name for name in one if name not in names) for one in self.of)
-        return OwnParameters(of=of, names=tuple(name for name in self.names if name not in names))
-
     def columns(self, X: Array, k: int) -> Array:
         """X (r, b) of recording k in the columns of all parameters; zero in those of other recordings."""
         if not self.any:
@@ -59,15 +54,17 @@ class OwnParameters:
         places = {name: i for i, name in enumerate(map(base_name, self.of[0]))}
         return np.array([beta[places[base_name(name)]] for name in self.names])
 
-    def widened(self, regression: Regression, k: int) -> Regression:
-        """The regression of recording k with the columns of all parameters. Raises where its rows are reduced."""
-        if not self.any:
-            return regression
-        if regression.reduced:
+    def stacked(self, each: Sequence[Regression]) -> Regression:
+        """The system of the recordings, with the columns of all parameters. Raises where own ones meet reduced rows."""
+        if self.any and each[0].reduced:
             text = "the recordings are too long for parameters of their own"
             raise IdentificationError(text, key="identification.own", expected="a larger --decimate, or none")
-        system = replace(regression.system, W=self.columns(regression.system.W, k), names=self.names)
-        return replace(regression, system=system)
+        if self.any:
+            wide = [
+                replace(one.system, W=self.columns(one.system.W, k), names=self.names) for k, one in enumerate(each)
+            ]
+            each = [replace(one, system=system) for one, system in zip(each, wide, strict=True)]
+        return stacked(each)
 
 
 def own_parameters(problems: Sequence[Problem]) -> OwnParameters:

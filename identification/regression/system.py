@@ -1,17 +1,17 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, System, TimeBlocks, combined
+from ..estimation import Factors, System, TimeBlocks, combined, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
-from .load import LinkSeries, load_friction
+from .load import LinkSeries, LoadFriction, load_friction
 from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
@@ -62,6 +62,21 @@ class Regression:
     def predicted(self, beta: Array) -> Array:
         """Torque (rows, n) that beta (b,) predicts for rows that are not reduced: tau less the residual Y - W beta."""
         return np.asarray(self.tau - (self.system.Y - self.system.W @ beta).reshape(self.tau.shape[1], -1).T)
+
+    def about(self, beta: Array, load: LoadFriction, columns: Array) -> "Regression":
+        """The same about beta (b,), from the columns (2, k, rows) of load friction; of rows that are not reduced."""
+        n, W, Y = self.tau.shape[1], self.system.W.copy(), self.system.Y.copy()
+        load.linearise(W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
+        return replace(self, system=replace(self.system, W=W, Y=Y), links=())
+
+    def without(self, names: Collection[str]) -> "Regression":
+        """The same without the columns of parameters; the links' entries are at their places among the others."""
+        stay = np.array([name not in names for name in self.system.names])
+        place = np.cumsum(stay) - 1
+        links = tuple(
+            replace(part, entries=np.c_[part.entries[:, 0], place[part.entries[:, 1]]]) for part in self.links
+        )
+        return replace(self, system=self.system.with_columns(np.flatnonzero(stay)), links=links)
 
 
 def regression_of_recording(
@@ -116,6 +131,12 @@ def regression_of_recording(
         links=() if factors else tuple(kept),
         time_blocks=() if time_blocks is None else (time_blocks,),
     )
+
+
+@one_thread
+def reduced_regression(problem: Problem, beta: Array) -> Regression:
+    """W and Y of a recording about beta (b,), as QR factors."""
+    return regression_of_recording(problem.with_samples(), share=ALL_REDUCED, beta=beta)
 
 
 def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
@@ -223,7 +244,7 @@ def decimated_regressor(
     Columns of load friction are zero. With parameters `beta` (b,) it is the one about them, as of `load`.
     """
     load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
-    if load and beta is not None:
+    if load.joints.size and beta is not None:
         columns = load.columns(load.series_of_links(entries, series, motion.dq, slice(None)), beta, decimation)
         load.linearise(W, None, columns, beta)
     return W
@@ -271,10 +292,12 @@ def _block(
     motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base
     load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)[:, inside]
-    stride = 1 if load else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
+    stride = (
+        1 if load.joints.size else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
+    )
     W, entries, series = _decimated(motion, model, base, decimation, stride)
     W, Y, links = W[..., inside], tau.copy(), None
-    if load:
+    if load.joints.size:
         links = load.series_of_links(entries, series, motion.dq, inside)
         if beta is not None:
             load.linearise(W, Y, load.columns(links, beta, decimation), beta)

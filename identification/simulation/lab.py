@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Work
 from ..estimation import one_thread
-from ..regression import OwnParameters, Place
+from ..regression import OwnParameters, Problem
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment, make_experiment
 from .instruments import Instruments, simulate_instruments, stack_instruments
 from .motion import Replica, simulate_replica
@@ -22,7 +22,7 @@ class Simulation:
     `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
     """
 
-    place: Place
+    problem: Problem
     prior: Array
     slip_noise: Array
     long: bool
@@ -33,7 +33,7 @@ class Simulation:
         """The experiment with so many steps and samples per period of the bandwidth."""
         if rate_per_bandwidth not in self._laid_out:
             self._laid_out[rate_per_bandwidth] = make_experiment(
-                self.place.problem(),
+                self.problem.with_samples(),
                 self.prior,
                 self.slip_noise,
                 rate_per_bandwidth=rate_per_bandwidth,

@@ -69,14 +69,13 @@ def observed(signals: Signals, settings: Settings | None, fit: Fit | None) -> Ob
         for quantity, x in (("q", m.q), ("dq", m.dq), ("ddq", m.ddq), ("tau", m.tau), ("error", m.q - fit.iv.q)):
             kept = [extremes(x[:, j], step) for j in range(n)]
             simulated[quantity] = [(t_s[k], x[k, j]) for j, k in enumerate(kept)]
-    rows = fit.rows
     return Observed(
         measured=measured,
         filtered=filtered,
         simulated=simulated,
-        rows_t_s=rows.t_s,
-        residual=rows.tau - rows.tau_predicted,
-        moving=are_moving(rows.speed),
+        rows_t_s=fit.t_s,
+        residual=fit.tau - fit.tau_predicted,
+        moving=are_moving(fit.speed),
     )
 
 
