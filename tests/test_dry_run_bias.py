@@ -19,7 +19,7 @@ from acquisition.simulated.loops import cubic
 from acquisition.simulated.plants import JointwisePlant
 from identification.data import load_signals
 from identification.methods import identify_ls
-from identification.methods.assess import ripple_warnings
+from identification.methods.recording_report import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
 from identification.simulation import Reference, described_robot, recorded_loop

@@ -25,7 +25,7 @@ from identification.regression import (
     system,
     torque_of_recording,
 )
-from identification.regression.links import torque_of_links
+from identification.regression.rows import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.synthetic import periodic_reference
 

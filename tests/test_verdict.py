@@ -10,8 +10,8 @@ from conftest import REPLAY
 from identification.data import load_signals
 from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
+from identification.methods.assess import _status
 from identification.methods.fit import DirectModelError
-from identification.methods.verdict import _status
 from identification.regression import Overrides
 
 GOOD = InstrumentTests(

@@ -140,7 +140,7 @@ def recommended(trials: Iterable[Trial], level: float) -> Trial:
 def _told(observed: StackedSystem) -> StackedSystem:
     """W and Y without the terms that the recordings cannot tell with all others at hand."""
     observed = leave_out_untold(observed)
-    while observed.load.joints.size:
+    while observed.load:
         names = observed.parameters.names
         about = observed.at(usual_estimate(observed).among(names))
         untold = alike(observed.problem, about.regression.system, [names[place] for place in observed.load_places()])

@@ -173,7 +173,7 @@ class Trials:
         """Least squares of some parameters in the rows (T,), and which load friction did not settle."""
         used, whole = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.whole
         settling = [whole.problem.base.names.index(base_name(self._names[i])) for i in columns]
-        load = whole.load.of(settling)
+        load = whole.load and whole.load.of(settling)
 
         def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
             return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))

@@ -55,7 +55,7 @@ def _regressor(m: Mechanism, q: Array, dq: Array, ddq: Array) -> Array:
     """The regressor (N, n, p), its columns of load friction for the links' torque of these parameters."""
     W, base = m.model.regressor(q, dq, ddq), base_parameters(m.model)
     load = load_friction(m.model, base)
-    if load.joints.size:
+    if load:
         links = direct_model(m.model, base.standard_parameters(np.where(base.links, base.K @ m.chi, 0.0)))
         friction = np.abs(links.torque(q, dq, ddq)) * np.sign(dq)
         for j, place in zip(load.joints, load.places, strict=True):

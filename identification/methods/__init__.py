@@ -15,9 +15,17 @@ from .fit_files import fit_file, validation_file
 from .fit_report import fit_document, trust_document
 from .idim import identify, identify_iv, identify_ls, validate, validate_all
 from .iteration import Iteration, regular_start
-from .parameters import fitted_parameters, least_squares_parameters, true_parameters
+from .parameters import (
+    consistent_fit,
+    fitted_parameters,
+    least_squares_parameters,
+    other_meaning,
+    stored_beta,
+    stored_robot,
+    stored_settings,
+    true_parameters,
+)
 from .recording_report import Validated, recording_document, validation_document
 from .settled import alike, leave_out_untold, load_passes, settled_least_squares
-from .stored_fit import consistent_fit, other_meaning, stored_beta, stored_robot, stored_settings
 from .system import StackedSystem, observe_all
 from .timing import in_known_time

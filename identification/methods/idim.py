@@ -28,7 +28,7 @@ from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..report import Method
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import evidence_of_ls, fit_of, intervals_along, intervals_of
+from .assess import assess_iv, evidence_of_ls, fit_of, intervals_along, intervals_of
 from .fit import Fit, LeastSquares, Pass
 from .iteration import (
     Iteration,
@@ -44,7 +44,6 @@ from .iteration import (
 from .settled import settled_least_squares
 from .system import StackedSystem, observe_all
 from .timing import counted, in_known_time, lags_of_ls, over_all, timed
-from .verdict import assess_iv
 
 Say = Callable[[str], None]
 

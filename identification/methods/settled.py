@@ -30,7 +30,7 @@ def settled_least_squares(
     """
     solve = weighted_least_squares if method == "wls" else ordinary_least_squares
     observed = leave_out_untold(observed)
-    while observed.load.joints.size:
+    while observed.load:
         names, places = observed.parameters.names, observed.load_places()
         others = np.setdiff1d(np.arange(len(names)), places)
         about = solve(condensed(observed.regression.system.with_columns(others))).among(names)
@@ -44,7 +44,7 @@ def settled_least_squares(
 
 
 def load_passes(
-    observed: StackedSystem, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction
+    observed: StackedSystem, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction | None
 ) -> tuple[StackedSystem, Estimate, dict[str, str]]:
     """Solve from the parameters `beta` (b,) on, until they settle or there were ten passes.
 
@@ -56,16 +56,18 @@ def load_passes(
     W and Y of the last pass, and its estimate. Then, unless no parameter changed by more than half a deviation, the parameters
     of load friction that did, or the one that changed most, each with a line that says it.
     """
-    names, settles, values = observed.parameters.names, not load.joints.size, list[Array]()
+    if load is None:
+        return observed, solve(observed.regression), {}
+    names, values = observed.parameters.names, list[Array]()
     places, robot = observed.load_places(load), observed.problem.signals.robot
-    for _ in range(1 if settles else MOST_PASSES):
+    for _ in range(MOST_PASSES):
         about, observed = beta, observed.at(beta, load)
         estimate = solve(observed.regression)
         beta, sigma = estimate.among(names), np.zeros(len(names))
         sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
         off = np.abs(beta - about) / np.maximum(sigma / 2, ROUNDING * np.abs(beta).max())
         values.append(beta)
-        if settles or (off < 1).all():
+        if (off < 1).all():
             return observed, estimate, {}
     unsettled, own = {}, off[places]
     for j, place, far in zip(load.joints, places, own, strict=True):

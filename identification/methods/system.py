@@ -46,7 +46,7 @@ class StackedSystem:
         plain: by recording its regression, columns of load friction being zero.
         parameters: those that the recordings share, and those of each.
         regression: the system that they make together, about `beta`.
-        load: where the base parameters have load friction.
+        load: where the base parameters have load friction, if they do.
         beta: values of all parameters; None where columns of load friction are zero.
         left_out: friction terms that were left out of the description, each with a line that says why.
         lags: by which the torques are corrected, where they were looked for.
@@ -59,7 +59,7 @@ class StackedSystem:
     plain: tuple[Regression, ...]
     parameters: OwnParameters
     regression: Regression
-    load: LoadFriction
+    load: LoadFriction | None
     beta: Array | None = None
     left_out: dict[str, str] = field(default_factory=dict)
     lags: tuple[Lag, ...] = ()
@@ -104,16 +104,17 @@ class StackedSystem:
 
     def load_places(self, load: LoadFriction | None = None) -> NDArray[np.intp]:
         """Where the parameters of load friction are among those of the system; of `load`, or of all there is."""
-        names, all_names = self.problem.base.names, self.parameters.names
-        return np.array([all_names.index(names[place]) for place in (load or self.load).places], dtype=np.intp)
+        load, names = load or self.load, self.problem.base.names
+        found = [self.parameters.names.index(names[place]) for place in load.places] if load else []
+        return np.array(found, dtype=np.intp)
 
     def at(self, beta: Array, load: LoadFriction | None = None) -> "StackedSystem":
         """The same with W and Y about values of all parameters, by which load friction goes; the same without any.
 
         `load` may be some of the load friction, of rows that are not reduced: columns of the rest are zero.
         """
-        load = self.load if load is None else load
-        if not load.joints.size or (load is self.load and self.beta is not None and np.array_equal(beta, self.beta)):
+        load = load or self.load
+        if load is None or (load is self.load and self.beta is not None and np.array_equal(beta, self.beta)):
             return self
         run, problems = self.recordings.work.run, self.problems()
         of_each = [beta[self.parameters.places(k)] for k in range(len(problems))]

@@ -1,12 +1,20 @@
 """From signals to W and Y: settings, filters, regressor, the rows that count; load friction and its passes."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .links import RowStates, friction_states, links_at_rows, recorded_power, row_states
 from .load import LoadFriction, load_columns, load_friction
-from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, refuse_slow_joints
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at
-from .own import OwnParameters, base_name, own_parameters
 from .problem import Problem, RowBlock, make_problem, row_blocks
+from .rows import (
+    RowStates,
+    fast_rows,
+    friction_states,
+    links_at_rows,
+    lowest_nearby,
+    measured_fast_rows,
+    recorded_power,
+    refuse_slow_joints,
+    row_states,
+)
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     NOTHING,
@@ -20,6 +28,7 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
+from .several import OwnParameters, base_name, own_parameters
 from .system import (
     ALL_REDUCED,
     HELD,

@@ -43,10 +43,10 @@ class LoadFriction:
     places: NDArray[np.intp]
     links: NDArray[np.bool_]
 
-    def of(self, places: Collection[int]) -> "LoadFriction":
-        """That of which mu has one of these places."""
+    def of(self, places: Collection[int]) -> "LoadFriction | None":
+        """That of which mu has one of these places; None where none has."""
         own = np.isin(self.places, list(places))
-        return replace(self, joints=self.joints[own], places=self.places[own])
+        return replace(self, joints=self.joints[own], places=self.places[own]) if own.any() else None
 
     def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> LinkSeries:
         """The links' part, of these joints, of a block's regressor: its entries (E, 2) and their series (E, N)."""
@@ -83,14 +83,16 @@ class LoadFriction:
                 Y[j] += beta[self.links] @ D
 
 
-def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction:
-    """Where the base parameters of a robot have load friction."""
+def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | None:
+    """Where the base parameters of a robot have load friction; None where they have none."""
     found = [
         (int(source.rows[0]), place)
         for place, source in enumerate(model.sources[c] for c in base.columns)
         if isinstance(source, JointTerm) and source.kind == "load"
     ]
-    joints, places = np.array(found, dtype=np.intp).reshape(-1, 2).T
+    if not found:
+        return None
+    joints, places = np.array(found, dtype=np.intp).T
     return LoadFriction(joints=joints, places=places, links=base.links)
 
 

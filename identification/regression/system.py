@@ -8,13 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, System, TimeBlocks, combined, one_thread
+from ..estimation import Factors, System, TimeBlocks, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
 from .load import LinkSeries, LoadFriction, load_friction
-from .low_speed import measured_fast_rows, refuse_slow_joints
 from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
+from .rows import measured_fast_rows, refuse_slow_joints
 
 _NUMBERS_IN_MEMORY = 4_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
@@ -148,40 +148,7 @@ def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) 
 def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
     """Whether so many decimated samples are too many to be held as rows; `share` as in `regression_of_recording`."""
     most = math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
-    return rows * problem.signals.robot.n * problem.base.b > most
-
-
-def stacked(regressions: Sequence[Regression]) -> Regression:
-    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
-    if len(regressions) == 1:
-        return regressions[0]
-    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
-    if regressions[0].reduced:
-        system, _ = combined((one, None) for one in systems)
-    else:
-        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
-
-        def by_joint(name: str) -> Array:
-            values = [getattr(s, name) for s in systems]
-            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
-
-        system = replace(
-            systems[0],
-            W=by_joint("W"),
-            Y=by_joint("Y"),
-            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-            used=by_joint("used"),
-            rows=np.sum([s.rows for s in systems], axis=0),
-        )
-    return Regression(
-        system=system,
-        fast=np.concatenate([part.fast for part in regressions]),
-        tau=np.concatenate([part.tau for part in regressions]),
-        speed=np.concatenate([part.speed for part in regressions]),
-        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
-        parts=tuple(rows for part in regressions for rows in part.parts),
-        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
-    )
+    return rows * len(problem.signals.robot.joints) * len(problem.base.names) > most
 
 
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
@@ -244,7 +211,7 @@ def decimated_regressor(
     Columns of load friction are zero. With parameters `beta` (b,) it is the one about them, as of `load`.
     """
     load, (W, entries, series) = load_friction(dynamics, base), _decimated(motion, dynamics, base, decimation)
-    if load.joints.size and beta is not None:
+    if load and beta is not None:
         columns = load.columns(load.series_of_links(entries, series, motion.dq, slice(None)), beta, decimation)
         load.linearise(W, None, columns, beta)
     return W
@@ -256,7 +223,7 @@ def _decimated(
     """Regressor (n, b, rows), the links' columns computed at every `stride`-th sample; and what was at full rate, the
     entries (E, 2) of joint and place in `base` with their series (E, N).
     """
-    N, W = len(motion.q), np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q))))
+    N, W = len(motion.q), np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q))))
     strided = stride > 1 and stride * decimation.end_samples < N  # else the ends are most of it
     links = base.links & strided
     if links.any():
@@ -292,12 +259,10 @@ def _block(
     motion, inside = motion_of_block(problem, at), at.inside
     decimation, model, base = problem.settings.decimator, problem.model, problem.base
     load, tau = load_friction(model, base), decimation.filtered(motion.tau.T)[:, inside]
-    stride = (
-        1 if load.joints.size else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
-    )
+    stride = 1 if load else decimation.stride_behind(problem.settings.cutoff_hz, problem.signals.sample_rate_hz)
     W, entries, series = _decimated(motion, model, base, decimation, stride)
     W, Y, links = W[..., inside], tau.copy(), None
-    if load.joints.size:
+    if load:
         links = load.series_of_links(entries, series, motion.dq, inside)
         if beta is not None:
             load.linearise(W, Y, load.columns(links, beta, decimation), beta)

@@ -1,4 +1,4 @@
-"""Parameters that each of several recordings has for itself, such as an offset: Off1@A beside Off1@B in place of Off1."""
+"""The system of several recordings, and parameters that each has for itself, such as an offset: Off1@A and Off1@B for Off1."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..estimation import combined
 from .problem import Problem
-from .system import Regression, stacked
+from .system import Regression
 
 KINDS = {"Off": "offset", "Fv": "viscous", "Fc": "coulomb"}  # of `own`, and of the terms of the model
 
@@ -64,7 +65,7 @@ class OwnParameters:
                 replace(one.system, W=self.columns(one.system.W, k), names=self.names) for k, one in enumerate(each)
             ]
             each = [replace(one, system=system) for one, system in zip(each, wide, strict=True)]
-        return stacked(each)
+        return _stacked(each)
 
 
 def own_parameters(problems: Sequence[Problem]) -> OwnParameters:
@@ -111,3 +112,36 @@ def _labels(recordings: Sequence[str]) -> list[str]:
     if len(set(stems)) == len(stems):
         return stems
     return [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]
+
+
+def _stacked(regressions: Sequence[Regression]) -> Regression:
+    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
+    if len(regressions) == 1:
+        return regressions[0]
+    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
+    if regressions[0].reduced:
+        system, _ = combined((one, None) for one in systems)
+    else:
+        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
+
+        def by_joint(name: str) -> Array:
+            values = [getattr(s, name) for s in systems]
+            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
+
+        system = replace(
+            systems[0],
+            W=by_joint("W"),
+            Y=by_joint("Y"),
+            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
+            used=by_joint("used"),
+            rows=np.sum([s.rows for s in systems], axis=0),
+        )
+    return Regression(
+        system=system,
+        fast=np.concatenate([part.fast for part in regressions]),
+        tau=np.concatenate([part.tau for part in regressions]),
+        speed=np.concatenate([part.speed for part in regressions]),
+        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
+        parts=tuple(rows for part in regressions for rows in part.parts),
+        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
+    )
