@@ -134,7 +134,7 @@ def test_held_out_torque_is_predicted_no_worse(consistent, observed, expected):
     if expected == "plausible":
         model = InverseModel(dataclasses.replace(model.robot, parameters={}))
     physical = physical_parameters(model)
-    rows, n = consistent.rows.tau.shape
+    rows, n = consistent.tau.shape
     at = np.tile(np.arange(rows) / rows, n)
     parts = [(0.0, 0.5), (0.5, 1.0), *((k / 5, (k + 1) / 5) for k in range(5))]
     errors = np.array(

@@ -18,7 +18,7 @@ from acquisition.simulated import LoopGains, Mechanism, SimulatedDrives, cascade
 from acquisition.simulated.mechanism import JointwisePlant, cubic
 from identification.data import load_signals
 from identification.methods import identify_ls
-from identification.methods.assess import ripple_warnings
+from identification.methods.recording_report import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop

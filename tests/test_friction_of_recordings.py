@@ -166,7 +166,7 @@ def test_the_page_has_each_joint_over_all_recordings():
             return values[f"Fv1@{name}"] * v + (values["Fc1"] + values["Fr1"] * np.sqrt(np.abs(v))) * np.sign(v)
 
         np.testing.assert_allclose(one.curves[0].torque, friction(one.curves[0].speed), rtol=1e-9, atol=1e-9)
-        v, rho = (x[fitted.rows, 0] for x in (fit.rows.speed, fit.rows.tau - fit.rows.tau_predicted))
+        v, rho = (x[fitted.rows, 0] for x in (fit.speed, fit.tau - fit.tau_predicted))
         rows = np.abs(v) > 0.02 * np.abs(v).max()
         np.testing.assert_allclose(one.torque, (friction(v) + rho)[rows], rtol=1e-9, atol=1e-9)
 
@@ -206,7 +206,7 @@ def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, 
     for name, terms in names.items():
         signals = (dataclasses.replace(one, robot=with_terms(one.robot, terms)) for one in several()[:count])
         fit = identify_ls(Recordings(sources=tuple(signals)), WITHOUT_LAG)
-        moved = np.abs(fit.rows.speed) > 0.02 * np.abs(fit.rows.speed).max(axis=0)
+        moved = np.abs(fit.speed) > 0.02 * np.abs(fit.speed).max(axis=0)
         for j, joint in enumerate(joints, 1):
             sheet = Sheet(file, f"/friction/{joint}/{name}")
             assert file.views[f"/friction/{joint}/{name}"][1].startswith(f"{joint}, {name}")
@@ -231,5 +231,5 @@ def test_the_page_of_the_command_has_curves_and_intervals_of_the_fits(tmp_path, 
                 assert np.mean(strokes[2][1] - strokes[1][1]) == pytest.approx(2 * half.mean(), rel=0.05)
             every = max(1, moved[:, j - 1].sum() // 400)
             assert len(sheet.dots[0]) == -(-moved[:, j - 1].sum() // every)
-            expected = fit.rows.speed[moved[:, j - 1], j - 1][::every]
+            expected = fit.speed[moved[:, j - 1], j - 1][::every]
             np.testing.assert_allclose(sheet.dots[0], expected, atol=0.01 * np.abs(expected).max())

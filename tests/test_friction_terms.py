@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 from fits_of_records import signals_of
-from linearised_recordings import linearised_of
 from loops import simulate
+from stacked_recordings import system_of
 
 from acquisition.errors import AcquisitionError
 from acquisition.robot import robot_from_files
@@ -22,7 +22,8 @@ from identification.design.trials import Trials, parts_of
 from identification.estimation import System
 from identification.export import mechanism_of
 from identification.export.mechanism import random_states, representable, whole_regressor
-from identification.methods import Iteration, Prior, identify_iv, identify_ls, with_consistent
+from identification.methods import Iteration, Prior, identify_iv, identify_ls, settled_least_squares, with_consistent
+from identification.methods.settled import told_apart
 from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
 from identification.regression import (
     LoadFriction,
@@ -31,10 +32,8 @@ from identification.regression import (
     make_problem,
     recorded_power,
     regression_of_recording,
-    settled_least_squares,
     system,
 )
-from identification.regression.settled import told_apart
 from identification.simulation import Reference, surrogate_loop
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.simulated_cell import periodic_reference
@@ -235,9 +234,9 @@ def exact(arm):
 @pytest.mark.slow
 def test_exact_motion_gives_every_term_back(exact):
     problem, known = exact
-    settled = settled_least_squares(linearised_of(problem))
-    assert settled.linearised.problem.settings.warnings == problem.settings.warnings  # nothing is left out
-    np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8, atol=1e-8)
+    settled, full = settled_least_squares(system_of(problem))
+    assert settled.problem.settings.warnings == problem.settings.warnings  # nothing is left out
+    np.testing.assert_allclose(full.beta, known, rtol=1e-8, atol=1e-8)
 
 
 def upright(terms, more: str = ""):
@@ -252,16 +251,16 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     robot = upright([[*USUAL, "root", "load"], [*USUAL, "load"]], "Fr1 = 0.5\nmu1 = 0.2\nmu2 = 0.3\n")
     t = np.arange(0.0, 12.0, 1 / 250.0)
     problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
-    whole = settled_least_squares(linearised_of(problem))
+    _, whole = settled_least_squares(system_of(problem))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
     monkeypatch.setattr(system, "_LINKS_KEPT", 0)
-    blocks = settled_least_squares(linearised_of(problem))
-    np.testing.assert_allclose(blocks.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
+    _, blocks = settled_least_squares(system_of(problem))
+    np.testing.assert_allclose(blocks.beta, whole.beta, rtol=1e-6, atol=1e-7)
     monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
     plain = regression_of_recording(problem)
     assert plain.reduced
-    reduced = settled_least_squares(linearised_of(problem, plain=plain))
-    np.testing.assert_allclose(reduced.full.beta, whole.full.beta, rtol=1e-6, atol=1e-7)
+    _, reduced = settled_least_squares(system_of(problem, plain=plain))
+    np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-6, atol=1e-7)
 
 
 def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
@@ -273,13 +272,15 @@ def test_load_friction_is_the_same_where_a_term_beside_the_links_is_left_out():
     known = []
     for robot in (more, less):
         problem, beta = exact_problem(robot, x)
-        linearised = linearised_of(problem)
-        known.append((linearised.without({"Fr2": "a test"}) if robot is more else linearised, beta))
+        found = system_of(problem)
+        known.append((found.without({"Fr2": "a test"}) if robot is more else found, beta))
     (without, _), (never, beta) = known
     assert without.parameters.names == never.parameters.names
-    assert without.plain.links[0].series.shape[0] > never.plain.links[0].series.shape[0]  # it is among what is held
+    assert (
+        without.plain[0].links[0].series.shape[0] > never.plain[0].links[0].series.shape[0]
+    )  # it is among what is held
     for name in ("W", "Y"):
-        found, expected = (getattr(one.at(beta).system, name) for one in (without, never))
+        found, expected = (getattr(one.at(beta).regression.system, name) for one in (without, never))
         np.testing.assert_array_equal(found, expected)
 
 
@@ -420,13 +421,13 @@ def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
 def test_root_friction_at_two_speeds_is_named_and_left_out():
     """Three columns of two speeds: Coulomb and viscous friction say all, the root nothing more."""
     problem, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0)
-    settled = settled_least_squares(linearised_of(problem))
-    assert settled.full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
-    (told,) = settled.linearised.problem.settings.warnings[-1:]
+    settled, full = settled_least_squares(system_of(problem))
+    assert full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
+    (told,) = settled.problem.settings.warnings[-1:]
     assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
     three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
-    settled = settled_least_squares(linearised_of(three))
-    np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8)
+    settled, full = settled_least_squares(system_of(three))
+    np.testing.assert_allclose(full.beta, known, rtol=1e-8)
 
 
 @pytest.mark.parametrize(("a_m_s2", "left_out"), [(0.1, True), (4.0, False)])
@@ -434,15 +435,13 @@ def test_load_friction_is_left_out_where_the_load_does_not_change(a_m_s2, left_o
     """A weight that hardly accelerates: its load friction is Coulomb friction."""
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
     problem, known = two_speeds(robot, a_m_s2)
-    settled = settled_least_squares(linearised_of(problem))
+    settled, full = settled_least_squares(system_of(problem))
     told = [
-        warning
-        for warning in settled.linearised.problem.settings.warnings
-        if "load friction of joint axis left out" in warning
+        warning for warning in settled.problem.settings.warnings if "load friction of joint axis left out" in warning
     ]
     assert bool(told) == left_out
     if not left_out:
-        np.testing.assert_allclose(settled.full.beta, known, rtol=1e-8)
+        np.testing.assert_allclose(full.beta, known, rtol=1e-8)
 
 
 def test_friction_that_would_drive_a_joint_is_told_and_signs_of_its_terms_are_not():
@@ -503,8 +502,8 @@ def test_held_out_errors_are_those_of_fits_of_the_other_rows():
     """By hand: least squares of the weighted rows outside a part, its error in the moving rows of the part."""
     problem = make_problem(recorded(upright([["viscous", "coulomb"]] * 2), 1), WITHOUT_LAG)
     plain = regression_of_recording(problem)
-    linearised = linearised_of(problem, plain=plain)
-    trial = Trials(linearised, parts_of(linearised, ["log.mcap"])).of((NONE, NONE))
+    whole = system_of(problem, plain=plain)
+    trial = Trials(whole, parts_of(whole, ["log.mcap"])).of((NONE, NONE))
     weights = identify_ls(problem.signals, WITHOUT_LAG).estimate.weights
     T, n = plain.tau.shape
     W, Y = plain.system.W.reshape(n, T, -1), plain.system.Y.reshape(n, T)
@@ -673,11 +672,11 @@ def test_a_description_whose_lines_cannot_be_replaced_stays(tmp_path, capsys):
 def splits(signals, terms):
     """Mean held-out error of moving rows over the two halves and the five fifths."""
     problem = make_problem(dataclasses.replace(signals, robot=with_terms(signals.robot, terms)), Overrides())
-    linearised = linearised_of(problem)
-    fifths, T = parts_of(linearised, ["log.mcap"]), len(linearised.plain.tau)
+    whole = system_of(problem)
+    fifths, T = parts_of(whole, ["log.mcap"]), len(whole.regression.tau)
     first = np.arange(T) < T // 2
     halves = [dataclasses.replace(fifths[0], rows=rows) for rows in (first, ~first)]
-    return Trials(linearised, [*halves, *fifths]).of(terms).held_out_error_percent
+    return Trials(whole, [*halves, *fifths]).of(terms).held_out_error_percent
 
 
 @pytest.mark.slow

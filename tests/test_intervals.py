@@ -201,7 +201,7 @@ def fits_both_ways(monkeypatch: pytest.MonkeyPatch, **kwargs) -> tuple[Fit, Fit]
 @pytest.mark.parametrize("kwargs", [{}, {"method": "ols"}, {"essential": True}])
 def test_a_recording_held_reduced_has_the_intervals_of_its_rows(monkeypatch, kwargs):
     whole, reduced = fits_both_ways(monkeypatch, **kwargs)
-    assert len(whole.rows.tau) > 8 * MOST
+    assert len(whole.tau) > 8 * MOST
     assert reduced.intervals.freedom == whole.intervals.freedom == MOST
     apart = np.abs(reduced.intervals.sigma / whole.intervals.sigma - 1)
     # A block's scores count as one instant; a deviation of 16 degrees of freedom spreads by 18 %.

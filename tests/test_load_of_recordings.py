@@ -9,24 +9,23 @@ import msgspec
 import numpy as np
 import pytest
 from fits_of_records import signals_of
-from linearised_recordings import linearised_of
+from stacked_recordings import system_of
 from test_friction_terms import axis, described, direct_of, model_of, simulated, two_speeds
 
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, cluster, processes, signals_from_arrays
 from identification.design import with_terms
-from identification.methods import Iteration, identify_iv, identify_ls
+from identification.methods import Iteration, identify_iv, identify_ls, settled_least_squares
 from identification.regression import (
     Overrides,
     make_problem,
     regression_of_recording,
     row_blocks,
     row_states,
-    settled_least_squares,
     system,
     torque_of_recording,
 )
-from identification.regression.links import torque_of_links
+from identification.regression.rows import torque_of_links
 from identification.study import Noise, closed_loop, random_reference, write_signals
 from identification.study.simulated_cell import periodic_reference
 
@@ -188,7 +187,7 @@ def files(tmp_path_factory):
 
 
 def bits(fit) -> list[bytes]:
-    arrays = fit.estimate.beta, fit.intervals.covariance, fit.rows.tau_predicted
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.tau_predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
@@ -277,18 +276,18 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
     """A weight at two speeds that hardly accelerates: root and load friction say no more than the usual terms."""
     robot = axis(["viscous", "coulomb", "root", "load"], vertical=True, Fv=100.0, Fc=20.0, Fr=30.0, mu=0.2)
     problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), others)]
-    linearised = linearised_of(*problems)
-    settled = settled_least_squares(linearised)
-    told = settled.linearised.left_out
-    assert set(told.values()) <= set(settled.linearised.problem.settings.warnings)
+    whole = system_of(*problems)
+    settled, full = settled_least_squares(whole)
+    told = settled.left_out
+    assert set(told.values()) <= set(settled.problem.settings.warnings)
     if a_m_s2 < 1:
         assert list(told) == ["Fr1", "mu1"]
         assert told["Fr1"].startswith("root friction of joint axis left out")
         assert told["mu1"].startswith("load friction of joint axis left out")
-        assert not {"Fr1", "mu1"} & set(settled.full.names)
+        assert not {"Fr1", "mu1"} & set(full.names)
     else:
         assert not told
-        np.testing.assert_allclose(settled.full.beta, model_of(robot)[2], rtol=1e-7)
+        np.testing.assert_allclose(full.beta, model_of(robot)[2], rtol=1e-7)
 
 
 def test_load_friction_that_would_drive_is_told_in_the_rows_where_the_load_is():

@@ -161,7 +161,7 @@ class LastFirst:
 
 
 def bits(fit) -> list[bytes]:
-    arrays = fit.estimate.beta, fit.intervals.covariance, fit.intervals.low, fit.rows.tau_predicted
+    arrays = fit.estimate.beta, fit.intervals.covariance, fit.intervals.low, fit.tau_predicted
     return [x.tobytes() for x in arrays] + [repr(fit.trust.lines).encode()]
 
 
@@ -570,7 +570,6 @@ def test_the_replay_is_that_of_the_worst_recording():
 @pytest.mark.slow
 def test_each_recording_is_simulated_with_its_own_parameters():
     fit = identify_iv(several(*with_offsets(("Off",), (2.0, -2.0, 0.0))), Overrides(), Iteration())
-    rows = fit.rows
     for one, offset in zip(fit.recordings, (2.0, -2.0, 0.0), strict=True):
-        model = one.replica.motion.tau.mean(axis=0) - rows.tau[one.rows].mean(axis=0)
+        model = one.replica.motion.tau.mean(axis=0) - fit.tau[one.rows].mean(axis=0)
         assert abs(model[0]) < 0.3, offset

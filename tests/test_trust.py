@@ -18,7 +18,7 @@ from identification.estimation.estimators import joint_weights
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, truth
 from identification.regression import FilteredMotion, Overrides, fast_rows, make_problem, regression_of_recording
-from identification.regression.low_speed import measured_slip
+from identification.regression.rows import measured_slip
 from identification.study import Noise, closed_loop, random_reference
 
 SCARA = REPLAY / "scara" / "session.mcap"

@@ -465,7 +465,7 @@ def test_a_long_recording_is_tested_as_its_rows_are(method):
     told, wanted = (x.trust.line("ends") for x in (long, fit))
     assert (told.level, told.value) == ("ok", pytest.approx(wanted.value, rel=5 * rows))
     assert method == "iv" or told.text == wanted.text
-    np.testing.assert_array_equal(of_blocks.predicted, long.rows.tau_predicted)
+    np.testing.assert_array_equal(of_blocks.predicted, long.tau_predicted)
     left = (evidence.observed.tau - evidence.predicted).T.reshape(-1) * evidence.rows.weight
     np.testing.assert_allclose(left, evidence.rows.rho, atol=1e-9 * np.abs(evidence.rows.rho).max())
 

@@ -10,8 +10,8 @@ from conftest import REPLAY
 from identification.data import load_signals
 from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
+from identification.methods.assess import _status
 from identification.methods.fit import DirectModelError
-from identification.methods.verdict import _status
 from identification.regression import Overrides
 
 GOOD = InstrumentTests(
@@ -28,7 +28,8 @@ def verdict(tracking, errors, tests=GOOD):
     direct = [
         DirectModelError(name=f"j{j}", position_error_percent=e, torque_error_percent=1.0) for j, e in enumerate(errors)
     ]
-    return _status((settled,), None, tracking, None, direct, tests)
+    replica = SimpleNamespace(reason=None, tracking_percent=tracking, direct=direct)
+    return _status((settled,), dataclasses.replace(settled, replicas=(replica,)), ["log.mcap"], tests)
 
 
 def test_every_joint_has_to_track():

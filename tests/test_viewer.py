@@ -13,7 +13,7 @@ from rerun.chunk import RrdReader
 from acquisition.errors import AcquisitionError
 from acquisition.robot import robot_from_files
 from identification.data import Signals
-from identification.methods import Iteration, Rows, identify_iv, identify_ls
+from identification.methods import Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, base_parameters
 from identification.regression import Motion, Overrides, differentiate, predicted_torque
 from identification.regression.filtering import decimate, lowpass
@@ -462,8 +462,8 @@ def test_a_few_far_residuals_do_not_squeeze_the_distribution(written):
     rho, speed = 0.3 * rng.standard_normal((1000, 2)), np.ones((1000, 2))
     rho[:12, 0] = 1000.0
     rho[12:20, 0], speed[12:20, 0] = 1000.0, 0.0  # standing: not counted at all
-    rows = Rows(t_s=signals.t_s[:1000], tau=rho, tau_predicted=np.zeros_like(rho), speed=speed)
-    file = written(signals, replace(fitted(signals), rows=rows))
+    rows = {"t_s": signals.t_s[:1000], "tau": rho, "tau_predicted": np.zeros_like(rho), "speed": speed}
+    file = written(signals, replace(fitted(signals), **rows))
     numbers = numbers_of(file)["joint 1.x"]
     assert float(numbers["residual σ"]) == pytest.approx(0.3, rel=0.1)
     assert numbers["rows beyond 4 σ"] == "12"
@@ -476,8 +476,8 @@ def test_a_fit_that_leaves_nothing_has_no_residual_page(written):
     signals = made_up()
     fit = fitted(signals)
     nothing = np.zeros((200, 2))
-    rows = Rows(t_s=signals.t_s[:200], tau=nothing, tau_predicted=nothing, speed=nothing)
-    views = written(signals, replace(fit, rows=rows)).views
+    rows = {"t_s": signals.t_s[:200], "tau": nothing, "tau_predicted": nothing, "speed": nothing}
+    views = written(signals, replace(fit, **rows)).views
     assert not any(kind == "BarChart" for kind, _ in views.values())
     assert len(views) == 8 + 5 + 4 + signals.robot.n
 

@@ -3,8 +3,8 @@
 import pytest
 from conftest import REPLAY
 
+import identification.methods.settled as settled
 import identification.regression.motion as motion
-import identification.regression.settled as settled
 from identification.commands import main
 from identification.model import InverseModel
 

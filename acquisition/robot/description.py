@@ -208,8 +208,12 @@ class Identification(TomlTable, frozen=True):
     @property
     def low_speed(self) -> LowSpeed:
         """`low_speed_percent` by method; a single number holds for both."""
-        percent = self.low_speed_percent
-        return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
+        return low_speed_by_method(self.low_speed_percent)
+
+
+def low_speed_by_method(percent: float | LowSpeed | None) -> LowSpeed:
+    """A low-speed threshold by method, from one number for both or from one for each."""
+    return percent if isinstance(percent, LowSpeed) else LowSpeed(ls=percent, iv=percent)
 
 
 class RobotFile(TomlTable, frozen=True):

@@ -275,5 +275,5 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
 def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:
     """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) are its own or shared."""
     dq, rigid = links_at_rows(one.problem, fit.estimate.among(one.parameters))
-    residual = (fit.rows.tau - fit.rows.tau_predicted)[one.rows][: len(dq)]
+    residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
     return dq, rigid, residual, np.array([name in one.parameters for name in fit.estimate.names], dtype=float)

@@ -20,8 +20,8 @@ from acquisition.robot import FrictionTerm, LowSpeed, Robot
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..methods import Fit, identify_ls, in_known_time, observe_all
-from ..regression import Linearised, Overrides, alike, leave_out_untold
+from ..methods import Fit, StackedSystem, alike, identify_ls, in_known_time, leave_out_untold, observe_all
+from ..regression import Overrides
 from .trials import (
     TRIED,
     TermSet,
@@ -85,10 +85,10 @@ def choose_terms(
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
-    linearised = _identifiable(observed.linearised)
-    about = linearised.at(usual_estimate(linearised).among(linearised.parameters.names))
-    parts, unpredicted = predictable(parts_of(linearised, names), about)
-    trials = Trials(linearised, parts)
+    observed = _identifiable(observed)
+    about = observed.at(usual_estimate(observed).among(observed.parameters.names))
+    parts, unpredicted = predictable(parts_of(observed, names), about.regression)
+    trials = Trials(observed, parts)
     usual = trials.of(everywhere(robot.joints, frozenset()))
     for terms in _for_all_joints(robot):
         say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
@@ -140,17 +140,17 @@ def recommended(trials: Iterable[Trial]) -> Trial:
     return min((trial for trial in able if near(trial)), key=lambda trial: (trial.count, trial.score))
 
 
-def _identifiable(linearised: Linearised) -> Linearised:
+def _identifiable(observed: StackedSystem) -> StackedSystem:
     """W and Y without the terms that cannot be identified with all others at hand."""
-    linearised = leave_out_untold(linearised)
-    while load := linearised.load:
-        names = linearised.parameters.names
-        about = linearised.at(usual_estimate(linearised).among(names))
-        dependent = alike(linearised.problem, about.system, [names[place] for place in linearised.load_places(load)])
+    observed = leave_out_untold(observed)
+    while observed.load:
+        names = observed.parameters.names
+        about = observed.at(usual_estimate(observed).among(names))
+        dependent = alike(observed.problem, about.regression.system, [names[place] for place in observed.load_places()])
         if not dependent:
             break
-        linearised = linearised.without(dependent)
-    return linearised
+        observed = observed.without(dependent)
+    return observed
 
 
 def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:

@@ -29,8 +29,9 @@ from ..estimation import (
     undetermined_parameters,
     weighted_least_squares,
 )
+from ..methods import StackedSystem, load_passes
 from ..model import BaseParameters, InverseModel, JointTerm
-from ..regression import Linearised, Regression, base_name, load_passes
+from ..regression import Regression, base_name
 
 FIFTHS = 5  # of one recording
 LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
@@ -104,9 +105,9 @@ class Part:
     own: Mask
 
 
-def parts_of(linearised: Linearised, names: Sequence[str]) -> tuple[Part, ...]:
+def parts_of(observed: StackedSystem, names: Sequence[str]) -> tuple[Part, ...]:
     """Fifths of a recording, or each of several; `names` are those of the recordings in the order of their rows."""
-    parameters, lengths = linearised.parameters, linearised.plain.parts
+    parameters, lengths = observed.parameters, observed.regression.parts
     instants, edges = np.arange(sum(lengths)), np.cumsum([0, *lengths])
     owned = [["@" in name and name in of for name in parameters.names] for of in parameters.of]
     if len(lengths) == 1:
@@ -185,17 +186,17 @@ class Trial:
 class Trials:
     """Trials of sets of terms; each set is tried once."""
 
-    def __init__(self, linearised: Linearised, parts: Sequence[Part]) -> None:
-        """`linearised` is of the robot with all terms that are tried; `parts` are held out in turn."""
-        self.linearised, self.plain, self.parts = linearised, linearised.plain, parts
-        self.parameters = parameters_of(linearised.problem.model, linearised.problem.base)
-        self._names = linearised.parameters.names
-        usual = usual_estimate(linearised)
+    def __init__(self, whole: StackedSystem, parts: Sequence[Part]) -> None:
+        """`whole` is of the robot with all terms that are tried; `parts` are held out in turn."""
+        self.whole, self.plain, self.parts = whole, whole.regression, parts
+        self.parameters = parameters_of(whole.problem.model, whole.problem.base)
+        self._names = whole.parameters.names
+        usual = usual_estimate(whole)
         self._usual, self._weights = usual.names, usual.weights
         self._moving = are_moving(self.plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
         self._done: dict[TermSet, Trial] = {}
-        self.left_out = dict(linearised.left_out)
+        self.left_out = dict(whole.left_out)
 
     @property
     def done(self) -> Sequence[Trial]:
@@ -276,27 +277,27 @@ class Trials:
 
     def _fit(self, columns: NDArray[np.intp], rows: Mask, start: int) -> tuple[Regression, Estimate, dict[str, str]]:
         """Least squares of some parameters in the rows (T,), and which load friction did not settle."""
-        used, linearised = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.linearised
-        settling = [linearised.problem.base.names.index(base_name(self._names[i])) for i in columns]
-        load = linearised.load.of(settling)
+        used, whole = (self.plain.fast & rows[:, None]).T.reshape(-1).astype(float), self.whole
+        settling = [whole.problem.base.names.index(base_name(self._names[i])) for i in columns]
+        load = whole.load and whole.load.of(settling)
 
         def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
             return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))
 
         beta = self._starts.get(start)
         if beta is None:
-            beta = solve(self.plain, np.setdiff1d(columns, linearised.load_places(load))).among(self._names)
+            beta = solve(self.plain, np.setdiff1d(columns, whole.load_places(load))).among(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
-        _, observed, estimate, unsettled = load_passes(linearised, solve, without_others, load)
+        observed, estimate, unsettled = load_passes(whole, solve, without_others, load)
         self._starts[start] = estimate.among(self._names)
-        return observed, estimate, unsettled
+        return observed.regression, estimate, unsettled
 
 
-def usual_estimate(linearised: Linearised) -> Estimate:
+def usual_estimate(whole: StackedSystem) -> Estimate:
     """Weighted least squares of the usual terms, without those that are tried."""
-    tried = parameters_of(linearised.problem.model, linearised.problem.base).values()
-    usual = ~np.isin(linearised.parameters.names, [name for names in tried for name in names])
-    return weighted_least_squares(linearised.plain.system.with_columns(np.flatnonzero(usual)))
+    tried = parameters_of(whole.problem.model, whole.problem.base).values()
+    usual = ~np.isin(whole.parameters.names, [name for names in tried for name in names])
+    return weighted_least_squares(whole.regression.system.with_columns(np.flatnonzero(usual)))
 
 
 def _factor(system: System, weights: Array) -> System:

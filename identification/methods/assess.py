@@ -1,19 +1,19 @@
-"""Assesses an estimate: torque errors of all rows, intervals, tests, warnings."""
+"""Assesses a fit: torque errors of all rows, intervals, tests, warnings; of instruments each pass, and whether it converged."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
-from acquisition.robot import demand_ripple_warnings
-
 from ..arrays import Array
-from ..data import Signals
 from ..estimation import (
     BlockSums,
     Estimate,
+    InstrumentTests,
     Intervals,
     System,
     f_tests,
+    instrument_tests,
     intervals,
     intervals_of_blocks,
     lag_one,
@@ -21,18 +21,24 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Regression, base_name
-from ..report import Method, OwnTest
-from ..simulation import Instruments, Replica
+from ..report import Method, OwnTest, Status
+from ..simulation import DirectModelError, Instruments, Replica, told, worst
 from ..trust import Evidence, Lag, held_out_recordings, trust_in
-from .fit import Fit, FittedRecording, LeastSquares, Rows, essential_names
+from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .observation import position_noise_line
-from .recordings import Observed
+from .recording_report import gain_warnings, recording_warnings, ripple_warnings
+from .system import StackedSystem
+from .timing import counted
+
+TRACKED_PERCENT = 20.0  # a simulation further off the measured position does not vouch for its estimate
+SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
+WEAK_INSTRUMENTS_F = 10.0
 
 
-def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
-    first = observed.places()[0].problem()
-    alone = len(observed.observations) == 1 and not observed.linearised.load
+    first = observed.problems()[0].with_samples()
+    alone = len(observed.observations) == 1 and not observed.load
     return Evidence(
         recordings=observed.observations,
         observed=observed.regression,
@@ -51,14 +57,14 @@ def evidence_of_ls(observed: Observed, method: Method, ls: LeastSquares, lags: t
     )
 
 
-def factors_of_ls(observed: Observed) -> tuple[tuple[System, Array], ...]:
+def factors_of_ls(observed: StackedSystem) -> tuple[tuple[System, Array], ...]:
     """The reduced system of each of several recordings, W as its instruments; none where rows are held."""
     if not observed.regression.reduced or len(observed.observations) == 1:
         return ()
     return tuple((one.regression.system, one.regression.system.W) for one in observed.observations)
 
 
-def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
+def fit_of(observed: StackedSystem, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
     """A fit of the estimate that was `solved`, judged by its evidence; with the robot simulated in each recording, or none."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
@@ -90,12 +96,10 @@ def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replica
         estimate=solved.estimate,
         intervals=solved.intervals,
         least_squares=solved,
-        rows=Rows(
-            t_s=np.concatenate([one.t_s for one in observed.observations]),
-            tau=rows.tau,
-            tau_predicted=predicted,
-            speed=rows.speed,
-        ),
+        t_s=np.concatenate([one.t_s for one in observed.observations]),
+        tau=rows.tau,
+        tau_predicted=predicted,
+        speed=rows.speed,
         errors=torque_errors(seen.tau, of_model, seen.speed, names),
         lags=evidence.lags,
         warnings=_warnings(observed),
@@ -104,7 +108,7 @@ def fit_of(observed: Observed, evidence: Evidence, solved: LeastSquares, replica
     )
 
 
-def own_test(observed: Observed, full: Estimate) -> OwnTest | None:
+def own_test(observed: StackedSystem, full: Estimate) -> OwnTest | None:
     """The F test of the recordings' own parameters against shared ones, by least squares; None where they have none."""
     parameters, rows = observed.parameters, observed.regression
     if not parameters.any:
@@ -132,7 +136,7 @@ def intervals_of(observed: Regression, estimate: Estimate, predicted: Array, use
     return intervals(estimate, rho * used, observed.tau.shape[1], observed.parts)
 
 
-def intervals_along(observed: Observed, z: Instruments, estimate: Estimate) -> Intervals:
+def intervals_along(observed: StackedSystem, z: Instruments, estimate: Estimate) -> Intervals:
     """Intervals of an estimate by instruments, from the rows that count or from the blocks of long recordings."""
     if z.system is None:
         about = observed.about(z)
@@ -149,7 +153,7 @@ def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
 
 
-def _warnings(observed: Observed) -> tuple[str, ...]:
+def _warnings(observed: StackedSystem) -> tuple[str, ...]:
     """Those of the settings and of the recordings, which several recordings may share."""
     problems = [observed.observations[k].problem for k in observed.order]
     of_settings = [[*p.settings.warnings, *gain_warnings(p.signals), *ripple_warnings(p.signals)] for p in problems]
@@ -159,25 +163,161 @@ def _warnings(observed: Observed) -> tuple[str, ...]:
     return (*dict.fromkeys(text for texts in of_settings for text in texts), *named)
 
 
-def recording_warnings(signals: Signals) -> tuple[str, ...]:
-    """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
-    return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
-
-
-def ripple_warnings(signals: Signals) -> tuple[str, ...]:
-    """Where torque demands of drives are sampled at one phase of their control: that error is no lag, and stays in inertias."""
-    bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
-    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
-
-
-def gain_warnings(signals: Signals) -> tuple[str, ...]:
-    """What a reader must know of the units where the drive gains are not given."""
-    robot = signals.robot
-    if robot.gain_known:
-        return ()
-    units = " and ".join(sorted(set(robot.effort_units)))
-    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
-    shared = (
-        "; joints share parameters, so the values hold only if all drives have the same gain" if robot.n > 1 else ""
+def assess_iv(
+    observed: StackedSystem,
+    best: Pass,
+    beginning: tuple[StackedSystem, Pass] | None,
+    ls: LeastSquares,
+    passes: Sequence[Pass],
+    start: str,
+) -> Fit:
+    """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
+    observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
+    evidence, (system, _) = _evidence_along(observed, best, ls), observed.along(z)
+    tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
+    status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
+    if reason is not None and best.number != len(passes):
+        reason += f"; pass {best.number} is returned, which tracks best"
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.nan_to_num(np.abs(ls.full.among(estimate.names) - estimate.beta) / evidence.intervals.half)
+    first = replicas[observed.order[0]]
+    iv = InstrumentEvidence(
+        start=start,
+        reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
+        controller="described" if all(one.described for one in replicas) else "surrogate",
+        passes=tuple(passes),
+        returned=best.number,
+        reason=reason,
+        tests=tests,
+        contrast=float(apart.max()),
+        contrast_at=estimate.names[int(apart.argmax())],
+        rows_used_percent=float(100 * z.used.mean()),
+        saturated_percent=_largest([one.saturated_percent for one in replicas]),
+        direct=_direct_errors(replicas),
+        simulated=first.motion,
+        q=first.q,
     )
-    return (text + shared,)
+    evidence = replace(
+        evidence,
+        Z=None if observed.regression.reduced else evidence.Z,
+        fixed_point=status in ("converged", "not_confirmed"),
+        first_stage_F=tests.first_stage_F,
+        unconfirmed=None if status == "converged" else f"status {status}: {reason}",
+        factors=z.factors if len(z.factors) > 1 else (),
+        blocks=sums_along(z, estimate),
+        looked_at=None if beginning is None else _evidence_along(*beginning, ls),
+    )
+    own = replace(ls, estimate=estimate, intervals=evidence.intervals, tau_predicted=evidence.predicted)
+    fit = fit_of(observed, evidence, own, replicas)
+    warnings = (*fit.warnings, *_iv_warnings(replicas, tests))
+    return replace(fit, status=status, iv=iv, least_squares=ls, warnings=warnings)
+
+
+def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Evidence:
+    """What an estimate by instruments rests on, in its rows."""
+    observed, z, estimate = observed.about(best.z), best.z, best.estimate
+    within = counted(estimate, intervals_along(observed, z, estimate), observed.lags)
+    return Evidence(
+        recordings=observed.simulated(best.replicas),
+        observed=observed.regression,
+        method="iv",
+        fixed_point=True,
+        estimate=estimate,
+        predicted=observed.predicted(estimate),
+        used=z.used,
+        intervals=within,
+        least_squares=ls.full,
+        Z=observed.along(z)[1],
+        lags=observed.lags,
+        essential=essential_names(ls.essential, estimate, within),
+    )
+
+
+def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> InstrumentTests:
+    """Tests of instruments that gave an estimate from a system; it leaves rho (rows, n), of which some are `used` (r,)."""
+    among = np.array([system.names.index(name) for name in estimate.names])
+    W, Y = system.with_columns(among).weighted(estimate.weights)
+    weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
+    return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(weighted) or 0.0)
+
+
+def _direct_errors(replicas: Sequence[Replica]) -> tuple[DirectModelError, ...]:
+    """Errors of the simulated robot by joint, of the recording that is worst; none where one could not be simulated."""
+    if any(not one.direct for one in replicas):
+        return ()
+    return tuple(
+        DirectModelError(
+            name=joint[0].name,
+            position_error_percent=_largest([d.position_error_percent for d in joint]),
+            torque_error_percent=_largest([d.torque_error_percent for d in joint]),
+        )
+        for joint in zip(*(one.direct for one in replicas), strict=True)
+    )
+
+
+def _largest(percents: list[float | None]) -> float | None:
+    """The largest of those that there are: a joint may stand in one recording, or have no torque."""
+    return max((x for x in percents if x is not None), default=None)
+
+
+def _status(
+    passes: Sequence[Pass], best: Pass, recordings: Sequence[str], tests: InstrumentTests
+) -> tuple[Status, str | None]:
+    """`converged` is only said of an estimate that settled, along simulated instruments that explain W, and that tracks.
+
+    One that settled otherwise is `not_confirmed`. Every joint has to track, not the robot on average: a joint of small travel
+    would hide behind the others.
+    """
+    last, unconfirmed = passes[-1], _unconfirmed(best.replicas, recordings)
+    if last.failure is not None:
+        return "diverged", last.failure
+    if not tests.first_stage_F >= 1.0:
+        return "diverged", f"the instruments do not explain the regressor: first-stage F = {tests.first_stage_F:.2g}"
+    if last.settled:
+        if unconfirmed is None and last.z.kind != "simulated":
+            unconfirmed = f"settled without simulated instruments: {last.z.reason}"
+        return ("converged", None) if unconfirmed is None else ("not_confirmed", unconfirmed)
+    if unconfirmed is not None:
+        return "diverged", unconfirmed
+    moving = []
+    if not last.parameters_settled:
+        moving.append(f"{last.changed} still changes by {last.change_sigma:.2g} sigma")
+    if not last.residual_settled:
+        moving.append(f"the residual norm still changes by {last.residual_percent:.2g} %")
+    return "max_iterations", f"after {len(passes)} passes " + " and ".join(moving)
+
+
+def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str | None:
+    """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
+    reason = told([one.reason for one in replicas], recordings)
+    if reason is not None:
+        return f"the final estimate cannot be simulated: {reason}"
+    tracking_percent = worst([one.tracking_percent for one in replicas])
+    if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
+        return "the simulated position does not follow the measured one"
+    for d in _direct_errors(replicas):
+        if d.position_error_percent is not None and not d.position_error_percent <= TRACKED_PERCENT:
+            return f"simulated joint {d.name} is {d.position_error_percent:.1f} % off the measured one"
+    return None
+
+
+def _iv_warnings(replicas: tuple[Replica, ...], tests: InstrumentTests) -> tuple[str, ...]:
+    warnings = []
+    if any(one.reference_kind == "surrogate" for one in replicas):
+        warnings.append(
+            "surrogate reference: the recording has none, the measured position stands in; the instruments are not "
+            "strictly exogenous"
+        )
+    if without := [one.bandwidth_hz for one in replicas if not one.described]:
+        warnings.append(f"surrogate controller: none is described, a PD of {without[0]:g} Hz stands in")
+    if unknown := [one.bandwidth_hz for one in replicas if one.described and not one.J_known]:
+        warnings.append(
+            "least squares gives no positive inertias: those that the described gains suit at "
+            f"{unknown[0]:g} Hz stand in for the gain update"
+        )
+    saturated = _largest([one.saturated_percent for one in replicas])
+    if saturated is not None and saturated > SATURATED_PERCENT:
+        warnings.append(f"a drive is saturated in {saturated:.1f} % of the samples")
+    if tests.first_stage_F < WEAK_INSTRUMENTS_F:
+        warnings.append(f"weak instruments: first-stage F = {tests.first_stage_F:.2g}, below {WEAK_INSTRUMENTS_F:g}")
+    return tuple(warnings)

@@ -32,23 +32,29 @@ class Pass:
             among those larger than two deviations; the parameter of the former.
         residual_percent: change of the residual norm by the pass, over the same rows.
         residual_settled, parameters_settled: whether the residual, and every parameter, changed less than the tolerance.
+        number: counted from 1.
+        failure: why the pass after it gave no estimate; None where it did, or there was none.
+        replicas: the robot simulated with the estimate in each recording; of the pass that is returned alone.
     """
 
     z: Instruments
     estimate: Estimate
     asked: Array | None
     covariance: Array
-    coarse: bool
     change_sigma: float
     change_percent: float
     changed: str
     residual_percent: float
     residual_settled: bool
     parameters_settled: bool
+    coarse: bool = False
+    number: int = 1
+    failure: str | None = None
+    replicas: tuple[Replica, ...] = ()
 
     def without_rows(self) -> "Pass":
         """The same without what is as large as W: only the last pass needs that."""
-        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows())
+        return replace(self, z=self.z.without_rows(), estimate=self.estimate.without_rows(), replicas=())
 
     @property
     def settled(self) -> bool:
@@ -123,16 +129,6 @@ def essential_names(essential: Reduction, estimate: Estimate, found: Intervals) 
     """The essential parameters of an estimate whose 95 % interval is narrower than their value."""
     kept, narrow = set(essential.estimate.names), found.half < np.abs(estimate.beta)
     return tuple(name for name, n in zip(estimate.names, narrow, strict=True) if n and name in kept)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Rows:
-    """The decimated samples that a fit explains: t_s (rows,) of the recording, s; torques and joint speed (rows, n)."""
-
-    t_s: Array
-    tau: Array
-    tau_predicted: Array
-    speed: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,7 +213,8 @@ class Fit:
         intervals: 95 % intervals of the estimate.
         least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
             beside instrumental variables.
-        rows: all decimated rows, measured and predicted; recordings in the order of their digests.
+        t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the order of their digests.
+        tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
         trust: tests of the estimate, and the verdict.
         iv: there for the instrumental variable method only.
@@ -234,7 +231,10 @@ class Fit:
     estimate: Estimate
     intervals: Intervals
     least_squares: LeastSquares
-    rows: Rows
+    t_s: Array
+    tau: Array
+    tau_predicted: Array
+    speed: Array
     errors: tuple[TorqueError, ...]
     warnings: tuple[str, ...]
     trust: Trust
@@ -251,9 +251,9 @@ class Fit:
         iv = self.iv
         if iv is not None and one.replica is not None:
             iv = replace(iv, simulated=one.replica.motion, q=one.replica.q, direct=one.replica.direct)
-        rows = Rows(**{name: x[one.rows] for name, x in vars(self.rows).items()})
+        rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")}
         here = slice(0, one.rows.stop - one.rows.start)
-        return replace(self, recordings=(replace(one, rows=here),), rows=rows, errors=one.errors, iv=iv)
+        return replace(self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows)
 
     @property
     def problem(self) -> Problem:

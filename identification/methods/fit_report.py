@@ -57,8 +57,7 @@ def _verdict_section(fit: Fit) -> Section:
     lines = [f"assumed: {', '.join(one.what for one in fit.trust.assumed)}"] if fit.trust.assumed else []
     lines += [f"status: {fit.status}{reason}", error_line(fit.errors)]
     if fit.status in NO_FIXED_POINT:
-        rows, ls = fit.rows, fit.least_squares
-        error = relative_error_percent(rows.tau, rows.tau - ls.tau_predicted)
+        error = relative_error_percent(fit.tau, fit.tau - fit.least_squares.tau_predicted)
         lines.append(f"least squares leaves {_percent(error)} of all rows: --method wls")
     return Section(lines=(*lines, _essential_line(fit)), warnings=fit.warnings)
 

@@ -27,21 +27,22 @@ from ..regression import Overrides, Settings, make_problem, torque_of_recording
 from ..report import Method, TorqueError
 from ..simulation import Instruments
 from ..trust import covariance_of_all
-from .assess import evidence_of_ls, fit_of, intervals_along, intervals_of
+from .assess import assess_iv, evidence_of_ls, fit_of, intervals_along, intervals_of
 from .fit import Fit, LeastSquares, Pass
 from .iteration import (
     Iteration,
     assess_pass,
     conclude,
+    failed,
     inertia_prior,
     is_coarse,
     kept_rows,
     next_values,
     start_values,
 )
-from .recordings import Observed, observe_all
-from .timing import Along, counted, in_known_time, lags_of_ls, over_all, timed
-from .verdict import assess_iv
+from .settled import settled_least_squares
+from .system import StackedSystem, observe_all
+from .timing import counted, in_known_time, lags_of_ls, over_all, timed
 
 Say = Callable[[str], None]
 
@@ -83,7 +84,7 @@ def identify(
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
     observed = in_known_time(observe_all(signals, overrides, say))
-    chosen, reason = (method, "asked for") if method is not None else observed.method
+    chosen, reason = (method, "asked for") if method is not None else observed.default_method
     if chosen == "iv":
         try:
             fit = _by_instruments(observed, iteration or Iteration(), essential=essential, say=say)
@@ -125,13 +126,13 @@ def identify_iv(
 
 
 @one_thread
-def _by_least_squares(observed: Observed, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
+def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
-    observed, full = observed.settled(method)
+    observed, full = settled_least_squares(observed, method)
     ls = solve_least_squares(observed, full, essential=essential)
     beginning = None
     if observed.regression.reduced:  # what needs rows looks at the beginning
-        span, full = observed.on_span().settled(method)
+        span, full = settled_least_squares(observed.on_span(), method)
         of_span = solve_least_squares(span, full, essential=essential)
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
@@ -140,52 +141,52 @@ def _by_least_squares(observed: Observed, method: Literal["ols", "wls"], *, esse
 
 
 @one_thread
-def _by_instruments(observed: Observed, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
+def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential: bool, say: Say) -> Fit:
     """IDIM-IV: the instruments Z are the model along the robot simulated with the estimate before.
 
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
     """
-    observed, full = observed.settled()
+    observed, full = settled_least_squares(observed)
     ls = solve_least_squares(observed, full, essential=essential)
     names, weights = observed.regression.system.names, full.weights
     kept = ls.essential.kept if essential else np.arange(len(names))
     prior = inertia_prior(observed, ls)
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
-    def solve(z: Instruments, observed: Observed = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
-        columns = np.setdiff1d(kept, observed.load_places) if z.load_unknown else kept
+    def solve(z: Instruments, observed: StackedSystem = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+        columns = np.setdiff1d(kept, observed.load_places()) if z.load_unknown else kept
         system, Z = observed.along(z)
         return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
 
     beta, C = start_values(observed, iteration, ls)
-    ls, passes, failure = ls.without_rows(), list[Pass](), None
+    ls, passes = ls.without_rows(), list[Pass]()
     while not (passes and passes[-1].is_last) and len(passes) < iteration.max_iterations:
-        say(f"pass {len(passes) + 1}: simulating the robot")
-        coarse = is_coarse(observed.problem, iteration, passes)
+        number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
+        say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
         z = lab.instruments(beta, C, weights, kept=kept_rows(passes), coarse=coarse)
+        about = observed.about(z)
         try:
-            estimate = solve(z)
+            estimate = solve(z, about)
         except IdentificationError as error:
-            failure = f"pass {len(passes) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
-            failure += f"; {z.reason}" if z.reason else ""
+            passes = failed(passes, z, lab.names, error)
             break
         # C = D R D
-        asked, C = C, covariance_of_all(names, estimate, intervals_along(observed, z, estimate), ls.full)
-        W_and_Y, tolerance = observed.along(z)[0], iteration.tolerance_percent
-        this = assess_pass(z, estimate, W_and_Y, (asked, C), coarse=coarse, tolerance_percent=tolerance)
-        passes = [*(before.without_rows() for before in passes), this]
+        asked, C = C, covariance_of_all(names, estimate, intervals_along(about, z, estimate), ls.full)
+        W_and_Y = about.along(z)[0]
+        this = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
+        passes = [*(before.without_rows() for before in passes), replace(this, number=number, coarse=coarse)]
         beta = next_values(passes, names)
-    returned, best, replicas = conclude(lab, passes, failure, solve)
-    # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
-    along = Along(observed=observed, z=best.z, estimate=best.estimate, replicas=replicas)
-    along = timed(along, best, solve, partial(Observed.lab, prior=prior, gain_update=iteration.gain_update))
+    best = conclude(lab, passes, solve)
     passes = [one.without_rows() for one in passes]
-    return assess_iv(along, ls, passes, returned, iteration.start, failure)
+    # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
+    lab_of = partial(StackedSystem.lab, prior=prior, gain_update=iteration.gain_update)
+    observed, best, beginning = timed(observed, best, solve, lab_of)
+    return assess_iv(observed, best, beginning, ls, passes, iteration.start)
 
 
-def solve_least_squares(observed: Observed, full: Estimate, *, essential: bool) -> LeastSquares:
+def solve_least_squares(observed: StackedSystem, full: Estimate, *, essential: bool) -> LeastSquares:
     """Least squares of all parameters, `full`, and its reduction to the essential ones, which `essential` asks for."""
     rows, predicted = observed.regression, observed.predicted(full)
     rho = (rows.tau - predicted) * full.weights * rows.fast

@@ -12,11 +12,12 @@ from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
 from ..options import IterationOptions
 from ..regression import Problem
-from ..simulation import Instruments, Lab, Replica
+from ..simulation import Instruments, Lab
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass
-from .recordings import Observed
+from .settled import settled_least_squares
+from .system import StackedSystem
 
 ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
 RELAXED_AFTER = 4  # passes; later ones simulate the mean of the last two, which ends going to and fro
@@ -35,7 +36,7 @@ class Iteration(IterationOptions):
     gain_update: bool = True
 
 
-def start_values(observed: Observed, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
+def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares) -> tuple[Array, Array | None]:
     """Values of all parameters that are simulated first, and their covariance: None of a regular start."""
     problem, repeated, rows = observed.problem, observed.parameters.repeated, observed.regression
     if iteration.start == "regular" and iteration.values is None:
@@ -73,7 +74,6 @@ def assess_pass(
     system: System,
     covariances: tuple[Array | None, Array],
     *,
-    coarse: bool,
     tolerance_percent: float,
 ) -> Pass:
     """A pass that led from the parameters asked for to `estimate`, and whether it settled.
@@ -96,7 +96,6 @@ def assess_pass(
         estimate=estimate,
         asked=covariances[0],
         covariance=covariances[1],
-        coarse=coarse,
         change_sigma=float(in_sigma.max()),
         change_percent=float(in_percent.max()),
         changed=estimate.names[int(in_sigma.argmax())],
@@ -106,48 +105,54 @@ def assess_pass(
     )
 
 
-def conclude(
-    lab: Lab, passes: Sequence[Pass], failure: str | None, solve: Callable[[Instruments], Estimate]
-) -> tuple[int, Pass, tuple[Replica, ...]]:
+def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error: IdentificationError) -> list[Pass]:
+    """The passes, the last of which knows why the one after it, with the instruments `z`, gave no estimate.
+
+    Raises `IdentificationError` where there was none before.
+    """
+    text = f"pass {len(passes) + 1}, {100 * z.used.mean():.0f} % of the rows fast enough: {error}"
+    text += f"; {z.reason}" if z.reason else ""
+    if not passes:
+        raise IdentificationError(f"no instruments: {text}", place=", ".join(recordings)) from error
+    return [*passes[:-1], replace(passes[-1], failure=text)]
+
+
+def conclude(lab: Lab, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
     """The last pass where it settled; otherwise the one whose simulated robot tracks best at its worst joint.
 
-    Returns its number, counted from 1, the pass with its rows, and the robot simulated with its estimate in each recording, or
-    with the nearest consistent parameters. Raises `IdentificationError` where there was no pass.
+    It has its rows, and the robot simulated with its estimate in each recording, or with the nearest consistent parameters.
     """
-    if not passes:
-        raise IdentificationError(f"no instruments: {failure}", place=", ".join(lab.names))
-    place, replicas = len(passes) - 1, None
-    if not passes[-1].is_last or failure is not None:
-        place, replicas = _best_pass(lab, passes)
-    best = passes[place]
-    if place < len(passes) - 1:
-        weights = best.estimate.weights
-        z = lab.instruments(best.z.beta, best.asked, weights, kept=best.z.fast, coarse=best.coarse)
+    best, names = passes[-1], lab.parameters.names
+    if not best.is_last or best.failure is not None:
+        best = _best_pass(lab, passes)
+    if best.number < len(passes):
+        z = lab.instruments(best.z.beta, best.asked, best.estimate.weights, kept=best.z.fast, coarse=best.coarse)
         best = replace(best, z=z, estimate=solve(z))
-    if replicas is None:
-        replicas = lab.replicas(best.estimate.among(lab.parameters.names), best.covariance)
-    return place + 1, best, replicas
+    return best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.among(names), best.covariance))
 
 
-def _best_pass(lab: Lab, passes: Sequence[Pass]) -> tuple[int, tuple[Replica, ...] | None]:
-    """The place of the pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
+def _best_pass(lab: Lab, passes: Sequence[Pass]) -> Pass:
+    """The pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
     found = []
-    for place, one in enumerate(passes):
+    for one in passes:
         replicas = lab.replicas(one.estimate.among(lab.parameters.names), None)
         if all(replica.direct for replica in replicas):
             joints = [d.position_error_percent for replica in replicas for d in replica.direct]
-            found.append((max((x for x in joints if x is not None), default=0.0), place, replicas))
-    return min(found, key=lambda one: one[:2])[1:] if found else (len(passes) - 1, None)
+            percent = max((x for x in joints if x is not None), default=0.0)
+            found.append((percent, one.number, replace(one, replicas=replicas)))
+    return min(found, key=lambda one: one[:2])[2] if found else passes[-1]
 
 
-def inertia_prior(observed: Observed, ls: LeastSquares) -> Array:
+def inertia_prior(observed: StackedSystem, ls: LeastSquares) -> Array:
     """Parameters (b,) whose inertias the controllers' gains are taken to be set for: least squares at the rule's cut-off.
 
     Without that filter least squares says little of the inertias; it is taken where the recording is too short to filter.
     """
     try:
         behind = observed.behind_rule()
-        return ls.full.beta if behind is None else behind.settled()[1].among(observed.regression.system.names)
+        return (
+            ls.full.beta if behind is None else settled_least_squares(behind)[1].among(observed.regression.system.names)
+        )
     except IdentificationError:
         return ls.full.beta
 

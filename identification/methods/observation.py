@@ -15,7 +15,6 @@ from ..regression import (
     HELD,
     FilteredMotion,
     Overrides,
-    Place,
     Problem,
     Regression,
     Settings,
@@ -77,23 +76,23 @@ def observation_of(problem: Problem, share: int, say: Say = lambda text: None) -
 
 
 @one_thread
-def regression_at(place: Place, overrides: Overrides, share: int) -> tuple[Settings, Regression]:
+def regression_at(problem: Problem, overrides: Overrides, share: int) -> tuple[Settings, Regression]:
     """Settings, and W and Y of a recording with them, of other overrides."""
-    problem = place.problem()
+    problem = problem.with_samples()
     settings = make_settings(problem.signals, overrides, problem.motion)
     return settings, regression_of_recording(replace(problem, settings=settings), share=share)
 
 
 @one_thread
-def retimed_at(place: Place, regression: Regression, lag_s: float) -> Regression:
+def retimed_at(problem: Problem, regression: Regression, lag_s: float) -> Regression:
     """The regression of a recording with its torque corrected by another lag."""
-    return retimed(regression, place.problem().corrected(lag_s))
+    return retimed(regression, problem.with_samples().corrected(lag_s))
 
 
 @one_thread
-def predict(place: Place, beta: Array) -> Array:
+def predict(problem: Problem, beta: Array) -> Array:
     """Decimated torque (rows, n) that beta (b,) predicts for a recording."""
-    return torque_of_recording(place.problem(), beta)[1]
+    return torque_of_recording(problem.with_samples(), beta)[1]
 
 
 def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:

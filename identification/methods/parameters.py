@@ -1,10 +1,20 @@
-"""The parameters of a fit, and known ones, as sets to be compared."""
+"""Parameters of a fit, known ones, and those of a stored fit applied to a recording or a robot, with its settings."""
+
+from typing import Literal
+
+import msgspec
+import numpy as np
+from msgspec import UNSET
+
+from acquisition.robot import LowSpeed, Robot, robot_from_files
 
 from ..arrays import Array
+from ..data import Signals
+from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals
-from ..model import BaseParameters
-from ..regression import base_name
-from ..report import Parameter, ParameterSet
+from ..model import BaseParameters, InverseModel, base_parameters
+from ..regression import Overrides, base_name
+from ..report import FitFile, Parameter, ParameterSet
 from .fit import Fit
 
 
@@ -50,3 +60,80 @@ def true_parameters(base: BaseParameters, true: Array) -> ParameterSet:
             for name, x, unit, expression in zip(base.names, true, base.units, base.expressions, strict=True)
         },
     )
+
+
+def stored_settings(stored: FitFile, signals: Signals) -> Overrides:
+    """The settings that a fit was made with, for another recording; known values have none.
+
+    The lag is the fit's where timing, effort objects and rate are those of its recording; else what is known of it.
+    """
+    if stored.sample_rate_hz is None:
+        return Overrides()
+    rate_hz, low = signals.sample_rate_hz, stored.low_speed_percent
+    n_d = stored.decimation and max(1, round(stored.decimation * rate_hz / stored.sample_rate_hz))
+    lag_s: float | Literal["none"] | None = "none" if stored.torque_lag_s is None else stored.torque_lag_s
+    if stored.lag is not UNSET:
+        like = (stored.lag.effort_timing, stored.lag.effort_provenance, stored.sample_rate_hz)
+        lag_s = stored.lag.value_s if like == (signals.effort_timing, signals.provenance, rate_hz) else None
+    return Overrides(
+        cutoff_hz=stored.cutoff_hz or 0.0,
+        decimation=n_d,
+        span=stored.span_rule,
+        edges=stored.edges,
+        low_speed_percent=None if low is None else LowSpeed(ls=low.get("ls"), iv=low.get("iv")),
+        torque_lag_s=lag_s,
+    )
+
+
+def stored_robot(stored: FitFile, place: str) -> Robot | None:
+    """The robot as a fit's own description has it; None where the file, `place`, holds none."""
+    files = {name: text.encode() for name, text in stored.description.items()}
+    return robot_from_files(files, place) if files else None
+
+
+def other_meaning(stored: FitFile, base: BaseParameters) -> list[str]:
+    """Parameters that `base` does not have, or has in another unit or for another sum of standard parameters."""
+    known = dict(zip(base.names, zip(base.units, base.expressions, strict=True), strict=True))
+    return [
+        p.name
+        for p in stored.parameters
+        if (name := base_name(p.name)) not in known
+        or p.unit != known[name][0]
+        or p.expression not in (None, known[name][1])
+    ]
+
+
+def consistent_fit(stored: FitFile, place: str) -> FitFile:
+    """The same with the values of its consistent set; a file, `place`, without one is refused."""
+    robot, given = stored_robot(stored, place), {p.name: p.value for p in stored.standard_parameters or ()}
+    if robot is None or not given:
+        raise IdentificationError(place=place, key="standard_parameters", value=None, expected="`fit --consistent`")
+    base = base_parameters(model := InverseModel(robot))
+    beta = (base.K @ [given.get(name, 0.0) for name in model.names]).tolist()
+    found = zip(base.names, beta, base.units, base.expressions, strict=True)
+    parameters = [Parameter(name=n, value=x, unit=unit, expression=e) for n, x, unit, e in found]
+    return msgspec.structs.replace(stored, parameters=parameters)
+
+
+def stored_beta(stored: FitFile, base: BaseParameters, place: str) -> Array:
+    """(b,) values in the order of `base`, zero for those the fit left out; refuses a fit of another robot.
+
+    Of parameters that recordings have for themselves it is the mean.
+    """
+    values: dict[str, list[float]] = {}
+    for p in stored.parameters:
+        values.setdefault(base_name(p.name), []).append(p.value)
+    foreign = [name for name in values if name not in base.names]
+    if foreign or not values:
+        raise IdentificationError(
+            place=place,
+            key="parameters",
+            value=", ".join(foreign[:5]) or None,
+            expected=f"those of the recording's robot: {', '.join(base.names[:5])}, ...",
+        )
+    units = {base_name(p.name): p.unit for p in stored.parameters}
+    for name, unit in zip(base.names, base.units, strict=True):
+        if units.get(name, unit) != unit:
+            expected = f"{unit}, as the recording's robot has it"
+            raise IdentificationError(place=place, key=f"{name}.unit", value=units[name], expected=expected)
+    return np.array([np.mean(values.get(name, 0.0)) for name in base.names])

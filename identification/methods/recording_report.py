@@ -6,6 +6,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from acquisition.robot import demand_ripple_warnings
+
 from ..data import ON_GRID, Signals
 from ..regression import Settings, forward_backward_3db_hz
 from ..report import Document, Number, OwnTest, Row, Section, Table, TorqueError, columns
@@ -181,6 +183,30 @@ def settings_lines(signals: Signals, settings: Settings, *, used: str) -> tuple[
         f"{used}: {settings.span}, {settings.start / fs:.3f} s to {settings.stop / fs:.3f} s of {len(signals.q) / fs:.3f} s",
         *_known_lines(signals),
     )
+
+
+def recording_warnings(signals: Signals) -> tuple[str, ...]:
+    """What the recorder warned of, such as SYNC at another period than described: estimates rest on it."""
+    return tuple(f"recording: {event.text}" for event in signals.events if event.kind == "warning")
+
+
+def ripple_warnings(signals: Signals) -> tuple[str, ...]:
+    """Where torque demands of drives are sampled at one phase of their control: that error is no lag, and stays in inertias."""
+    bus, bandwidth_hz = signals.robot.bus, signals.robot.controller.bandwidth_hz
+    return demand_ripple_warnings(bus, bandwidth_hz) if signals.of_drives else ()
+
+
+def gain_warnings(signals: Signals) -> tuple[str, ...]:
+    """What a reader must know of the units where the drive gains are not given."""
+    robot = signals.robot
+    if robot.gain_known:
+        return ()
+    units = " and ".join(sorted(set(robot.effort_units)))
+    text = f"the drive gains are not known: torques and parameters are in {units}, not in N m"
+    shared = (
+        "; joints share parameters, so the values hold only if all drives have the same gain" if robot.n > 1 else ""
+    )
+    return (text + shared,)
 
 
 def _known_lines(signals: Signals) -> list[str]:

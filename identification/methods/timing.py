@@ -1,7 +1,7 @@
 """The lag of the torque in a fit: what is known of it is corrected before, what the instruments find of it after the passes."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -9,59 +9,30 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, intervals_from
 from ..regression import KnownLag
-from ..simulation import Instruments, Lab, Replica
-from ..trust import Lag, RecordingData, combined_lag, lag_columns, lag_moves, lags_in
+from ..simulation import Instruments, Lab
+from ..trust import Lag, combined_lag, lag_columns, lag_moves, lags_in
 from .fit import Pass
-from .recordings import Observed
+from .system import StackedSystem
 
 # Of correcting the torque and looking again: a lag of many samples is not quite the column of its first order.
 LAG_PASSES = 4
 NEAR = 0.25  # samples that the last of them may find
 MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
 
-Solve = Callable[[Instruments, Observed], Estimate]
+Solve = Callable[[Instruments, StackedSystem], Estimate]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Along:
-    """Recordings, instruments, and the estimate along them.
-
-    `replicas` are the robot simulated with it in each recording; `lags` those of the torques, by which they are corrected; of
-    long recordings `beginning` is the same of the part that has rows.
-    """
-
-    observed: Observed
-    z: Instruments
-    estimate: Estimate
-    replicas: tuple[Replica, ...]
-    lags: tuple[Lag, ...] = ()
-    beginning: "Along | None" = None
-
-    @property
-    def recordings(self) -> tuple[RecordingData, ...]:
-        """The recordings with the robot simulated in them."""
-        return tuple(
-            replace(
-                part,
-                simulated=one.motion,
-                decimation=one.decimation,
-                reference=one.reference_kind,
-            )
-            for part, one in zip(self.observed.observations, self.replicas, strict=True)
-        )
-
-
-def lag_groups(observed: Observed) -> list[list[int]]:
+def lag_groups(observed: StackedSystem) -> list[list[int]]:
     """Places of recordings whose torques have one lag: those of one effort object, timing and rate."""
     groups: dict[object, list[int]] = {}
     for k, one in enumerate(observed.observations):
         signals, known = one.problem.signals, one.problem.settings.known_lag
-        key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.stated and known.value_s)
+        key = (signals.effort_timing, signals.provenance, signals.sample_rate_hz, known.sd_s == 0.0 and known.value_s)
         groups.setdefault(key, []).append(k)
     return list(groups.values())
 
 
-def known_lags(observed: Observed) -> list[KnownLag]:
+def known_lags(observed: StackedSystem) -> list[KnownLag]:
     """What is known of the lag of each group of recordings: the mean of theirs, with the deviation of the best known."""
     found = []
     for group in lag_groups(observed):
@@ -71,71 +42,74 @@ def known_lags(observed: Observed) -> list[KnownLag]:
     return found
 
 
-def in_known_time(observed: Observed) -> Observed:
+def in_known_time(observed: StackedSystem) -> StackedSystem:
     """The recordings with their torques corrected by what is known of their lags."""
     return _with_lags(observed, [known.value_s for known in known_lags(observed)])
 
 
-def _with_lags(observed: Observed, values_s: Sequence[float]) -> Observed:
+def _with_lags(observed: StackedSystem, values_s: Sequence[float]) -> StackedSystem:
     by_place = {k: value for group, value in zip(lag_groups(observed), values_s, strict=True) for k in group}
     return observed.corrected([by_place[k] for k in range(len(by_place))])
 
 
-def timed(along: Along, last: Pass, solve: Solve, lab_of: Callable[[Observed], Lab]) -> Along:
-    """The recordings corrected by the lags of their torques, which the instruments of the last pass find."""
-    observed, weights = along.observed, last.estimate.weights
+def timed(
+    observed: StackedSystem, best: Pass, solve: Solve, lab_of: Callable[[StackedSystem], Lab]
+) -> tuple[StackedSystem, Pass, tuple[StackedSystem, Pass] | None]:
+    """The recordings corrected by the lags of their torques, which the instruments of a pass find, and the pass in that time.
+
+    Of long recordings also their beginning, which has rows, and the pass there.
+    """
     if not observed.regression.reduced:
-        return _in_time(along, solve)
-    span = observed.on_span()
-    lab, beta = lab_of(span), last.estimate.among(observed.regression.system.names)
-    z = lab.instruments(beta, last.covariance, weights)
-    replicas = lab.replicas(beta, last.covariance)
-    beginning = _in_time(Along(observed=span, z=z, estimate=solve(z, span), replicas=replicas), solve)
-    lags = over_all(observed, last.estimate, beginning.lags)
+        return *_in_time(observed, best, solve), None
+    span, weights = observed.on_span(), best.estimate.weights
+    lab, beta = lab_of(span), best.estimate.among(observed.parameters.names)
+    z = lab.instruments(beta, best.covariance, weights)
+    own = replace(best, z=z, estimate=solve(z, span), replicas=lab.replicas(beta, best.covariance))
+    span, own = _in_time(span, own, solve)
+    lags = over_all(observed, best.estimate, span.lags)
     now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
     off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
-        z = lab_of(observed).instruments(last.z.beta, last.asked, weights, kept=last.z.fast)
-        along = replace(along, observed=observed, z=z, estimate=solve(z, observed))
-    return replace(along, lags=lags, beginning=beginning)
+        z = lab_of(observed).instruments(best.z.beta, best.asked, weights, kept=best.z.fast)
+        best = replace(best, z=z, estimate=solve(z, observed))
+    return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 
 
-def _in_time(along: Along, solve: Solve) -> Along:
-    """The same with the torques corrected by their lags, found where the reference is recorded."""
-    observed, z, estimate, why = along.observed, along.z, along.estimate, _not_looked_at(along)
+def _in_time(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[StackedSystem, Pass]:
+    """The recordings and a pass with the torques corrected by their lags, found where the reference is recorded."""
+    z, estimate, why = best.z, best.estimate, _not_looked_at(observed, best)
     groups, known = lag_groups(observed), known_lags(observed)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
         try:
-            recordings = replace(along, observed=observed).recordings
-            steps, sd, reach = lags_in(recordings, groups, *observed.along(z), estimate)
+            steps, sd, reach = lags_in(observed.simulated(best.replicas), groups, *observed.along(z), estimate)
         except IdentificationError:
             break
         now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
         values = [combined_lag(prior, data).value_s for prior, data in zip(known, found, strict=True)]
-        observed = _with_lags(observed, values)
+        observed = _with_lags(observed, values).about(z)
         estimate = solve(z, observed)
         fs = observed.problem.signals.sample_rate_hz
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break
     lags = [combined_lag(prior, data) for prior, data in zip(known, found, strict=True)]
-    columns, about = lag_columns(observed.observations, groups, estimate), observed.about(z)
-    moves = lag_moves(about.regression, z.used, columns, estimate)
-    return replace(along, observed=observed, estimate=estimate, lags=_named(observed, lags, moves))
+    observed = observed.about(z)
+    moves = lag_moves(observed.regression, z.used, lag_columns(observed.observations, groups, estimate), estimate)
+    return replace(observed, lags=_named(observed, lags, moves)), replace(best, estimate=estimate)
 
 
-def _not_looked_at(along: Along) -> str | None:
+def _not_looked_at(observed: StackedSystem, best: Pass) -> str | None:
     """Why the lag is not found along the instruments, None where it is."""
-    if any(one.problem.signals.q_ref is None for one in along.observed.observations):
+    if any(one.problem.signals.q_ref is None for one in observed.observations):
         return "the reference is not recorded"
-    if any(one.motion is None for one in along.replicas):
+    if any(one.motion is None for one in best.replicas):
         return "the robot cannot be simulated with the estimate"
     return None
 
 
-def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
+def lags_of_ls(observed: StackedSystem, estimate: Estimate) -> tuple[Lag, ...]:
     """What is known of the lags, and what they move in least squares, which cannot find them."""
     lags = [combined_lag(known, None) for known in known_lags(observed)]
     columns = lag_columns(observed.observations, lag_groups(observed), estimate)
@@ -143,7 +117,7 @@ def lags_of_ls(observed: Observed, estimate: Estimate) -> tuple[Lag, ...]:
     return _named(observed, lags, lag_moves(observed.regression, used, columns, estimate))
 
 
-def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
+def over_all(observed: StackedSystem, estimate: Estimate, of_beginning: tuple[Lag, ...]) -> tuple[Lag, ...]:
     """Lags of all groups of long recordings: of the first one's what its beginning tells, of others what is known.
 
     What a lag moves is that of the beginning.
@@ -157,7 +131,7 @@ def over_all(observed: Observed, estimate: Estimate, of_beginning: tuple[Lag, ..
     return tuple(found)
 
 
-def _named(observed: Observed, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
+def _named(observed: StackedSystem, lags: Sequence[Lag], moves: Array) -> tuple[Lag, ...]:
     """The lags, named, with what one deviation of each moves; `moves` (b, K) is d beta / d lag, per s."""
     found = []
     for lag, group, move in zip(lags, lag_groups(observed), moves.T, strict=True):

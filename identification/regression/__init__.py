@@ -1,14 +1,20 @@
 """From signals to W and Y: settings, filters, regressor, the rows that count; load friction and its passes."""
 
 from .filtering import Decimation, forward_backward_3db_hz
-from .linearised import Linearised, without_terms
-from .links import RowStates, friction_states, links_at_rows, recorded_power, row_states
-from .load import LoadFriction, load_friction
-from .low_speed import fast_rows, lowest_nearby, measured_fast_rows, refuse_slow_joints
+from .load import LoadFriction, load_columns, load_friction
 from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differentiate, sampled_at
-from .own import OwnParameters, base_name, own_parameters
-from .place import Place
 from .problem import Problem, RowBlock, make_problem, row_blocks
+from .rows import (
+    RowStates,
+    fast_rows,
+    friction_states,
+    links_at_rows,
+    lowest_nearby,
+    measured_fast_rows,
+    recorded_power,
+    refuse_slow_joints,
+    row_states,
+)
 from .settings import (
     CUTOFF_PER_BANDWIDTH,
     NOTHING,
@@ -22,7 +28,7 @@ from .settings import (
     rule_cutoff_hz,
     standing_joints,
 )
-from .settled import alike, leave_out_untold, load_passes, settled_least_squares
+from .several import OwnParameters, base_name, own_parameters
 from .system import (
     ALL_REDUCED,
     HELD,
@@ -30,6 +36,7 @@ from .system import (
     decimated_regressor,
     known_torque_rows,
     predicted_torque,
+    reduced_regression,
     regression_of_recording,
     retimed,
     rows_of_block,

@@ -10,15 +10,17 @@ W having abs(tau_rigid) sign(dq) as the column of mu. The residual at beta = bet
 and again this ends where the model fits best, in few passes, and intervals hold for mu and the links together.
 """
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
+from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, JointTerm
 from .filtering import Decimation
+from .problem import Problem, motion_blocks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,13 +43,10 @@ class LoadFriction:
     places: NDArray[np.intp]
     links: NDArray[np.bool_]
 
-    def __bool__(self) -> bool:
-        return len(self.joints) > 0
-
-    def of(self, places: Collection[int]) -> "LoadFriction":
-        """That of which mu has one of these places."""
+    def of(self, places: Collection[int]) -> "LoadFriction | None":
+        """That of which mu has one of these places; None where none has."""
         own = np.isin(self.places, list(places))
-        return replace(self, joints=self.joints[own], places=self.places[own])
+        return replace(self, joints=self.joints[own], places=self.places[own]) if own.any() else None
 
     def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> LinkSeries:
         """The links' part, of these joints, of a block's regressor: its entries (E, 2) and their series (E, N)."""
@@ -84,12 +83,32 @@ class LoadFriction:
                 Y[j] += beta[self.links] @ D
 
 
-def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction:
-    """Where the base parameters of a robot have load friction."""
+def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | None:
+    """Where the base parameters of a robot have load friction; None where they have none."""
     found = [
         (int(source.rows[0]), place)
         for place, source in enumerate(model.sources[c] for c in base.columns)
         if isinstance(source, JointTerm) and source.kind == "load"
     ]
-    joints, places = np.array(found, dtype=np.intp).reshape(-1, 2).T
+    if not found:
+        return None
+    joints, places = np.array(found, dtype=np.intp).T
     return LoadFriction(joints=joints, places=places, links=base.links)
+
+
+@one_thread
+def load_columns(problem: Problem, links: tuple[LinkSeries, ...], load: LoadFriction, beta: Array) -> Array:
+    """`LoadFriction.columns` of a recording, from its `links` or, where these are not at hand, made anew."""
+    problem = problem.with_samples()
+    decimation, blocks = problem.settings.decimator, links or _link_blocks(problem, load)
+    return np.concatenate([load.columns(block, beta, decimation) for block in blocks], axis=-1)
+
+
+def _link_blocks(problem: Problem, load: LoadFriction) -> Iterator[LinkSeries]:
+    """The links' part of the regressor before decimation, in the blocks in which the problem's regressor was made."""
+    model, base, links = problem.model, problem.base, np.flatnonzero(problem.base.links)
+    entries = model.entries(base.columns[links])
+    entries[:, 1] = links[entries[:, 1]]
+    for motion, inside, _ in motion_blocks(problem):
+        series = model.series(motion.q, motion.dq, motion.ddq, base.columns[links])
+        yield load.series_of_links(entries, series, motion.dq, inside)

@@ -1,15 +1,17 @@
 """What a fit is about: a recording, the settings, the robot's model and its base parameters."""
 
 import math
+from collections import OrderedDict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
-from ..data import Signals
+from ..data import RecordingFile, Signals
 from ..model import BaseParameters, InverseModel, base_parameters
 from .filtering import decimation_reach
 from .motion import FilteredMotion, Motion, later
 from .settings import Overrides, Settings, make_settings, rule_cutoff_hz
 
+NUMBERS_KEPT = 8_000_000  # of positions that a process has at hand: 64 MB, a few times as much in all
 _SERIES_BLOCK = 12_000_000  # numbers of a block's regressor, 96 MB; shorter, more is spent on what reaches beyond it
 
 
@@ -23,6 +25,7 @@ class Problem:
         model: inverse dynamic model of the robot, linear in its standard parameters.
         base: its base parameters.
         motion: the recording's motion behind the low-pass.
+        source: where a task finds the recording, once the samples are left out.
     """
 
     signals: Signals
@@ -31,6 +34,7 @@ class Problem:
     model: InverseModel
     base: BaseParameters
     motion: FilteredMotion
+    source: Signals | RecordingFile | None = None
 
     @property
     def slip_cutoff_hz(self) -> float:
@@ -41,11 +45,35 @@ class Problem:
         return rule_cutoff_hz(self.signals.robot.bandwidth_hz, self.signals.sample_rate_hz)
 
     def without_samples(self) -> "Problem":
-        """The same for those who need its settings and model alone."""
+        """The same for those who need its settings and model alone, or find the samples at its `source`."""
         s, arrays = self.signals, ("t_s", "q", "q_ref", "effort", "known_torque", "feedforward")
         none = {name: x[:0] for name in arrays if (x := getattr(s, name)) is not None}
         signals = replace(s, **none, health={}, extras={})
         return replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
+
+    def with_samples(self) -> "Problem":
+        """The same with its samples, read and filtered once per process."""
+        if len(self.signals.q) or self.source is None:
+            return self
+        if isinstance(self.source, Signals):
+            return self._of(self.source)
+        key = f"{self.source.key} {self.settings.torque_lag_s}"
+        if key not in _at_hand:
+            _at_hand[key] = self._of(self.source.load())
+            while len(_at_hand) > 1 and sum(p.signals.q.size for p in _at_hand.values()) > NUMBERS_KEPT:
+                _at_hand.popitem(last=False)
+        _at_hand.move_to_end(key)
+        found = _at_hand[key]
+        return replace(self, signals=found.signals, recorded=found.recorded, motion=found.motion)
+
+    def _of(self, signals: Signals) -> "Problem":
+        found = replace(self, signals=signals, recorded=signals, motion=FilteredMotion(signals))
+        return found.corrected(self.settings.torque_lag_s)
+
+    def without_terms(self, left_out: dict[str, str]) -> "Problem":
+        """The identification without friction terms that are regrouped with nothing; its warnings have the reasons."""
+        settings = replace(self.settings, warnings=(*self.settings.warnings, *left_out.values()))
+        return replace(self, base=self.base.without(left_out), settings=settings)
 
     def corrected(self, lag_s: float) -> "Problem":
         """The same with the torque corrected by another lag, s, positive where it is late."""
@@ -53,6 +81,9 @@ class Problem:
         signals = replace(self.recorded, effort=later(effort, by)) if by and len(effort) else self.recorded
         settings = replace(self.settings, torque_lag_s=lag_s)
         return replace(self, signals=signals, settings=settings, motion=self.motion.with_torque_of(signals))
+
+
+_at_hand: OrderedDict[str, Problem] = OrderedDict()  # of this process, those used last at the end
 
 
 def make_problem(signals: Signals, overrides: Overrides) -> Problem:

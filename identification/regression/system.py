@@ -1,20 +1,20 @@
 """W and Y, equations (5) and (6): the model's regressor and the torques, decimated alike, stacked joint by joint."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
-from ..estimation import Factors, System, TimeBlocks, combined
+from ..estimation import Factors, System, TimeBlocks, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
-from .load import LinkSeries, load_friction
-from .low_speed import measured_fast_rows, refuse_slow_joints
+from .load import LinkSeries, LoadFriction, load_friction
 from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
+from .rows import measured_fast_rows, refuse_slow_joints
 
 _NUMBERS_IN_MEMORY = 4_000_000  # numbers of W kept as they are; beyond, joints are reduced to their QR factors
 _NUMBERS_OF_ALL = 16_000_000  # the same of all recordings of a fit
@@ -62,6 +62,21 @@ class Regression:
     def predicted(self, beta: Array) -> Array:
         """Torque (rows, n) that beta (b,) predicts for rows that are not reduced: tau less the residual Y - W beta."""
         return np.asarray(self.tau - (self.system.Y - self.system.W @ beta).reshape(self.tau.shape[1], -1).T)
+
+    def about(self, beta: Array, load: LoadFriction, columns: Array) -> "Regression":
+        """The same about beta (b,), from the columns (2, k, rows) of load friction; of rows that are not reduced."""
+        n, W, Y = self.tau.shape[1], self.system.W.copy(), self.system.Y.copy()
+        load.linearise(W.reshape(n, -1, len(beta)).transpose(0, 2, 1), Y.reshape(n, -1), columns, beta)
+        return replace(self, system=replace(self.system, W=W, Y=Y), links=())
+
+    def without(self, names: Collection[str]) -> "Regression":
+        """The same without the columns of parameters; the links' entries are at their places among the others."""
+        stay = np.array([name not in names for name in self.system.names])
+        place = np.cumsum(stay) - 1
+        links = tuple(
+            replace(part, entries=np.c_[part.entries[:, 0], place[part.entries[:, 1]]]) for part in self.links
+        )
+        return replace(self, system=self.system.with_columns(np.flatnonzero(stay)), links=links)
 
 
 def regression_of_recording(
@@ -119,6 +134,12 @@ def regression_of_recording(
     )
 
 
+@one_thread
+def reduced_regression(problem: Problem, beta: Array) -> Regression:
+    """W and Y of a recording about beta (b,), as QR factors."""
+    return regression_of_recording(problem.with_samples(), share=ALL_REDUCED, beta=beta)
+
+
 def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) -> tuple[Array, Array]:
     """W (n, b, rows) and Y (n, rows) of a block's rows that count, about the parameters `beta` (b,) as of `load`."""
     (W, Y, _, _), _ = _block(problem, block, beta)
@@ -128,40 +149,7 @@ def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) 
 def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
     """Whether so many decimated samples are too many to be held as rows; `share` as in `regression_of_recording`."""
     most = math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
-    return rows * problem.signals.robot.n * problem.base.b > most
-
-
-def stacked(regressions: Sequence[Regression]) -> Regression:
-    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
-    if len(regressions) == 1:
-        return regressions[0]
-    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
-    if regressions[0].reduced:
-        system, _ = combined((one, None) for one in systems)
-    else:
-        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
-
-        def by_joint(name: str) -> Array:
-            values = [getattr(s, name) for s in systems]
-            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
-
-        system = replace(
-            systems[0],
-            W=by_joint("W"),
-            Y=by_joint("Y"),
-            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
-            used=by_joint("used"),
-            rows=np.sum([s.rows for s in systems], axis=0),
-        )
-    return Regression(
-        system=system,
-        fast=np.concatenate([part.fast for part in regressions]),
-        tau=np.concatenate([part.tau for part in regressions]),
-        speed=np.concatenate([part.speed for part in regressions]),
-        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
-        parts=tuple(rows for part in regressions for rows in part.parts),
-        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
-    )
+    return rows * len(problem.signals.robot.joints) * len(problem.base.names) > most
 
 
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
@@ -236,7 +224,7 @@ def _decimated(
     """Regressor (n, b, rows), the links' columns computed at every `stride`-th sample; and what was at full rate, the
     entries (E, 2) of joint and place in `base` with their series (E, N).
     """
-    N, W = len(motion.q), np.zeros((dynamics.robot.n, base.b, decimation.rows(len(motion.q))))
+    N, W = len(motion.q), np.zeros((len(dynamics.robot.joints), len(base.names), decimation.rows(len(motion.q))))
     strided = stride > 1 and stride * decimation.end_samples < N  # else the ends are most of it
     links = base.links & strided
     if links.any():

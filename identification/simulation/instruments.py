@@ -12,7 +12,7 @@ from ..arrays import Array
 from ..data import Work
 from ..estimation import Factors, System, TimeBlocks, combined, one_thread
 from ..model import not_positive
-from ..regression import OwnParameters, Place, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
+from ..regression import OwnParameters, Problem, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
     MotionBlocks,
@@ -209,7 +209,7 @@ class Simulation:
     `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
     """
 
-    place: Place
+    problem: Problem
     prior: Array
     slip_noise: Array
     long: bool
@@ -220,7 +220,7 @@ class Simulation:
         """The experiment with so many steps and samples per period of the bandwidth."""
         if rate_per_bandwidth not in self._laid_out:
             self._laid_out[rate_per_bandwidth] = Experiment(
-                self.place.problem(),
+                self.problem.with_samples(),
                 self.prior,
                 self.slip_noise,
                 rate_per_bandwidth=rate_per_bandwidth,

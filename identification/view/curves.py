@@ -138,7 +138,7 @@ def torque_plots(signals: Signals, fit: Fit | None, lines: Lines) -> list[Plot]:
     for j, joint in enumerate(signals.robot.joints):
         curves = [Curve(key="measured", color=MEASURED, line=lines["measured", "tau"][j], width=2.0)]
         if fit is not None:
-            residual = fit.rows.t_s, (fit.rows.tau - fit.rows.tau_predicted)[:, j]
+            residual = fit.t_s, (fit.tau - fit.tau_predicted)[:, j]
             curves.append(Curve(key="model_idm", name="IDM", color=PREDICTED, line=lines["filtered", "tau"][j]))
             curves.append(Curve(key="residual", color=RESIDUAL, line=residual))
         if ("simulated", "tau") in lines:

@@ -154,8 +154,8 @@ def _log_log(
 
 def residual_of_moving(fit: Fit, j: int) -> Array:
     """Residual of joint j where it moves; all of it where it never does."""
-    rho = (fit.rows.tau - fit.rows.tau_predicted)[:, j]
-    return moving if len(moving := rho[are_moving(fit.rows.speed)[:, j]]) else rho
+    rho = (fit.tau - fit.tau_predicted)[:, j]
+    return moving if len(moving := rho[are_moving(fit.speed)[:, j]]) else rho
 
 
 def middle_deviation(rho: Array) -> float:
@@ -168,7 +168,7 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
 
     The distribution is of rows that move: friction at rest is not in the model, and a few such rows would hide the others.
     """
-    rho, name = (fit.rows.tau - fit.rows.tau_predicted)[:, j], signals.robot.joints[j].name
+    rho, name = (fit.tau - fit.tau_predicted)[:, j], signals.robot.joints[j].name
     T = len(rho)
     if not rho.any():
         return []

@@ -1,6 +1,6 @@
-"""Parameters that each of several recordings has for itself, such as an offset: Off1@A beside Off1@B in place of Off1."""
+"""The system of several recordings, and parameters that each has for itself, such as an offset: Off1@A and Off1@B for Off1."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..estimation import combined
 from .problem import Problem
 from .system import Regression
 
@@ -41,11 +42,6 @@ class OwnParameters:
         """(b,) where the base parameters of recording k are among all."""
         return np.array([self.names.index(name) for name in self.of[k]])
 
-    def without(self, names: Collection[str]) -> "OwnParameters":
-        """The same without parameters that the recordings share."""
-        of = tuple(tuple(name for name in one if name not in names) for one in self.of)
-        return OwnParameters(of=of, names=tuple(name for name in self.names if name not in names))
-
     def columns(self, X: Array, k: int) -> Array:
         """X (r, b) of recording k in the columns of all parameters; zero in those of other recordings."""
         if not self.any:
@@ -59,15 +55,17 @@ class OwnParameters:
         places = {name: i for i, name in enumerate(map(base_name, self.of[0]))}
         return np.array([beta[places[base_name(name)]] for name in self.names])
 
-    def widened(self, regression: Regression, k: int) -> Regression:
-        """The regression of recording k with the columns of all parameters. Raises where its rows are reduced."""
-        if not self.any:
-            return regression
-        if regression.reduced:
+    def stacked(self, each: Sequence[Regression]) -> Regression:
+        """The system of the recordings, with the columns of all parameters. Raises where own ones meet reduced rows."""
+        if self.any and each[0].reduced:
             text = "the recordings are too long for parameters of their own"
             raise IdentificationError(text, key="identification.own", expected="a larger --decimate, or none")
-        system = replace(regression.system, W=self.columns(regression.system.W, k), names=self.names)
-        return replace(regression, system=system)
+        if self.any:
+            wide = [
+                replace(one.system, W=self.columns(one.system.W, k), names=self.names) for k, one in enumerate(each)
+            ]
+            each = [replace(one, system=system) for one, system in zip(each, wide, strict=True)]
+        return _stacked(each)
 
 
 def own_parameters(problems: Sequence[Problem]) -> OwnParameters:
@@ -114,3 +112,36 @@ def _labels(recordings: Sequence[str]) -> list[str]:
     if len(set(stems)) == len(stems):
         return stems
     return [f"{stem}#{k}" for k, stem in enumerate(stems, 1)]
+
+
+def _stacked(regressions: Sequence[Regression]) -> Regression:
+    """The system of several recordings, rows stacked joint by joint, in the order given: all of them reduced, or none."""
+    if len(regressions) == 1:
+        return regressions[0]
+    n, systems = regressions[0].tau.shape[1], [part.system for part in regressions]
+    if regressions[0].reduced:
+        system, _ = combined((one, None) for one in systems)
+    else:
+        rows = [[s.joint_of_row == j for s in systems] for j in range(n)]
+
+        def by_joint(name: str) -> Array:
+            values = [getattr(s, name) for s in systems]
+            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
+
+        system = replace(
+            systems[0],
+            W=by_joint("W"),
+            Y=by_joint("Y"),
+            joint_of_row=np.sort(np.concatenate([s.joint_of_row for s in systems])),
+            used=by_joint("used"),
+            rows=np.sum([s.rows for s in systems], axis=0),
+        )
+    return Regression(
+        system=system,
+        fast=np.concatenate([part.fast for part in regressions]),
+        tau=np.concatenate([part.tau for part in regressions]),
+        speed=np.concatenate([part.speed for part in regressions]),
+        slip_noise=np.max([part.slip_noise for part in regressions], axis=0),
+        parts=tuple(rows for part in regressions for rows in part.parts),
+        time_blocks=tuple(blocks for part in regressions for blocks in part.time_blocks),
+    )

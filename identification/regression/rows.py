@@ -1,20 +1,26 @@
-"""Which rows count: those at low speed are left out, of least squares and of instrumental variables by the same rule.
+"""Rows of a recording: those that count, and some at which the torque of the links and the power of friction are looked at.
 
-Joints that stick and slip, and the sign of a noisy velocity, are not what the model describes. Least squares goes by the
-measured speed behind the low-pass; instrumental variables go by the simulated one, which is exogenous. Of either speed it is
-the lowest within the time that the low-pass blurs W by.
+Rows at low speed are left out, of least squares and of instrumental variables by the same rule: joints that stick and slip, and
+the sign of a noisy velocity, are not what the model describes. Least squares goes by the measured speed behind the low-pass;
+instrumental variables go by the simulated one, which is exogenous. Of either speed it is the lowest within the time that the
+low-pass blurs W by.
 """
+
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..errors import IdentificationError
+from ..model import direct_model, friction_power, shaped_states
 from .motion import BLOCK_SAMPLES
-from .problem import Problem
+from .problem import Problem, motion_blocks
 
 LOW_SPEED_PERCENT = 4.0  # of the peak: slower joints stick and slip, which sign(dq) does not describe
 LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are left out
+STATES = 300  # of a recording at which its friction is looked at
 
 
 def fast_rows(
@@ -48,7 +54,7 @@ def measured_slip(problem: Problem, directions: Array) -> tuple[Array, Array]:
     blur = round(0.5 * fs / cutoff_hz)
     kept = start + settings.decimator.instants(stop - start)
     slip = np.empty((len(kept), len(directions)))
-    total, squares = np.zeros((2, signals.robot.n))
+    total, squares = np.zeros((2, directions.shape[1]))
     for a in range(start, stop, BLOCK_SAMPLES):
         b = min(stop, a + BLOCK_SAMPLES)
         low, high = max(start, a - blur), min(stop, b + blur)
@@ -87,3 +93,57 @@ def refuse_slow_joints(fast: NDArray[np.bool_], joints: tuple[str, ...], place: 
                 place=place,
                 expected="a lower --cutoff-hz, or --low-speed-percent",
             )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RowStates:
+    """Some rows (k,) of a recording, and the motion q, dq, ddq (k, n) at their instants."""
+
+    rows: NDArray[np.intp]
+    q: Array
+    dq: Array
+    ddq: Array
+
+
+def row_states(problem: Problem) -> RowStates:
+    """Some 300 rows of a recording, evenly spaced."""
+    settings, parts, first = problem.settings, list[tuple[Array, ...]](), 0
+    rows = settings.decimator.rows(settings.stop - settings.start)
+    rows_wanted = np.arange(0, rows, max(1, rows // STATES))
+    for motion, inside, _ in motion_blocks(problem):
+        here = rows_wanted[(rows_wanted >= first) & (rows_wanted < first + inside.stop - inside.start)] - first
+        parts.append(tuple(settings.decimator.kept(x)[inside][here] for x in (motion.q, motion.dq, motion.ddq)))
+        first += inside.stop - inside.start
+    q, dq, ddq = (np.concatenate([part[i] for part in parts]) for i in range(3))
+    return RowStates(rows=rows_wanted, q=q, dq=dq, ddq=ddq)
+
+
+def torque_of_links(problem: Problem, beta: Array, motion: RowStates) -> Array:
+    """tau_rigid (k, n) of base parameters beta (b,) at states; samples of the recording are not needed."""
+    links = direct_model(problem.model, problem.base.standard_parameters(np.where(problem.base.links, beta, 0.0)))
+    return links.torque(motion.q, motion.dq, motion.ddq)
+
+
+def friction_states(problem: Problem, beta: Array, states: RowStates) -> tuple[Array, Array]:
+    """Speeds and loads (m, n) at which friction of further terms is asked for its power, from states of a recording."""
+    return shaped_states(problem.model, states.dq, np.abs(torque_of_links(problem, beta, states)))
+
+
+def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Array) -> Array | None:
+    """What friction takes (m, p) per unit of the standard parameters at recorded speeds; None where it has no further terms.
+
+    `moved` are recordings and states in them, beta (b,) the base parameters that their links' torque goes by.
+    """
+    found = [
+        friction_power(problem.model, np.arange(problem.model.p), *friction_states(problem, beta, states))
+        for problem, states in moved
+        if states is not None
+    ]
+    return np.concatenate(found) if found else None
+
+
+def links_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
+    """Speeds and tau_rigid (rows, n) at the instants of the rows; of a long recording the first."""
+    motion, inside, _ = next(motion_blocks(problem))
+    q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))
+    return dq, torque_of_links(problem, beta, RowStates(rows=np.arange(len(q)), q=q, dq=dq, ddq=ddq))

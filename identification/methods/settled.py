@@ -6,7 +6,6 @@ joint that does not settle is left out, by name.
 """
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -14,49 +13,39 @@ import numpy as np
 from ..arrays import Array
 from ..estimation import Estimate, System, condensed, ordinary_least_squares, weighted_least_squares
 from ..model import SHAPES, JointTerm
-from .linearised import Linearised
-from .load import LoadFriction
-from .problem import Problem
-from .system import Regression
+from ..regression import LoadFriction, Problem, Regression
+from .system import StackedSystem
 
 TOLD_APART = 0.02  # share of a column's norm that the other columns must leave for its parameter to say anything
 MOST_PASSES = 10
 ROUNDING = 1e-10  # of the largest change that counts, beside half a deviation: exact data have none
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Settled:
-    """Least squares of recordings with the terms that they tell: `full`, its W and Y being those about `about` (b,)."""
-
-    linearised: Linearised
-    about: Array
-    full: Estimate
-
-
-def settled_least_squares(linearised: Linearised, method: Literal["ols", "wls"] = "wls") -> Settled:
-    """Least squares of all parameters that recordings tell together.
+def settled_least_squares(
+    observed: StackedSystem, method: Literal["ols", "wls"] = "wls"
+) -> tuple[StackedSystem, Estimate]:
+    """Least squares of all parameters that recordings tell together, and their W and Y about them without the other terms.
 
     Raises `IdentificationError`: as of the estimators.
     """
     solve = weighted_least_squares if method == "wls" else ordinary_least_squares
-    linearised = leave_out_untold(linearised)
-    while load := linearised.load:
-        names, places = linearised.parameters.names, linearised.load_places()
+    observed = leave_out_untold(observed)
+    while observed.load:
+        names, places = observed.parameters.names, observed.load_places()
         others = np.setdiff1d(np.arange(len(names)), places)
-        about = solve(condensed(linearised.plain.system.with_columns(others))).among(names)
-        left_out = alike(linearised.problem, linearised.at(about).system, [names[i] for i in places])
+        about = solve(condensed(observed.regression.system.with_columns(others))).among(names)
+        left_out = alike(observed.problem, observed.at(about).regression.system, [names[i] for i in places])
         if not left_out:
-            about, observed, _, left_out = load_passes(linearised, lambda x: solve(condensed(x.system)), about, load)
+            settled, _, left_out = load_passes(observed, lambda x: solve(condensed(x.system)), about, observed.load)
         if not left_out:
-            return Settled(linearised=linearised, about=about, full=solve(observed.system))
-        linearised = linearised.without(left_out)
-    about = np.zeros(len(linearised.parameters.names))
-    return Settled(linearised=linearised, about=about, full=solve(linearised.plain.system))
+            return settled, solve(settled.regression.system)
+        observed = observed.without(left_out)
+    return observed, solve(observed.regression.system)
 
 
 def load_passes(
-    linearised: Linearised, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction
-) -> tuple[Array, Regression, Estimate, dict[str, str]]:
+    observed: StackedSystem, solve: Callable[[Regression], Estimate], beta: Array, load: LoadFriction | None
+) -> tuple[StackedSystem, Estimate, dict[str, str]]:
     """Solve from the parameters `beta` (b,) on, until they settle or there were ten passes.
 
     `solve` gives an estimate, of some parameters or all, from W and Y about the parameters before; of load friction it has
@@ -64,39 +53,40 @@ def load_passes(
 
     Returns
     -------
-    Of the last pass the parameters (b,) that its W and Y are about, these, and the estimate. Then, unless no parameter changed
-    by more than half a deviation, the parameters of load friction that did, or the one that changed most, each with a line
-    that says it.
+    W and Y of the last pass, and its estimate. Then, unless no parameter changed by more than half a deviation, the parameters
+    of load friction that did, or the one that changed most, each with a line that says it.
     """
-    names, passes, values = linearised.parameters.names, MOST_PASSES if load else 1, list[Array]()
-    places, robot = linearised.load_places(load), linearised.problem.signals.robot
-    for _ in range(passes):
-        about, observed = beta, linearised.at(beta, load)
-        estimate = solve(observed)
+    if load is None:
+        return observed, solve(observed.regression), {}
+    names, values = observed.parameters.names, list[Array]()
+    places, robot = observed.load_places(load), observed.problem.signals.robot
+    for _ in range(MOST_PASSES):
+        about, observed = beta, observed.at(beta, load)
+        estimate = solve(observed.regression)
         beta, sigma = estimate.among(names), np.zeros(len(names))
         sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
         off = np.abs(beta - about) / np.maximum(sigma / 2, ROUNDING * np.abs(beta).max())
         values.append(beta)
-        if not load or (off < 1).all():
-            return about, observed, estimate, {}
+        if (off < 1).all():
+            return observed, estimate, {}
     unsettled, own = {}, off[places]
     for j, place, far in zip(load.joints, places, own, strict=True):
         if far >= 1 or far == own.max():
             mu, joint = names[place], robot.joints[j].name
             last = ", ".join(f"{value[place]:.3g}" for value in values[-3:])
             unsettled[mu] = f"load friction of joint {joint} left out: it does not settle ({mu} {last})"
-    return about, observed, estimate, unsettled
+    return observed, estimate, unsettled
 
 
-def leave_out_untold(linearised: Linearised) -> Linearised:
+def leave_out_untold(observed: StackedSystem) -> StackedSystem:
     """The recordings' W and Y without the friction terms, load friction apart, that are nearly a sum of other columns."""
-    model, base = linearised.problem.model, linearised.problem.base
+    model, base = observed.problem.model, observed.problem.base
     kinds = {name: getattr(model.sources[c], "kind", None) for name, c in zip(base.names, base.columns, strict=True)}
     shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
-    while left_out := alike(linearised.problem, linearised.plain.system, shapes):
-        linearised = linearised.without(left_out)
+    while left_out := alike(observed.problem, observed.regression.system, shapes):
+        observed = observed.without(left_out)
         shapes = [name for name in shapes if name not in left_out]
-    return linearised
+    return observed
 
 
 def alike(problem: Problem, system: System, among: Collection[str]) -> dict[str, str]:

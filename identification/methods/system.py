@@ -1,0 +1,307 @@
+"""The recordings of a fit, and the system that all of them make together, about any parameters."""
+
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ..arrays import Array
+from ..data import RecordingFile, Recordings, Signals, check_one_robot
+from ..errors import IdentificationError
+from ..estimation import Estimate, System, slices
+from ..regression import (
+    ALL_REDUCED,
+    HELD,
+    LoadFriction,
+    Overrides,
+    OwnParameters,
+    Problem,
+    Regression,
+    load_columns,
+    load_friction,
+    make_problem,
+    own_parameters,
+    reduced_regression,
+    refuse_slow_joints,
+    rule_cutoff_hz,
+)
+from ..simulation import Instruments, Lab, Replica, Simulation
+from ..trust import Lag, RecordingData
+from .observation import SPAN_S, Say, observation_of, observe, predict, regression_at, retimed_at
+
+SPAN_NUMBERS = 3_000_000  # of its W
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StackedSystem:
+    """All recordings of a fit, in the order of their digests: sums over them do not depend on the order they are given in.
+
+    Attributes:
+        recordings: as they were given, in the order of the digests; `overrides` the settings they were observed with.
+        observations: one by one, with W and Y about `beta`.
+        order: places of the recordings as the user gave them.
+        plain: by recording its regression, columns of load friction being zero.
+        parameters: those that the recordings share, and those of each.
+        regression: the system that they make together, about `beta`.
+        load: where the base parameters have load friction, if they do.
+        beta: values of all parameters; None where columns of load friction are zero.
+        left_out: friction terms that were left out of the description, each with a line that says why.
+        lags: by which the torques are corrected, where they were looked for.
+    """
+
+    recordings: Recordings
+    overrides: Overrides
+    observations: tuple[RecordingData, ...]
+    order: tuple[int, ...]
+    plain: tuple[Regression, ...]
+    parameters: OwnParameters
+    regression: Regression
+    load: LoadFriction | None
+    beta: Array | None = None
+    left_out: dict[str, str] = field(default_factory=dict)
+    lags: tuple[Lag, ...] = ()
+
+    @property
+    def problem(self) -> Problem:
+        """That of the recording given first: robot, model and base parameters are those of all."""
+        return self.observations[self.order[0]].problem
+
+    @property
+    def parts(self) -> tuple[slice, ...]:
+        """The decimated instants of each recording."""
+        return tuple(slices(self.regression.parts))
+
+    def problems(self) -> list[Problem]:
+        """Those of the recordings for tasks: without samples where a task can read them itself."""
+        found = []
+        for source, one in zip(self.recordings.sources, self.observations, strict=True):
+            problem = one.problem
+            if isinstance(source, RecordingFile) and self.recordings.work.remote:
+                problem = problem.without_samples()
+            found.append(problem if len(problem.signals.q) else replace(problem, source=source))
+        return found
+
+    def lab(self, prior: Array, *, gain_update: bool) -> Lab:
+        """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
+        return Lab(
+            simulations=tuple(
+                Simulation(
+                    problem=problem,
+                    prior=prior[self.parameters.places(k)],
+                    slip_noise=one.regression.slip_noise,
+                    long=one.regression.reduced,
+                    gain_update=gain_update,
+                )
+                for k, (problem, one) in enumerate(zip(self.problems(), self.observations, strict=True))
+            ),
+            names=tuple(one.problem.signals.recording for one in self.observations),
+            parameters=self.parameters,
+            work=self.recordings.work,
+        )
+
+    def load_places(self, load: LoadFriction | None = None) -> NDArray[np.intp]:
+        """Where the parameters of load friction are among those of the system; of `load`, or of all there is."""
+        load, names = load or self.load, self.problem.base.names
+        found = [self.parameters.names.index(names[place]) for place in load.places] if load else []
+        return np.array(found, dtype=np.intp)
+
+    def at(self, beta: Array, load: LoadFriction | None = None) -> "StackedSystem":
+        """The same with W and Y about values of all parameters, by which load friction goes; the same without any.
+
+        `load` may be some of the load friction, of rows that are not reduced: columns of the rest are zero.
+        """
+        load = load or self.load
+        if load is None or (load is self.load and self.beta is not None and np.array_equal(beta, self.beta)):
+            return self
+        run, problems = self.recordings.work.run, self.problems()
+        of_each = [beta[self.parameters.places(k)] for k in range(len(problems))]
+        if self.regression.reduced:
+            each = list(run(reduced_regression, list(zip(problems, of_each, strict=True))))
+        else:
+            tasks = [
+                (problem, one.links, load, own) for problem, one, own in zip(problems, self.plain, of_each, strict=True)
+            ]
+            found = zip(self.plain, of_each, run(load_columns, tasks), strict=True)
+            each = [one.about(own, load, columns) for one, own, columns in found]
+        whole = zip(self.observations, each, strict=True)
+        return replace(
+            self,
+            observations=tuple(replace(one, regression=regression) for one, regression in whole),
+            regression=self.parameters.stacked(each),
+            beta=beta.copy() if load is self.load else None,
+        )
+
+    def without(self, left_out: dict[str, str]) -> "StackedSystem":
+        """The same without friction terms that are regrouped with nothing; `left_out` says why of each."""
+        observations = [
+            replace(one, problem=one.problem.without_terms(left_out), regression=plain.without(left_out))
+            for one, plain in zip(self.observations, self.plain, strict=True)
+        ]
+        return replace(self._of(observations), left_out=self.left_out | left_out)
+
+    def _of(self, observations: Sequence[RecordingData]) -> "StackedSystem":
+        """That of the same recordings, observed otherwise; columns of load friction are zero."""
+        system = stack(self.recordings, self.overrides, observations, self.order)
+        return replace(system, left_out=self.left_out)
+
+    def along(self, z: Instruments) -> tuple[System, Array]:
+        """W, Y and Z with the rows that count in a pass, about its parameters; of long recordings QR factors."""
+        if z.system is not None:
+            return z.system, z.Z
+        return self.at(z.beta).regression.system.with_rows(z.used), z.Z
+
+    def about(self, z: Instruments) -> "StackedSystem":
+        """The same about the parameters of a pass; of long recordings the factors of `z` are about them."""
+        return self if z.system is not None else self.at(z.beta)
+
+    def simulated(self, replicas: Sequence[Replica]) -> tuple[RecordingData, ...]:
+        """The recordings with the robot simulated in them."""
+        return tuple(
+            replace(one, simulated=found.motion, decimation=found.decimation, reference=found.reference_kind)
+            for one, found in zip(self.observations, replicas, strict=True)
+        )
+
+    def at_cutoff(self, cutoff_hz: float) -> "StackedSystem":
+        """The same recordings behind another low-pass."""
+        tasks = []
+        for problem in self.problems():
+            settings = problem.settings
+            overrides = replace(self.overrides, cutoff_hz=cutoff_hz, decimation=settings.decimation)
+            tasks.append((problem, overrides, len(self.observations)))
+        found = zip(self.observations, self.recordings.work.run(regression_at, tasks), strict=True)
+        return self._of(
+            [
+                replace(one, problem=replace(one.problem, settings=settings), regression=regression)
+                for one, (settings, regression) in found
+            ]
+        )
+
+    def behind_rule(self) -> "StackedSystem | None":
+        """The same recordings behind the rule's low-pass; None where all are behind it, or behind a lower one.
+
+        None too where a recording is too short for it.
+        """
+        if all(one.problem.settings.filtered for one in self.observations):
+            return None
+        signals = [one.problem.signals for one in self.observations]
+        with suppress(IdentificationError):
+            return self.at_cutoff(min(rule_cutoff_hz(s.robot.bandwidth_hz, s.sample_rate_hz) for s in signals))
+        return None
+
+    def on_span(self) -> "StackedSystem":
+        """The recordings as they are where rows are held; else the beginning of the first, with rows, three minutes at most."""
+        if not self.regression.reduced:
+            return self
+        problem = self.problems()[0].with_samples()
+        settings, fs = problem.settings, problem.signals.sample_rate_hz
+        rows = min(SPAN_NUMBERS // (problem.signals.robot.n * problem.base.b), int(SPAN_S * fs / settings.decimation))
+        stop = min(settings.stop, settings.start + rows * settings.decimation)
+        one = observation_of(replace(problem, settings=replace(settings, stop=stop)), HELD)
+        span = stack(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,))
+        return replace(span, left_out=self.left_out)
+
+    def corrected(self, lags_s: Sequence[float]) -> "StackedSystem":
+        """The same with the torque of each recording corrected by another lag, s."""
+        if all(one.problem.settings.torque_lag_s == lag for one, lag in zip(self.observations, lags_s, strict=True)):
+            return self
+        run, tasks = self.recordings.work.run, list(zip(self.problems(), self.plain, lags_s, strict=True))
+        found = zip(self.observations, lags_s, run(retimed_at, tasks), strict=True)
+        return self._of(
+            [replace(one, problem=one.problem.corrected(lag_s), regression=plain) for one, lag_s, plain in found]
+        )
+
+    def predicted(self, estimate: Estimate) -> Array:
+        """Decimated torque (rows, n) that an estimate predicts."""
+        if self.regression.reduced:
+            beta = estimate.among(self.problem.base.names)
+            tasks = [(problem, beta) for problem in self.problems()]
+            return np.concatenate(list(self.recordings.work.run(predict, tasks)))
+        return self.regression.predicted(estimate.among(self.parameters.names))
+
+    @property
+    def default_method(self) -> tuple[Literal["iv", "wls"], str]:
+        """The method by default, and why: instruments where every recording has its reference."""
+        without = [one.problem.signals for one in self.observations if one.problem.signals.q_ref is None]
+        if not without:
+            return "iv", "reference recorded"
+        where = f" in {without[0].recording}" if len(self.observations) > 1 else ""
+        return "wls", f"no reference{where}"
+
+
+def stack(
+    recordings: Recordings, overrides: Overrides, observations: Sequence[RecordingData], order: tuple[int, ...]
+) -> StackedSystem:
+    """The system that recordings make together, columns of load friction zero."""
+    problems, each = [one.problem for one in observations], tuple(one.regression for one in observations)
+    parameters = own_parameters(problems)
+    return StackedSystem(
+        recordings=recordings,
+        overrides=overrides,
+        observations=tuple(replace(o, parameters=of) for o, of in zip(observations, parameters.of, strict=True)),
+        order=order,
+        plain=each,
+        parameters=parameters,
+        regression=parameters.stacked(each),
+        load=load_friction(problems[0].model, problems[0].base),
+    )
+
+
+def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> StackedSystem:
+    """W and Y of one recording or several, filtered and decimated one by one, and stacked.
+
+    Cut-off and decimation are common, the lowest cut-off and the lowest rate of rows that the rules give.
+
+    Raises `IdentificationError` where the recordings are not of one robot, or as `make_problem`.
+    """
+    if isinstance(given, Signals):
+        given = Recordings(sources=(given,))
+    if len(given.sources) == 1:
+        (source,) = given.sources
+        signals = source if isinstance(source, Signals) else source.load()
+        one = observation_of(make_problem(signals, overrides), 1, say)
+        return stack(Recordings(sources=(signals,)), overrides, (one,), (0,))
+    say(f"reading {len(given.sources)} recordings")
+    found = _observe(given, [overrides] * len(given.sources), len(given.sources))
+    check_one_robot([one.problem.signals for one in found])
+    found = _alike(given, found, overrides)
+    by_digest = sorted(
+        range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
+    )
+    found = [found[k] for k in by_digest]
+    observed = stack(
+        replace(given, sources=tuple(given.sources[k] for k in by_digest)),
+        overrides,
+        found,
+        tuple(by_digest.index(k) for k in range(len(found))),
+    )
+    joints = tuple(joint.name for joint in found[0].problem.signals.robot.joints)
+    refuse_slow_joints(observed.regression.fast, joints, ", ".join(one.problem.signals.recording for one in found))
+    return observed
+
+
+def _observe(given: Recordings, overrides: Sequence[Overrides], share: int) -> list[RecordingData]:
+    tasks = zip(given.sources, overrides, [share] * len(given.sources), strict=True)
+    return list(given.work.run(observe, list(tasks)))
+
+
+def _alike(given: Recordings, found: list[RecordingData], overrides: Overrides) -> list[RecordingData]:
+    """The same with common cut-off and rate of rows, and all of them reduced or none; only others are observed again."""
+    settings = [one.problem.settings for one in found]
+    rates = [one.problem.signals.sample_rate_hz for one in found]
+    cutoff_hz = min((s.cutoff_hz for s in settings if s.cutoff_hz is not None), default=None)
+    row_hz = min(fs / s.decimation for fs, s in zip(rates, settings, strict=True))
+    share = ALL_REDUCED if any(one.regression.reduced for one in found) else len(found)
+    again = []
+    for k, (fs, s) in enumerate(zip(rates, settings, strict=True)):
+        decimation = max(1, round(fs / row_hz))
+        reduced = found[k].regression.reduced or share != ALL_REDUCED
+        if (s.cutoff_hz, s.decimation) != (cutoff_hz, decimation) or not reduced:
+            again.append((k, replace(overrides, cutoff_hz=cutoff_hz or 0.0, decimation=decimation)))
+    if again:
+        some = replace(given, sources=tuple(given.sources[k] for k, _ in again))
+        for (k, _), one in zip(again, _observe(some, [o for _, o in again], share), strict=True):
+            found[k] = one
+    return found
