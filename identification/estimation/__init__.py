@@ -14,7 +14,6 @@ from .confidence import (
     sums_of_blocks,
 )
 from .consistency import (
-    GAMMA,
     Consistent,
     PhysicalParameters,
     certainty,

@@ -1,25 +1,7 @@
 """The bottom of reporting: documents of sections and tables, their renderers, the JSON file of a fit, comparisons."""
 
-from .comparison import (
-    ParameterSet,
-    comparison_document,
-    comparison_file,
-    comparison_section,
-    differences,
-    frame_lines,
-)
-from .document import (
-    Cell,
-    Document,
-    Number,
-    ResultFile,
-    Row,
-    Section,
-    Table,
-    columns,
-    value_form,
-    write_json,
-)
+from .comparison import ParameterSet, comparison_document, comparison_file, comparison_section, differences, frame_lines
+from .document import Cell, Document, Number, ResultFile, Row, Section, Table, columns, value_form, write_json
 from .fit_file import (
     NO_FIXED_POINT,
     Assumed,

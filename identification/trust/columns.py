@@ -102,11 +102,8 @@ def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
 
     Stribeck friction below zero is none: near standstill filters and elasticity round off the sign of the speed.
     """
-    columns = list(_columns(evidence))
-    if not columns:
-        return ()
+    columns, n = list(_columns(evidence)), evidence.observed.tau.shape[1]
     rows, Q, bread = evidence.rows, evidence.estimate.Q, evidence.estimate.bread
-    n = evidence.observed.tau.shape[1]
     C = np.stack([column.torque.T.reshape(-1) for column in columns], axis=1) * rows.weight[:, None]  # (r, k)
     z = C - Q @ (bread.T @ (rows.W.T @ C))  # zᵀW = 0
     seen = np.linalg.norm(z, axis=0) > MIN_INDEPENDENT_NORM * np.linalg.norm(C, axis=0)

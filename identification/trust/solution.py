@@ -212,36 +212,33 @@ def motion_test(evidence: Evidence) -> TrustLine | None:
 
 def rows_test(e: Evidence) -> TrustLine | None:
     """The recording that misses or repeats most rows; else one of encoders that are slower than the log."""
-    every = [p.steps for p in e.recordings]
+    several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
+    places = [f"{part.problem.signals.recording}: " if several else "" for part in e.recordings]
     shares = [100 * np.array([steps.lost, steps.repeated, steps.held]) / max(steps.moving, 1) for steps in every]
     surplus = [x[:2] * (x[:2] > max(MISSING_PERCENT, HELD_SHARE * x[2])) for x in shares]
     k = int(np.argmax([x.sum() for x in surplus]))
     if surplus[k].any():
         found = zip(surplus[k], ("missing", "repeated"), strict=True)
         finding = " and ".join(f"{x:.2g} % of the rows {what}" for x, what in found if x)
-        text = (
-            f"{_place(e, e.recordings[k])}{finding}, by steps of the position that are twice their neighbours', or none"
-        )
+        text = f"{places[k]}{finding}, by steps of the position that are twice their neighbours', or none"
         text += ": record stamps or a counter with the rows ([time] in map.toml), or record again"
         return TrustLine("rows", "caution", text, float(surplus[k].sum()), finding=finding)
-    notes = [_slow_encoder(e, part, float(x[2])) for part, x in zip(e.recordings, shares, strict=True)]
-    return next((TrustLine("rows", "ok", note) for note in notes if note is not None), None)
+    notes = [_slow_encoder(part, float(x[2])) for part, x in zip(e.recordings, shares, strict=True)]
+    return next(
+        (TrustLine("rows", "ok", place + note) for place, note in zip(places, notes, strict=True) if note), None
+    )
 
 
-def _slow_encoder(e: Evidence, part: RecordingData, held: float) -> str | None:
+def _slow_encoder(part: RecordingData, held: float) -> str:
     """What to say where positions stand for a row and jump in the next one: not that rows are missing."""
     percent = 100 * part.steps.coarse[:, 1:] / np.maximum(part.steps.coarse[:, :1], 1)
     both = (percent.min(axis=1) > MISSING_PERCENT) & (percent.sum(axis=1) > COARSE_PERCENT)
     joints = part.problem.signals.robot.joints
     names = ", ".join(joint.name for joint, slow in zip(joints, both, strict=True) if slow)
     if held <= MISSING_PERCENT and not names:
-        return None
+        return ""
     where, share = (f" of joint {names}", percent.sum(axis=1).max()) if names else ("", held)
-    return f"{_place(e, part)}the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
-
-
-def _place(e: Evidence, part: RecordingData) -> str:
-    return f"{part.problem.signals.recording}: " if len(e.recordings) > 1 else ""
+    return f"the log is faster than the encoder{where}: {share:.2g} % of the steps are double or none"
 
 
 def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
