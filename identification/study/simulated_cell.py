@@ -36,6 +36,10 @@ LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
 SPAN, LONG = 50_000, 2**24  # samples made at a time; bytes of an array that is held in memory
 AR = 0.98  # correlation of coloured noise from sample to sample
+RECORDED = {
+    "tick": "the command of its tick, held after it",
+    "mean": "the mean of the control periods before and after",
+}
 # Streams of random numbers: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED, _DISTURBANCE = range(4)
 
@@ -70,13 +74,6 @@ class Noise:
     integral_hz: float = 0.0
 
     @property
-    def effort_text(self) -> str:
-        """How the torque is recorded, in words."""
-        if self.recorded == "tick":
-            return "the command of its tick, held after it"
-        return "the mean of the control periods before and after"
-
-    @property
     def text(self) -> str:
         """The fields that are not zero."""
         present = (f"{name} {value:g}" for name, value in vars(self).items() if name != "recorded" and value)
@@ -89,7 +86,6 @@ class Noise:
 
     def disturbances(self, rms: Array, samples: int, seed: int) -> Disturbances:
         """What acts on a loop of so many samples; `rms` (n,) are the torques along its reference."""
-
         shape = samples, len(rms)
 
         def series(size: float | Array, stream: int, ar: float) -> Array:
@@ -288,7 +284,7 @@ def write_signals(
     """
     provenance, cell = "simulated joint torque", {}
     if noise is not None:
-        provenance, cell = f"{provenance}, {noise.effort_text}", {"cell": noise.text}
+        provenance, cell = f"{provenance}, {RECORDED[noise.recorded]}", {"cell": noise.text}
     optional = {name: getattr(signals, name) for name in OPTIONAL if getattr(signals, name) is not None}
     layout = sample_dtype(signals.robot.n, reference=signals.q_ref is not None, optional=optional)
     with (
