@@ -285,32 +285,25 @@ def write_signals(
     provenance, cell = "simulated joint torque", {}
     if noise is not None:
         provenance, cell = f"{provenance}, {RECORDED[noise.recorded]}", {"cell": noise.text}
-    optional = {name: getattr(signals, name) for name in OPTIONAL if getattr(signals, name) is not None}
-    layout = sample_dtype(signals.robot.n, reference=signals.q_ref is not None, optional=optional)
-    with (
-        atomic_write(path) as partial,
-        RecordingWriter(
-            partial,
-            Header(
-                robot=signals.robot,
-                source=source,
-                sample_rate_hz=signals.sample_rate_hz,
-                effort_provenance=provenance,
-                effort_timing=signals.effort_timing,
-                notes={"simulated": "true", **cell, **(notes or {})},
-            ),
-        ) as writer,
-    ):
+    given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
+    given |= {name: getattr(signals, name) for name in OPTIONAL}
+    columns = {name: values for name, values in given.items() if values is not None}
+    layout = sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
+    header = Header(
+        robot=signals.robot,
+        source=source,
+        sample_rate_hz=signals.sample_rate_hz,
+        effort_provenance=provenance,
+        effort_timing=signals.effort_timing,
+        notes={"simulated": "true", **cell, **(notes or {})},
+    )
+    with atomic_write(path) as partial, RecordingWriter(partial, header) as writer:
         for first in range(0, len(signals.q), SPAN):
             here = slice(first, first + SPAN)
             samples = np.empty(len(signals.q[here]), layout)
             samples["stamp_ns"] = np.round(signals.t_s[here] * 1e9).astype(np.int64)
-            samples["position"], samples["effort"] = signals.q[here], signals.effort[here]
-            if signals.q_ref is not None:
-                samples["reference"] = signals.q_ref[here]
-            for name, values in optional.items():
+            for name, values in columns.items():
                 samples[name] = values[here]
             writer.samples(samples)
-            for x in (signals.q, signals.effort, signals.q_ref):
-                if x is not None:
-                    let_go(x)
+            for values in columns.values():
+                let_go(values)
