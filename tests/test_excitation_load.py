@@ -63,7 +63,7 @@ def test_load_friction_is_said_to_be_left_out_of_the_criterion(known, monkeypatc
     if not known:
         text = text.split("[parameters]")[0]
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge_of(robot)[0], "here")
+    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge_of(robot), "here")
     assert not {"mu1", "mu2"} & set(found.base.names)
     assert found.warnings[-1].startswith("load friction (mu1, mu2) is not in the criterion")
     assert (found.beta is not None) == known
@@ -77,7 +77,7 @@ def test_earlier_recordings_add_what_they_know_of_all_but_load_friction(tmp_path
     robot = scara(("viscous", "coulomb", "load"))
     q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
     write_signals(tmp_path / "log.mcap", closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
-    knowledge, _ = knowledge_of(robot, after=[tmp_path / "log.mcap"])
+    knowledge = knowledge_of(robot, after=[tmp_path / "log.mcap"])
     _, base, _ = modelled(robot)
     noise, fewer = np.array([0.2, 0.01]), base.without(["mu1", "mu2"])
     problem = make_problem(knowledge.recordings[0], Overrides())

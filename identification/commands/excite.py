@@ -36,11 +36,9 @@ def run(options: argparse.Namespace) -> None:
 
         robot = robot_of(options, moves=True)
         settings = from_options(ExcitationSettings, options)
-        knowledge, warnings = knowledge_of(
-            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
-        )
+        knowledge = knowledge_of(robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after)
         found = excite(robot, settings, knowledge, str(options.robot), progress.say)
-    document = excitation_document(found, warnings)
+    document = excitation_document(found)
     try:
         time_s, q = found.table()
         write_columns(options.out, ("time_s", *(joint.name for joint in robot.joints)), [np.column_stack([time_s, q])])

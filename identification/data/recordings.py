@@ -74,10 +74,6 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
     if "extra" in fields:
         own_s = 1e-9 * (samples["stamp_ns"] - first_ns)
         extras = {column: (own_s, x) for column, x in zip(extra_columns(was), samples["extra"].T, strict=True)}
-    events = [
-        SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
-        for event in recording.events
-    ]
     return Signals(
         t_s=grid * 1e-9,
         q=columns.pop("position"),
@@ -88,7 +84,10 @@ def load_signals(path: str | PathLike[str], robot: Robot | None = None) -> Signa
         robot=robot or was,
         recording=path.name,
         sha256=recording.sha256,
-        events=tuple(events),
+        events=tuple(
+            SignalEvent(t_s=1e-9 * (event.stamp_ns - first_ns), kind=event.kind, text=event.text)
+            for event in recording.events
+        ),
         health=_health(recording, first_ns),
         extras=extras,
         effort_timing=recording.effort_timing,

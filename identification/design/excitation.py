@@ -154,7 +154,7 @@ def excite(
         nearest=nearest,
         beta=None if knowledge.beta is None else knowledge.beta[known],
         beta_from=knowledge.beta_from,
-        warnings=_warnings(limits, mus),
+        warnings=(*_warnings(limits, mus), *knowledge.warnings),
     )
     if robot.bus is not None:
         at_sync = np.arange(0.0, settings.period_s, robot.bus.sync_period_s)
@@ -215,8 +215,8 @@ def _warnings(limits: Limits, mus: Sequence[str]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) -> Document:
-    """What a reference is expected to give, and what it takes, with further warnings."""
+def excitation_document(excitation: Excitation) -> Document:
+    """What a reference is expected to give, and what it takes."""
     e, s = excitation, excitation.settings
     smaller = e.plain / e.sigma
     known = e.beta is not None
@@ -266,7 +266,7 @@ def excitation_document(excitation: Excitation, warnings: Sequence[str] = ()) ->
                 title="limits in use, % of the whole limit",
                 table=limits,
                 lines=apart,
-                warnings=(*e.warnings, *warnings),
+                warnings=e.warnings,
             ),
         ),
     )

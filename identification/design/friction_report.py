@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -29,40 +30,20 @@ _KEY = re.compile(r"^\s*(friction|viscous|coulomb|offset|stribeck_speed_deg_s|st
 Lists = dict[str, tuple[FrictionTerm, ...]]  # by joint, as the list `friction` of a description
 
 
-class TermSetFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A set of terms: by joint, its size beside the usual terms, its errors in percent of moving rows, its fit."""
-
-    terms: Lists
-    added_terms: int
-    fitted_error_percent: float | None
-    held_out_error_percent: float | None
-    held_out_percents: list[float | None]
-    score: float
-    lag_one: float | None
-    condition_number_scaled: float
-
-
-class RecordingOfChoice(msgspec.Struct, frozen=True, kw_only=True):
-    """One of several recordings."""
-
-    recording: str
-    sha256: str
-
-
 class FrictionFile(ResultFile, frozen=True, kw_only=True):
     """The JSON file of `friction`: all sets, best first, and the recommended terms by joint.
 
     Attributes:
-        recording, sha256: of the first; `recordings` are all, where they are several.
+        recording, sha256: of the first; `recordings` has both of all, where they are several.
         held_out: names of the parts held out, which `held_out_percents` of a set are of.
     """
 
     recording: str
     sha256: str
-    recordings: list[RecordingOfChoice] | msgspec.UnsetType = msgspec.UNSET
+    recordings: list[dict[str, str]] | msgspec.UnsetType = msgspec.UNSET
     robot: str
     held_out: list[str]
-    sets: list[TermSetFile]
+    sets: list[dict[str, Any]]
     recommended: Lists
     left_out: list[str]
 
@@ -70,7 +51,7 @@ class FrictionFile(ResultFile, frozen=True, kw_only=True):
 def friction_file(choice: TermChoice) -> FrictionFile:
     """A choice of terms as it goes into its JSON file; an error that does not exist is null."""
     first = choice.recordings[0]
-    each = [RecordingOfChoice(recording=one.recording, sha256=one.sha256) for one in choice.recordings]
+    each = [{"recording": one.recording, "sha256": one.sha256} for one in choice.recordings]
     return FrictionFile(
         recording=first.recording,
         sha256=first.sha256,
@@ -78,16 +59,16 @@ def friction_file(choice: TermChoice) -> FrictionFile:
         robot=choice.robot.name,
         held_out=list(choice.held_out),
         sets=[
-            TermSetFile(
-                terms=described_terms(choice.robot, trial.terms),
-                added_terms=trial.count,
-                fitted_error_percent=Number(trial.fitted_error_percent).exact,
-                held_out_error_percent=Number(trial.held_out_error_percent).exact,
-                held_out_percents=[Number(float(x)).exact for x in trial.held_out_percents],
-                score=trial.score,
-                lag_one=trial.lag_one,
-                condition_number_scaled=trial.condition_number_scaled,
-            )
+            {
+                "terms": described_terms(choice.robot, trial.terms),
+                "added_terms": trial.count,
+                "fitted_error_percent": trial.fitted_error_percent,
+                "held_out_error_percent": trial.held_out_error_percent,
+                "held_out_percents": trial.held_out_percents.tolist(),
+                "score": trial.score,
+                "lag_one": trial.lag_one,
+                "condition_number_scaled": trial.condition_number_scaled,
+            }
             for trial in choice.trials
         ],
         recommended=choice.described,
@@ -219,7 +200,6 @@ class JointFriction:
     """Friction of a joint in the rows that count, and as it was identified.
 
     Attributes:
-        joint, unit, speed_unit: its name, and the units.
         speed, torque, load: (k,) of the rows; torque is what is measured less all else that the fit predicts, offset included.
         curves: one for a joint without load friction, whose load is nan; else at a low, the middle and a high load.
     """
@@ -242,7 +222,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
     columns = problem.base.columns[[fit.base.names.index(base_name(name)) for name in names]]
     at_rows = [_rows_of(fit, one) for one in fit.recordings]
     moved, torques, residuals = (np.concatenate(x) for x in zip(*(one[:3] for one in at_rows), strict=True))
-    among = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b) its own or shared
+    applies = np.concatenate([np.tile(own, (len(dq), 1)) for dq, _, _, own in at_rows])  # (rows, b) its own or shared
     mean = np.mean([own for *_, own in at_rows], axis=0)
     beta, covariance = fit.estimate.beta, fit.intervals.covariance
     found = []
@@ -250,7 +230,7 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
         peak = np.abs(moved[:, j]).max(initial=0.0)
         rows = np.flatnonzero(np.abs(moved[:, j]) > 0.02 * peak)
         v, load = moved[rows, j], np.abs(torques[rows, j])
-        friction = (friction_alone(problem.model, columns, j, v, load) * among[rows]) @ beta
+        friction = (friction_alone(problem.model, columns, j, v, load) * applies[rows]) @ beta
         loads = np.percentile(load, LEVELS) if "load" in joint.terms and len(load) else np.array([np.nan])
         speed = peak * np.r_[np.linspace(-1.0, -0.02, POINTS), np.linspace(0.02, 1.0, POINTS)]
         curves = []

@@ -48,6 +48,7 @@ class Knowledge:
         noise_share: (n,) the same of a fit's rows, as shares of the rms torque; None without a fit.
         recordings: whose information adds to that of the reference.
         folder: of the description, where collision meshes of its URDF are looked for first.
+        warnings: about the fit.
     """
 
     beta: Array | None = None
@@ -56,6 +57,7 @@ class Knowledge:
     noise_share: Array | None = None
     recordings: Sequence[Signals] = ()
     folder: Path | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def knowledge_of(
@@ -65,11 +67,10 @@ def knowledge_of(
     fit: Path | None = None,
     noise: Sequence[float] | None = None,
     after: Sequence[Path] = (),
-) -> tuple[Knowledge, list[str]]:
+) -> Knowledge:
     """What files and options know of a robot: a fit's parameters, else those of the description.
 
-    Returns what is known, and warnings about the fit. Raises `IdentificationError`: where a file cannot be read, or is
-    not of this robot.
+    Raises `IdentificationError`: where a file cannot be read, or is not of this robot.
     """
     if noise is not None and len(noise) not in (1, robot.n):
         expected = f"one number, or one for each of {robot.n} joints"
@@ -84,15 +85,20 @@ def knowledge_of(
         folder=folder,
     )
     if fit is None:
-        return known, []
+        return known
     stored = read_fit(fit)
     share, errors = None, stored.joints
     if len(errors) == robot.n and all(e.autocorrelation is not None and e.percent is not None for e in errors):
         # r rows of correlation rho are worth r (1 - rho)/(1 + rho) independent ones.
         rho = np.clip([e.autocorrelation or 0.0 for e in errors], 0.0, 0.95)
         share = 0.01 * np.array([e.percent for e in errors]) * np.sqrt((1 + rho) / (1 - rho))
-    known = replace(known, beta=stored_beta(stored, base, str(fit)), beta_from=fit.name, noise_share=share)
-    return known, stored.warnings_of(str(fit))
+    return replace(
+        known,
+        beta=stored_beta(stored, base, str(fit)),
+        beta_from=fit.name,
+        noise_share=share,
+        warnings=tuple(stored.warnings_of(str(fit))),
+    )
 
 
 def torque_noise(

@@ -215,10 +215,10 @@ class Trials:
                 found = self.of(tuple(fewer))
                 self._done[found.terms] = found
                 return found
-            self._done[terms] = self._judged(terms, observed, estimate)
+            self._done[terms] = self._trial(terms, observed, estimate)
         return self._done[terms]
 
-    def _judged(self, terms: TermSet, observed: Regression, estimate: Estimate) -> Trial:
+    def _trial(self, terms: TermSet, observed: Regression, estimate: Estimate) -> Trial:
         held = [self._held_out(terms, part, k) for k, part in enumerate(self.parts)]
         rho = self._residual(observed, estimate)
         error = relative_error_percent(self.plain.tau[self._moving], rho[self._moving])
@@ -281,8 +281,8 @@ class Trials:
         settling = [whole.problem.base.names.index(base_name(self._names[i])) for i in columns]
         load = whole.load and whole.load.of(settling)
 
-        def solve(observed: Regression, kept: NDArray[np.intp] = columns) -> Estimate:
-            return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(kept), self._weights))
+        def solve(observed: Regression, some: NDArray[np.intp] = columns) -> Estimate:
+            return ordinary_least_squares(_factor(observed.system.with_rows(used).with_columns(some), self._weights))
 
         beta = self._starts.get(start)
         if beta is None:

@@ -167,6 +167,10 @@ def run_fleet(
     be kept. Raises `WorkersNotStartedError`: where no worker can start.
     """
     digest = settings.digest[:16]
+
+    def file_of(row: Row) -> Path:
+        return kept / f"{row.sha256[:32]}-{digest}.json"
+
     rows: list[Row] = []
     first: dict[str, str] = {}  # file with that digest
     tasks: list[Task] = []
@@ -177,7 +181,7 @@ def run_fleet(
             row = msgspec.structs.replace(row, status="copy", reason=f"holds the same as {first[row.sha256]}")
         elif row.sha256:
             first[row.sha256] = row.file
-            earlier = _earlier(kept / f"{row.sha256[:32]}-{digest}.json", row)
+            earlier = _earlier(file_of(row), row)
             if earlier is None:
                 sources = (RecordingFile(path=str(file.absolute()), description=settings.description) for file in files)
                 tasks.append((tuple(sources), settings, row))
@@ -187,7 +191,7 @@ def run_fleet(
     say(len(rows), "kept from earlier runs")
     for row, lasting in _fits(tasks, open_work):
         if lasting:
-            with atomic_write(kept / f"{row.sha256[:32]}-{digest}.json") as partial:
+            with atomic_write(file_of(row)) as partial:
                 partial.write_bytes(msgspec.json.format(msgspec.json.encode(row), indent=1))
         rows.append(row)
         say(len(rows), row.file)

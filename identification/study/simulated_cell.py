@@ -28,6 +28,10 @@ LEAST_SAMPLES, MOST_SAMPLES = 100, 10_000_000  # of a simulated recording
 SUBSTEPS = 2  # of the plant per controller period; with more, motion and torque change by less than 0.1 %
 SPAN, LONG = 50_000, 2**24  # samples made at a time; bytes of an array that is held in memory
 AR = 0.98  # correlation of coloured noise from sample to sample
+RECORDED = {
+    "tick": "the command of its tick, held after it",
+    "mean": "the mean of the control periods before and after",
+}
 # Streams of random numbers: one kind of noise does not change another.
 _POSITION, _EFFORT, _COLOURED, _DISTURBANCE = range(4)
 
@@ -38,13 +42,6 @@ class Noise(CellOptions):
     Coloured noise and disturbances are AR(0.98) from sample to sample. `recorded` as the mean of the control periods before and
     after its instant, as a drive's own filter shows it; or as the command of the `tick`, which is held after it.
     """
-
-    @property
-    def effort_text(self) -> str:
-        """How the torque is recorded, in words."""
-        if self.recorded == "tick":
-            return "the command of its tick, held after it"
-        return "the mean of the control periods before and after"
 
     @property
     def text(self) -> str:
@@ -59,7 +56,6 @@ class Noise(CellOptions):
 
     def disturbances(self, rms: Array, samples: int, seed: int) -> Disturbances:
         """What acts on a loop of so many samples; `rms` (n,) are the torques along its reference."""
-
         shape = samples, len(rms)
 
         def series(size: float | Array, stream: int, ar: float) -> Array:
@@ -257,33 +253,26 @@ def write_signals(
     """
     provenance, cell = "simulated joint torque", {}
     if noise is not None:
-        provenance, cell = f"{provenance}, {noise.effort_text}", {"cell": noise.text}
-    optional = {name: getattr(signals, name) for name in OPTIONAL if getattr(signals, name) is not None}
-    layout = sample_dtype(signals.robot.n, reference=signals.q_ref is not None, optional=optional)
-    with (
-        atomic_write(path) as partial,
-        RecordingWriter(
-            partial,
-            Header(
-                robot=signals.robot,
-                source=source,
-                sample_rate_hz=signals.sample_rate_hz,
-                effort_provenance=provenance,
-                effort_timing=signals.effort_timing,
-                notes={"simulated": "true", **cell, **(notes or {})},
-            ),
-        ) as writer,
-    ):
+        provenance, cell = f"{provenance}, {RECORDED[noise.recorded]}", {"cell": noise.text}
+    given = {"position": signals.q, "effort": signals.effort, "reference": signals.q_ref}
+    given |= {name: getattr(signals, name) for name in OPTIONAL}
+    columns = {name: values for name, values in given.items() if values is not None}
+    layout = sample_dtype(signals.robot.n, reference="reference" in columns, optional=columns)
+    header = Header(
+        robot=signals.robot,
+        source=source,
+        sample_rate_hz=signals.sample_rate_hz,
+        effort_provenance=provenance,
+        effort_timing=signals.effort_timing,
+        notes={"simulated": "true", **cell, **(notes or {})},
+    )
+    with atomic_write(path) as partial, RecordingWriter(partial, header) as writer:
         for first in range(0, len(signals.q), SPAN):
             here = slice(first, first + SPAN)
             samples = np.empty(len(signals.q[here]), layout)
             samples["stamp_ns"] = np.round(signals.t_s[here] * 1e9).astype(np.int64)
-            samples["position"], samples["effort"] = signals.q[here], signals.effort[here]
-            if signals.q_ref is not None:
-                samples["reference"] = signals.q_ref[here]
-            for name, values in optional.items():
+            for name, values in columns.items():
                 samples[name] = values[here]
             writer.samples(samples)
-            for x in (signals.q, signals.effort, signals.q_ref):
-                if x is not None:
-                    let_go(x)
+            for values in columns.values():
+                let_go(values)
