@@ -5,8 +5,6 @@ import math
 from collections.abc import Iterator
 from dataclasses import replace
 
-import numpy as np
-
 from acquisition.errors import one_line
 from acquisition.robot import Robot, robot_from_files
 
@@ -54,8 +52,9 @@ def describe(chain: Chain, urdf: str) -> str:
     """
     head = "\n".join([*_head(chain, urdf), *(line for j in range(len(chain.joints)) for line in _joint(chain, j))])
     head += "\n".join(_motors_and_controller(chain))
-    parameters = "\n".join(_parameters(chain, _robot(head, chain)))
-    return f"{head}\n{parameters}\n" + "\n".join(_drives(chain)) + "\n"
+    drives = [f"# {FILL_IN}: the drives. For the real ones every number here is another one."]
+    drives += [_EXAMPLE + line for line in _drives(chain)]
+    return "\n".join([head, *_parameters(chain, _robot(head, chain)), "", *drives, ""])
 
 
 def _robot(text: str, chain: Chain) -> Robot:
@@ -85,18 +84,19 @@ def _joint(chain: Chain, j: int) -> Iterator[str]:
     yield f"name = {json.dumps(joint.name)}"
     yield f'type = "{joint.type}"'
     length, scale = ("m", 1.0) if joint.type == "prismatic" else ("deg", math.degrees(1.0))
-
-    def limit(key: str, value: float | tuple[float, float] | None, remark: str) -> str:
-        if value is None:
-            example = "[LOWEST, HIGHEST]" if key.startswith("position") else "..."
-            return f"# {key} = {example} # {FILL_IN}: {remark}"
-        numbers = [_number(x * scale) for x in np.atleast_1d(value)]
-        return f"{key} = [{', '.join(numbers)}]" if isinstance(value, tuple) else f"{key} = {numbers[0]}"
-
-    yield limit(f"position_{length}", joint.position, "the URDF states no range")
-    yield limit(f"speed_{length}_s", joint.speed, "the URDF states no speed")
-    yield limit(f"acceleration_{length}_s2", joint.acceleration, "no URDF states it; needed to move")
-    yield limit(f"following_error_{length}", joint.following_error, "no URDF states it; needed to move")
+    moves = "no URDF states it; needed to move"
+    for key, value, remark in (
+        (f"position_{length}", joint.position, "the URDF states no range"),
+        (f"speed_{length}_s", joint.speed, "the URDF states no speed"),
+        (f"acceleration_{length}_s2", joint.acceleration, moves),
+        (f"following_error_{length}", joint.following_error, moves),
+    ):
+        if isinstance(value, tuple):
+            yield f"{key} = [{', '.join(_number(x * scale) for x in value)}]"
+        elif value is not None:
+            yield f"{key} = {_number(value * scale)}"
+        else:
+            yield f"# {key} = {'[LOWEST, HIGHEST]' if remark.endswith('range') else '...'} # {FILL_IN}: {remark}"
     key = "effort_n" if joint.type == "prismatic" else "effort_nm"
     if joint.effort is None:
         yield f"# {key} = ... # {FILL_IN}: the URDF states no effort; without it torques are checked against the drives alone"
@@ -118,8 +118,7 @@ def _motors_and_controller(chain: Chain) -> Iterator[str]:
     for j, joint in enumerate(chain.joints):
         yield "[[motor]]"
         yield f'name = "motor_{j + 1}"'
-        unit = "N" if joint.type == "prismatic" else "N m"
-        yield f'effort_unit = "{unit}"'
+        yield f"effort_unit = {json.dumps('N' if joint.type == 'prismatic' else 'N m')}"
     yield ""
     yield "[controller]"
     if chain.bandwidth_hz is None:
@@ -169,21 +168,17 @@ def _example_terms(joint: UrdfJoint, number: int) -> Iterator[str]:
 
 
 def _drives(chain: Chain) -> Iterator[str]:
-    yield ""
-    yield f"# {FILL_IN}: the drives. For the real ones every number here is another one."
-    yield f"{_EXAMPLE}[bus]"
-    yield f'{_EXAMPLE}interface = "virtual" # or "socketcan"'
-    yield f'{_EXAMPLE}channel = "made_up"'
-    yield f"{_EXAMPLE}sync_period_s = 0.002"
+    """The example of drives, without the marks of its lines."""
+    yield "[bus]"
+    yield 'interface = "virtual" # or "socketcan"'
+    yield 'channel = "made_up"'
+    yield "sync_period_s = 0.002"
     for j, joint in enumerate(chain.joints):
-        rated = _number(_RATED_SHARE * (joint.effort or _EFFORT))
-        yield f"{_EXAMPLE}[[bus.drive]]"
-        yield f"{_EXAMPLE}node = {j + 1}"
-        yield f'{_EXAMPLE}reference = "6074" # its target torque or force'
+        yield "[[bus.drive]]"
+        yield f"node = {j + 1}"
+        yield 'reference = "6074" # its target torque or force'
         if joint.type == "prismatic":
-            yield f'{_EXAMPLE}reference_rule = "per mille of rated force"'
-            yield f"{_EXAMPLE}rated_force_n = {rated}"
-            yield f"{_EXAMPLE}counts_per_m = {_COUNTS}"
-        else:
-            yield f"{_EXAMPLE}rated_torque_nm = {rated}"
-            yield f"{_EXAMPLE}counts_per_turn = {_COUNTS}"
+            yield 'reference_rule = "per mille of rated force"'
+        rated, counts = ("force_n", "m") if joint.type == "prismatic" else ("torque_nm", "turn")
+        yield f"rated_{rated} = {_number(_RATED_SHARE * (joint.effort or _EFFORT))}"
+        yield f"counts_per_{counts} = {_COUNTS}"

@@ -17,7 +17,7 @@ from rerun.urdf import UrdfTree
 from acquisition.files import atomic_write
 
 from ..arrays import Array
-from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Curve, Lanes, Log, Note, Panel, Plot, Scene
+from .panels import GREY, RESIDUAL, SKY, Bars, Chart, Color, Curve, Lanes, Log, Note, Panel, Plot, Scene
 
 _GHOST = (*SKY, 70)
 _SIGNS = "–—‘’“”…−√±×²³µ≤≥"  # that the viewer's font has, of those in use here
@@ -72,82 +72,67 @@ def _like(c: str) -> str:
 
 def show(recording: Any, panel: Panel) -> Any:
     """Write a panel's data as entities under its path; return the view of them."""
-    origin = rr.new_entity_path(list(panel.path))
+    origin, title = rr.new_entity_path(list(panel.path)), shown_text(panel.title)
 
     def log(key: str, what: Any) -> None:
         recording.log(f"{origin}/{key}" if key else origin, what, static=True)
 
+    def log_points(key: str, points: Sequence[tuple[float, float, Color]], radius: float, order: float) -> None:
+        if points:
+            xy, colors = zip(*(((x, y), color) for x, y, color in points), strict=True)
+            log(key, rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(radius), draw_order=order))
+
     match panel:
         case Plot():
             for c in panel.curves:
-                style = {
-                    "names": shown_text(c.name or c.key),
-                    "colors": c.color,
-                    "widths": c.width,
-                    "visible_series": c.visible,
-                }
                 key = rr.new_entity_path([c.key]).lstrip("/")
+                name, columns = shown_text(c.name or c.key), rr.Scalars.columns(scalars=c.line[1])
+                style = {"names": name, "colors": c.color, "widths": c.width, "visible_series": c.visible}
                 # Rerun's own rule averages what falls on one pixel, and so loses peaks.
                 log(key, rr.SeriesLines(**style, aggregation_policy="MinMax"))
-                columns = rr.Scalars.columns(scalars=c.line[1])
                 recording.send_columns(f"{origin}/{key}", indexes=[_time(c.line[0])], columns=columns)
             legend = rrb.PlotLegend(corner=_emptiest_corner(panel.curves), visible=panel.legend)
             axis = rrb.TimeAxis(link="LinkToGlobal")
-            return rrb.TimeSeriesView(origin=origin, name=shown_text(panel.title), axis_x=axis, plot_legend=legend)
+            return rrb.TimeSeriesView(origin=origin, name=title, axis_x=axis, plot_legend=legend)
         case Bars():
-            for key, (left, width, heights), color in (
-                ("back", panel.back, (*GREY, 120)),
-                ("front", panel.front, RESIDUAL),
-            ):
+            for key, steps, color in (("back", panel.back, (*GREY, 120)), ("front", panel.front, RESIDUAL)):
+                left, width, heights = steps
                 log(key, rr.BarChart(heights, abscissa=left, widths=np.full(len(left), width), color=color))
-            return rrb.BarChartView(
-                origin=origin, name=shown_text(panel.title), plot_legend=rrb.PlotLegend(visible=False)
-            )
+            return rrb.BarChartView(origin=origin, name=title, plot_legend=rrb.PlotLegend(visible=False))
         case Chart():
-            xy, texts, colors = zip(*(((x, y), text, color) for x, y, text, color in panel.labels), strict=True)
+            xy, texts, colors = zip(*(((x, y), shown_text(text), c) for x, y, text, c in panel.labels), strict=True)
             none = rr.Radius.ui_points(0.1)
-            log(
-                "labels",
-                rr.Points2D(
-                    xy, labels=[shown_text(text) for text in texts], colors=colors, radii=none, show_labels=True
-                ),
-            )
+            log("labels", rr.Points2D(xy, labels=texts, colors=colors, radii=none, show_labels=True))
             strips, colors, radii = zip(*panel.strokes, strict=True)
             log("strokes", rr.LineStrips2D(strips, colors=colors, radii=rr.Radius.ui_points(radii)))
-            for key, points, radius, order in (("dots", panel.dots, 3.0, 50.0), ("cloud", panel.cloud, 1.5, 10.0)):
-                if points:
-                    xy, colors = zip(*(((x, y), color) for x, y, color in points), strict=True)
-                    log(key, rr.Points2D(xy, colors=colors, radii=rr.Radius.ui_points(radius), draw_order=order))
+            log_points("dots", panel.dots, 3.0, 50.0)
+            log_points("cloud", panel.cloud, 1.5, 10.0)
             if panel.crosses:
                 xy, colors = zip(*(((x, y), color) for x, y, color in panel.crosses), strict=True)
                 both = (np.array(xy)[:, None, None] + _CROSS * _DIAGONALS).reshape(-1, 2, 2)
                 twice = [color for color in colors for _ in _DIAGONALS]
                 log("crosses", rr.LineStrips2D(both, colors=twice, radii=rr.Radius.ui_points(0.8), draw_order=40.0))
             bounds = rrb.VisualBounds2D(x_range=[0, panel.size[0]], y_range=[0, panel.size[1]])
-            return rrb.Spatial2DView(origin=origin, name=shown_text(panel.title), visual_bounds=bounds)
+            return rrb.Spatial2DView(origin=origin, name=title, visual_bounds=bounds)
         case Lanes():
             for name, bands in panel.lanes.items():
-                states = [(t_s, shown_text(text), color) for t_s, text, color in bands]
-                key = rr.new_entity_path([name]).lstrip("/")
-                changes = [text for _, text, _ in states]
-                known = {text: color for _, text, color in states}
-                shown = [bool(text) for text in known]
-                log(key, rr.StateConfiguration(values=list(known), colors=list(known.values()), visible=shown))
-                times = _time(np.array([t_s for t_s, _, _ in states]))
-                recording.send_columns(
-                    f"{origin}/{key}", indexes=[times], columns=rr.StateChange.columns(state=changes)
-                )
-            return rrb.StateTimelineView(origin=origin, name=shown_text(panel.title))
+                key, changes = rr.new_entity_path([name]).lstrip("/"), [shown_text(text) for _, text, _ in bands]
+                known = {text: color for text, (_, _, color) in zip(changes, bands, strict=True)}
+                visible = [bool(text) for text in known]
+                log(key, rr.StateConfiguration(values=list(known), colors=list(known.values()), visible=visible))
+                times, columns = _time(np.array([t_s for t_s, _, _ in bands])), rr.StateChange.columns(state=changes)
+                recording.send_columns(f"{origin}/{key}", indexes=[times], columns=columns)
+            return rrb.StateTimelineView(origin=origin, name=title)
         case Log():
             times = _time(np.array([t_s for t_s, _, _ in panel.lines]))
             levels = ["WARN" if warning else "INFO" for _, warning, _ in panel.lines]
             columns = rr.TextLog.columns(text=[shown_text(text) for _, _, text in panel.lines], level=levels)
             recording.send_columns(origin, indexes=[times], columns=columns)
             columns_shown = rrb.TextLogColumns(timeline_columns=["time"], text_log_columns=["LogLevel", "Body"])
-            return rrb.TextLogView(origin=origin, name=shown_text(panel.title), columns=columns_shown)
+            return rrb.TextLogView(origin=origin, name=title, columns=columns_shown)
         case Note():
             log("", rr.TextDocument(shown_text(panel.text), media_type="text/markdown"))
-            return rrb.TextDocumentView(origin=origin, name=shown_text(panel.title))
+            return rrb.TextDocumentView(origin=origin, name=title)
         case Scene():
             return _show_robot(recording, origin, panel)
 

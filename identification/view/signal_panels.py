@@ -197,25 +197,6 @@ def residual_bars(signals: Signals, fit: Fit, j: int) -> list[Bars]:
     ]
 
 
-def fit_legend(signals: Signals, fit: Fit) -> Section:
-    """What is drawn of a fit."""
-    simulated = fit.iv is not None and fit.iv.simulated is not None
-    lines = ["IDM, in orange: the torque of the inverse model with these parameters along the filtered motion."]
-    if simulated:
-        lines.append("DDM and simulated, in light blue: the robot simulated with these parameters, in closed loop.")
-    lines.append(
-        "Residual, in vermillion: of the decimated rows, measured and modelled torque through the same filter, as fitted; its "
-        "autocorrelation over the lag, in grey the bounds ±2/√N of white noise; the distribution of the rows that move, within "
-        "four sigma (1.48 times the median of its size), in grey the normal one."
-    )
-    if simulated or signals.q_ref is not None:
-        lines.append(
-            "Position plots of the first page: reference and simulated position, each minus the measured one; the positions "
-            "themselves are on the page motion."
-        )
-    return Section(title="what is drawn", lines=(*lines, *_curves(signals, fit.settings, "Filtered curves and IDM")))
-
-
 def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
     """What the plots of each joint come to: peak effort, tracking error, and deviation and correlation of the residual."""
     robot, heads = signals.robot, ["peak effort"]
@@ -240,19 +221,30 @@ def numbers_of_plots(signals: Signals, fit: Fit | None) -> Section:
     return Section(title="numbers of the plots", table=table)
 
 
-def recording_legend(signals: Signals, settings: Settings | None) -> Section:
-    """What is drawn of a recording that is not fitted."""
-    return Section(title="what is drawn", lines=_curves(signals, settings, "Filtered curves"))
-
-
-def _curves(signals: Signals, settings: Settings | None, filtered: str) -> tuple[str, ...]:
-    """How the curves come from the samples, and what of them is shown."""
-    N, fs = len(signals.q), signals.sample_rate_hz
+def legend(signals: Signals, settings: Settings | None, fit: Fit | None) -> Section:
+    """What is drawn of a recording and of its fit: how the curves come from the samples, and what of them is shown."""
+    N, fs, lines = len(signals.q), signals.sample_rate_hz, list[str]()
     step, stride = thinning(N), model_stride(signals, settings) if settings else 1
-    lines = [
+    simulated = fit is not None and fit.iv is not None and fit.iv.simulated is not None
+    if fit is not None:
+        lines.append("IDM, in orange: the torque of the inverse model with these parameters along the filtered motion.")
+    if simulated:
+        lines.append("DDM and simulated, in light blue: the robot simulated with these parameters, in closed loop.")
+    if fit is not None:
+        lines.append(
+            "Residual, in vermillion: of the decimated rows, measured and modelled torque through the same filter, as fitted; "
+            "its autocorrelation over the lag, in grey the bounds ±2/√N of white noise; the distribution of the rows that "
+            "move, within four sigma (1.48 times the median of its size), in grey the normal one."
+        )
+    if simulated or (fit is not None and signals.q_ref is not None):
+        lines.append(
+            "Position plots of the first page: reference and simulated position, each minus the measured one; the positions "
+            "themselves are on the page motion."
+        )
+    lines.append(
         "Measured, in grey: the recording as it is, all of it; dq and ddq are central differences of the raw position, and "
         "off where noise would drown the rest: a click in the legend shows them."
-    ]
+    )
     if settings is not None and settings.cutoff_hz is not None:
         lines.append("Filtered, in orange: the measured motion through the low-pass, over the span to fit.")
     if step == 1:
@@ -260,6 +252,7 @@ def _curves(signals: Signals, settings: Settings | None, filtered: str) -> tuple
     else:
         lines.append(f"For display, of every {step} samples measured curves show the lowest and the highest.")
     if stride > 1:
+        filtered = "Filtered curves and IDM" if fit is not None else "Filtered curves"
         lines.append(f"{filtered} show every {stride}th sample, {fs / stride:g} a second.")
     lines.append(f"The robot takes {fs / pose_stride(N, fs):.3g} poses a second.")
-    return tuple(lines)
+    return Section(title="what is drawn", lines=tuple(lines))

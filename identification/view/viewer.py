@@ -51,10 +51,9 @@ from .rerun_panels import Show, shown_text, write_pages
 from .robot_drawing import excitation_scene, robot_scene
 from .signal_panels import (
     event_log,
-    fit_legend,
     health_plot,
+    legend,
     numbers_of_plots,
-    recording_legend,
     residual_bars,
     span_lanes,
     spectrum_drawings,
@@ -113,7 +112,7 @@ def write_recording_rrd(path: Path, signals: Signals, overrides: Overrides) -> N
 
     def pages(show: Show) -> list[Any]:
         lines = lines_of(signals, settings, None)
-        sections = numbers_of_plots(signals, None), recording_legend(signals, settings)
+        sections = numbers_of_plots(signals, None), legend(signals, settings, None)
         report = show(_report(recording_document(signals, settings, refusal).followed_by(*sections)))
         return _signal_pages(show, signals, settings, None, lines, answer=report)
 
@@ -204,7 +203,7 @@ def _fit_pages(show: Show, signals: Signals, fit: Fit, truth: Array | None) -> l
     parameters = parameter_drawing(own, others)
     height = parameters.size[1] + 40
     compared = (comparison_section(own, other) for other in others)
-    sections = (numbers_of_plots(signals, fit), *compared, fit_legend(signals, fit))
+    sections = (numbers_of_plots(signals, fit), *compared, legend(signals, fit.settings, fit))
     report = _report(fit_document(signals, fit, everything=True).followed_by(*sections))
     side = rrb.Vertical(show(parameters), show(report), row_shares=[height, max(350.0, 1000.0 - height)])
     deviations = [show(deviation_drawing(own, others)), *([show(passes_drawing(fit))] if fit.iv else [])]
