@@ -90,21 +90,18 @@ def add_recordings(inputs: "argparse._ArgumentGroup") -> None:
     add_path(inputs, "--robot", "ROBOT.toml", "use this description instead of the recording's own")
 
 
-def add_settings(parser: argparse.ArgumentParser) -> "argparse._ArgumentGroup":
-    """The group of settings: what of a recording is fitted, and how it is filtered."""
+def add_settings(parser: argparse.ArgumentParser, *, method: bool = False) -> "argparse._ArgumentGroup":
+    """The group of settings: what of a recording is fitted, how it is filtered, and, with `method`, how and from which rows."""
     group = parser.add_argument_group("settings of the fit")
     add_options(group, Overrides, "cutoff_hz", "decimation", "span", "torque_lag_s")
+    if method:
+        text = (
+            "least squares, ordinary or weighted joint by joint; or instrumental variables (default: iv where every recording "
+            "has its reference, else wls)"
+        )
+        group.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
+        add_options(group, Overrides, "low_speed_percent")
     return group
-
-
-def add_method(settings: "argparse._ArgumentGroup") -> None:
-    """How parameters are estimated, and from which rows."""
-    text = (
-        "least squares, ordinary or weighted joint by joint; or instrumental variables (default: iv where every recording "
-        "has its reference, else wls)"
-    )
-    settings.add_argument("--method", choices=["ols", "wls", "iv"], help=text)
-    add_options(settings, Overrides, "low_speed_percent")
 
 
 def sources(options: argparse.Namespace) -> list["RecordingFile"]:

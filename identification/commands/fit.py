@@ -2,6 +2,7 @@
 
 import argparse
 from collections.abc import Callable
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,7 +12,6 @@ from acquisition.commands import Progress, add_flag, add_options, add_path, from
 from ..errors import IdentificationError
 from ..options import IterationOptions, Overrides
 from .arguments import (
-    add_method,
     add_recordings,
     add_settings,
     add_work,
@@ -30,8 +30,7 @@ if TYPE_CHECKING:
 def add(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     add_recordings(parser.add_argument_group("inputs"))
-    settings = add_settings(parser)
-    add_method(settings)
+    settings = add_settings(parser, method=True)
     add_flag(settings, "--essential", "keep only the parameters the recording determines well")
     consistent = parser.add_argument_group("physically consistent parameters")
     add_flag(consistent, "--consistent", "also give all standard parameters, as a physical robot can have them")
@@ -49,8 +48,8 @@ def add(parser: argparse.ArgumentParser) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Fit, write what is asked for, print the tables; 3 when the fit is not to be trusted."""
-    for name in ("start", "tolerance_percent", "max_iterations"):
-        if options.method in ("ols", "wls") and getattr(options, name) is not None:
+    for name in _given_of_iteration(options):
+        if options.method in ("ols", "wls"):
             text, key = f"does nothing with --method {options.method}", f"--{name.replace('_', '-')}"
             raise IdentificationError(text, key=key, value=getattr(options, name), expected="--method iv with it")
     if options.prior is not None and not options.consistent:
@@ -124,12 +123,15 @@ def _identify(options: argparse.Namespace, recordings: "Recordings", say: Callab
     from ..report import read_fit
 
     overrides = from_options(Overrides, options)
-    iteration = None
-    if any(getattr(options, name) is not None for name in ("start", "tolerance_percent", "max_iterations")):
-        values = None
-        if options.start not in (None, "regular", "ls"):
-            values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
-        iteration = from_options(Iteration, options, values=values)
+    values = None
+    if options.start not in (None, "regular", "ls"):
+        values = partial(stored_beta, read_fit(Path(options.start)), place=options.start)
+    iteration = from_options(Iteration, options, values=values) if _given_of_iteration(options) else None
     return identify(
         recordings, overrides, method=options.method, iteration=iteration, essential=options.essential, say=say
     )
+
+
+def _given_of_iteration(options: argparse.Namespace) -> list[str]:
+    """Those of `IterationOptions` that the user gave."""
+    return [field.name for field in fields(IterationOptions) if getattr(options, field.name) is not None]
