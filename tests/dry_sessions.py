@@ -12,7 +12,7 @@ from acquisition.bus import Frame, Master
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
-from acquisition.simulated import Mechanism, SimulatedDrives, cascaded_loops, dry_run
+from acquisition.simulated import LockStepLink, Mechanism, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
 
 
@@ -105,18 +105,18 @@ def dry_session(
     log = log_of(Recorder(path, robot, source="dry run", place="robot.toml"))
     loops = cascaded_loops(robot, typical_inertia(robot, rated_motor_effort(bus)))
     mechanism = None if plant is None else Mechanism(plant=plant, loops=loops)
-    run = dry_run(simulated(robot, drives or bus, mechanism, faults), tap=log.tap)
+    run = LockStepLink(simulated(robot, drives or bus, mechanism, faults), tap=log.tap)
     outcome, raised = None, None
     announced: list[Outcome] = []
     try:
-        master = Master(through(link=run.link), bus)
+        master = Master(through(link=run), bus)
         outcome = run_active(robot, master, log, task, stop or Stop(), announced.append)
     except BaseException as error:
         raised = error
-    until_ns = run.link.now_ns() + 200_000_000
-    while run.link.receive(until_ns):
+    until_ns = run.now_ns() + 200_000_000
+    while run.receive(until_ns):
         pass
-    recorded = log.finish(run.link.now_ns())
+    recorded = log.finish(run.now_ns())
     return DrySession(
         outcome=outcome,
         raised=raised,

@@ -21,16 +21,16 @@ from acquisition.robot import table_reference
 from acquisition.session import Operator, RecordOptions, Task, record, steady, timing
 from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import largest_delay_s, refuse_jitter
-from acquisition.simulated import SimulatedDrives, dry_run
+from acquisition.simulated import LockStepLink, SimulatedDrives
 
 
 def drives_of(text: str, **values: int) -> tuple[object, Master]:
     """A dry run of a description, with positions of the drives in counts."""
     robot = robot_of(text)
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
     for node in run.drives.nodes:
         node.values[0x6064, 0] = values.get(f"node_{node.drive.node}", 0)
-    return run, Master(run.link, bus_of(robot))
+    return run, Master(run, bus_of(robot))
 
 
 def test_joint_positions_in_words_by_hand():
@@ -119,7 +119,7 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
     else:
         ready(RecordOptions())
     assert any(mark.startswith("confirmed: joint_1") for mark in ready(RecordOptions(unsupervised_drives=True)))
-    lacks = [f for f in look(run.link, master.bus) if not f.ok]
+    lacks = [f for f in look(run, master.bus) if not f.ok]
     assert [(f.subject, f.node, f.track) for f in lacks] == ([("supervision", 2, True)] if refused else [])
     assert refusal(lacks) == ("no go for --track: supervision of node 2" if refused else "")
 
@@ -247,8 +247,8 @@ class Late(Through):
 def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s, refused):
     """Intervals of 5 ± 4 ms by turns have a standard deviation of 4 ms, and three of them are 12 ms."""
     robot = robot_of(bus_text(1, period_s=0.005))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    master = Master(Late(link=run.link, late_ns=4_000_000), bus_of(robot))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    master = Master(Late(link=run, late_ns=4_000_000), bus_of(robot))
     monkeypatch.setattr(timing, "largest_delay_s", lambda _: bound_s)
     if refused:
         with pytest.raises(AcquisitionError, match=r"SYNC jitter sd = 4.000 ms: 3 of it are more than 11.9 ms"):
@@ -261,12 +261,12 @@ def test_jitter_that_would_be_a_fault_in_motion_is_refused(monkeypatch, bound_s,
 
 def test_jitter_of_another_producer_that_sends_no_sync():
     robot = robot_of(bus_text(1, extra='sync_producer = "other"'))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    before_ns = run.link.now_ns()
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    before_ns = run.now_ns()
     with pytest.raises(AcquisitionError) as caught:
-        refuse_jitter(Master(run.link, bus_of(robot)))
+        refuse_jitter(Master(run, bus_of(robot)))
     assert (caught.value.place, caught.value.expected) == ("bus", "the other producer's")
-    assert run.link.now_ns() - before_ns == 50 * 2_000_000
+    assert run.now_ns() - before_ns == 50 * 2_000_000
 
 
 def test_the_largest_delay():

@@ -24,7 +24,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.recording import ERROR, EXTENDED, FRAME, REMOTE_REQUEST, SENT
 from acquisition.recording.rows import check_frames
 from acquisition.robot import BusFile, DriveFile
-from acquisition.simulated import dry_run
+from acquisition.simulated import LockStepLink
 
 
 def test_a_row_byte_for_byte():
@@ -258,7 +258,7 @@ def test_simulated_time_stands_still_while_anybody_speaks():
         return [(0x285, b"")]
 
     others = SimpleNamespace(boot=lambda: [(0x185, b"")], due_ns=lambda: acts[0] if acts else None, advance=advance)
-    link = dry_run(others, tap=tapped.append).link
+    link = LockStepLink(others, tap=tapped.append)
     link._time_ns = 0
     times = []
     while frame := link.receive(20):

@@ -41,7 +41,7 @@ from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
 from acquisition.session.process import DeadMan, SignsOfLife, silence_s
-from acquisition.simulated import dry_run, serve
+from acquisition.simulated import LockStepLink, serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
 LONGEST_S = 0.4  # from the last SYNC of the session to the quick stop of every drive
@@ -247,15 +247,15 @@ def test_six_slow_drives_end_without_a_word_of_the_second_stop(tmp_path):
 
 def test_an_answer_that_does_not_come_is_awaited_with_signs_of_life():
     robot = robot_of(bus_text(2))
-    run = dry_run(FaultyDrives(robot, bus_of(robot)))
+    run = LockStepLink(FaultyDrives(robot, bus_of(robot)))
     run.drives.silent.add(0)
-    master, times = Master(run.link, bus_of(robot)), list[int]()
-    began_ns = run.link.now_ns()
-    master.while_awaiting = lambda: times.append(run.link.now_ns() - began_ns)
+    master, times = Master(run, bus_of(robot)), list[int]()
+    began_ns = run.now_ns()
+    master.while_awaiting = lambda: times.append(run.now_ns() - began_ns)
     with pytest.raises(AcquisitionError, match=r"no answer in 0.3 s"):
         master.read(1, 0x6041)
     assert times == [k * 50_000_000 for k in range(6)]
-    assert run.link.now_ns() - began_ns == 300_000_000
+    assert run.now_ns() - began_ns == 300_000_000
 
 
 @pytest.mark.slow

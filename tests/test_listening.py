@@ -19,7 +19,7 @@ from acquisition.protocol import DISABLED, State
 from acquisition.recording import EXTENDED, REMOTE_REQUEST, SENT, read_recording
 from acquisition.robot import BusFile
 from acquisition.session import InlineLog, Stop, Task, replay, running
-from acquisition.simulated import SimulatedDrives, dry_run, serve
+from acquisition.simulated import LockStepLink, SimulatedDrives, serve
 
 ROBOT = robot_of(bus_text(2))
 BUS = bus_of(ROBOT)
@@ -231,8 +231,8 @@ def test_a_listed_device_that_beats_stops_no_session_in_motion(tmp_path):
     robot = robot_of(bus_text(2, extra="other_nodes = [5]"))
     session = dry_session(tmp_path / "a.mcap", TASKS[1], robot=robot, through=OtherDevice)
     assert session.outcome.reason == "finished"
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    assert not [f for f in look(OtherDevice(link=run.link), bus_of(robot)) if f.subject == "other nodes"]
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    assert not [f for f in look(OtherDevice(link=run), bus_of(robot)) if f.subject == "other nodes"]
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -373,11 +373,13 @@ def test_nmt_goes_to_our_drives_only(tmp_path):
 
 def test_a_check_beside_another_master_sends_nothing_and_says_what_it_leaves_out():
     sent: list[Frame] = []
-    run = dry_run(SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None)
-    alone = look(Neighbour(link=run.link, can_id=0x181), BUS)
+    run = LockStepLink(
+        SimulatedDrives(ROBOT, BUS), tap=lambda frame: sent.append(frame) if frame.flags & SENT else None
+    )
+    alone = look(Neighbour(link=run, can_id=0x181), BUS)
     assert sum("switch on disabled" in finding.found for finding in alone) == 2
     sent.clear()
-    (found,) = look(Neighbour(link=run.link, can_id=0x602), BUS)
+    (found,) = look(Neighbour(link=run, can_id=0x602), BUS)
     assert (found.subject, found.ok) == ("other nodes", False)
     assert found.found.startswith("bus: SDO request to node 2: another master is active")
     assert "so nothing is known of states" in found.found

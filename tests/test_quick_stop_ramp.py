@@ -11,7 +11,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 from acquisition.commands.checking import look
 from acquisition.protocol import State, quick_stop_ramp
 from acquisition.session import Stop, Task
-from acquisition.simulated import SimulatedDrives, dry_run
+from acquisition.simulated import LockStepLink, SimulatedDrives
 
 LIMIT = 2.0  # rad/s² of each joint
 ROBOT = robot_of(bus_text(2).replace("acceleration_deg_s2 = 4000", f"acceleration_deg_s2 = {np.degrees(LIMIT)}"))
@@ -82,8 +82,8 @@ def test_a_quick_stop_below_half_the_acceleration_limit_is_refused(tmp_path):
         drives = SimulatedDrives(ROBOT, bus_of(ROBOT))
         for node in drives.nodes:
             node.values[0x6085, 0] = node.initial[0x6085, 0] = round(share * COUNTS)
-        run = dry_run(drives)
-        (found,) = [f for f in look(run.link, bus_of(ROBOT)) if f.subject == "quick stop" and f.node == 2]
+        run = LockStepLink(drives)
+        (found,) = [f for f in look(run, bus_of(ROBOT)) if f.subject == "quick stop" and f.node == 2]
         assert found.ok == ok
         words = f"{np.degrees(share):.4g} deg/s², {np.radians(200) / share:.3g} s from the speed limit to rest"
         assert found.found.startswith(f"quick stop ramp {words}")

@@ -12,7 +12,7 @@ import acquisition.bus.stopping as stopping
 from acquisition.bus import Master, leave_operational, not_disabled, safe_stop, stop_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
-from acquisition.simulated import DryRun, Mechanism, SimulatedDrives, cascaded_loops, dry_run
+from acquisition.simulated import LockStepLink, Mechanism, SimulatedDrives, cascaded_loops
 from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
@@ -45,18 +45,18 @@ def moving(
     ramp: dict[int, int] | None = None,
     simulated: type[SimulatedDrives] = FaultyDrives,
     extra: str = "",
-) -> tuple[DryRun, Master, list[tuple[int, int, bytes]]]:
+) -> tuple[LockStepLink, Master, list[tuple[int, int, bytes]]]:
     """Two enabled drives, and what is sent to them from here on."""
     robot = robot_of(bus_text(2, extra=extra))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
     mechanism = Mechanism(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
-    run = dry_run(
+    run = LockStepLink(
         simulated(robot, bus, mechanism, supervised=False),
         tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),
     )
     for node in run.drives.nodes:
         node.values |= {(index, 0): value for index, value in (ramp or {}).items()}
-    master = Master(run.link, bus)
+    master = Master(run, bus)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
     if started:
@@ -66,7 +66,7 @@ def moving(
             master.write(node, 0x6040, 0, command.controlword, 2)
     for _ in range(20):
         master.sync()
-        master.wait(run.link.now_ns() + 2_000_000)
+        master.wait(run.now_ns() + 2_000_000)
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
     sent.clear()
     return run, master, sent
@@ -168,16 +168,16 @@ def test_a_drive_that_hears_no_pdo_is_stopped_by_sdo():
 def test_a_silent_drive_keeps_no_other_waiting_and_is_told():
     run, master, sent = moving(lambda t: 1.0)
     run.drives.silent.add(1)
-    began_ns = run.link.now_ns()
+    began_ns = run.now_ns()
     assert safe_stop(master) == [2]
     assert run.drives.states[0] is State.SWITCH_ON_DISABLED
     assert off_s(sent, 1) == pytest.approx(0.05, abs=0.006)
-    assert (run.link.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
+    assert (run.now_ns() - began_ns) * 1e-9 < CAP_S + 1.2
 
 
 def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2))
-    stall_ns = run.link.now_ns() + 60_000_000
+    stall_ns = run.now_ns() + 60_000_000
 
     class Stalling(Through):
         def receive(self, until_ns):
@@ -186,7 +186,7 @@ def test_a_delay_in_the_stop_is_not_made_up_for_by_a_burst_of_syncs():
                 self.link._time_ns, stall_ns = self.now_ns() + 30_000_000, 10**18
             return super().receive(until_ns)
 
-    master.link = Stalling(link=run.link)
+    master.link = Stalling(link=run)
     assert safe_stop(master) == []
     steps = np.diff([t for t, can_id, _ in sent if can_id == 0x80])
     assert steps.max() > 25_000_000
@@ -205,7 +205,7 @@ def test_a_sync_of_the_stop_that_is_late_by_less_than_a_period_moves_no_later_on
                 self.link._time_ns, self.late_ns = self.now_ns() + self.late_ns, 0
             return frame
 
-    master.link = Late(link=run.link)
+    master.link = Late(link=run)
     assert safe_stop(master) == []
     steps_ms = np.diff([t for t, can_id, _ in sent if can_id == 0x80]) // 1_000_000
     assert steps_ms[18:22].tolist() == [2, 3, 1, 2]
@@ -213,7 +213,7 @@ def test_a_sync_of_the_stop_that_is_late_by_less_than_a_period_moves_no_later_on
 
 def test_the_orders_of_a_stop_keep_to_the_sync_of_another_producer():
     run, master, sent = moving(lambda t: max(0.0, 1 - t / 0.2), extra='sync_producer = "other"')
-    master.link = SyncOfAnother(link=run.link, next_ns=run.link.now_ns() + 2_000_000)
+    master.link = SyncOfAnother(link=run, next_ns=run.now_ns() + 2_000_000)
     assert safe_stop(master) == []
     words = [can_id for _, can_id, _ in sent if can_id in (0x80, 0x201)]
     assert len(words) > 100
@@ -242,8 +242,8 @@ def test_a_fault_is_disabled_and_a_bus_that_takes_nothing_ends_too(monkeypatch):
     def refuse(*_):
         raise AcquisitionError("bus: gone")
 
-    monkeypatch.setattr(run.link, "send", refuse)
-    monkeypatch.setattr(run.link, "receive", refuse)
+    monkeypatch.setattr(run, "send", refuse)
+    monkeypatch.setattr(run, "receive", refuse)
     assert safe_stop(master) == [1, 2]
 
 
@@ -251,21 +251,21 @@ def test_after_it_no_session_can_enable_by_pdo():
     run, master, _ = moving(lambda t: 0.0)
     assert safe_stop(master) == []
     leave_operational(master)
-    master.wait(run.link.now_ns() + 1_000_000)
+    master.wait(run.now_ns() + 1_000_000)
     for word in (0x06, 0x07, 0x0F):
         for node in (1, 2):
-            run.link.send(0x200 + node, word.to_bytes(2, "little") + bytes(4))
+            run.send(0x200 + node, word.to_bytes(2, "little") + bytes(4))
         master.sync()
-        master.wait(run.link.now_ns() + 2_000_000)
+        master.wait(run.now_ns() + 2_000_000)
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
 
 
 def test_disable_and_the_second_stop_leave_every_node_in_pre_operational(monkeypatch):
     run, master, _ = moving(lambda t: 0.0)
-    monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run.link)
-    monkeypatch.setattr(run.link, "close", lambda: None)
+    monkeypatch.setattr(stopping, "open_link", lambda *_, **__: run)
+    monkeypatch.setattr(run, "close", lambda: None)
     assert stop_drives(master.bus) == []
-    master.wait(run.link.now_ns() + 1_000_000)
+    master.wait(run.now_ns() + 1_000_000)
     assert [node.nmt for node in run.drives.nodes] == [127, 127]
     assert run.drives.states == [State.SWITCH_ON_DISABLED] * 2
 

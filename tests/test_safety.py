@@ -33,8 +33,8 @@ from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
-from acquisition.session import Operator, ProcessLog, RecordOptions, Role, Stop, Task, record, stop_on_signals
-from acquisition.simulated import SimulatedDrives, dry_run, serve
+from acquisition.session import Operator, RecordOptions, Stop, Task, record, stop_on_signals
+from acquisition.simulated import LockStepLink, SimulatedDrives, serve
 from acquisition.simulated.node import SimulatedNode
 
 TRACK = Task(reference=swing(2))
@@ -96,8 +96,8 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     assert session.outcome.reason == "finished"
     assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
     robot = robot_of(bus_text(2))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    findings = look(run.link, bus_of(robot))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    findings = look(run, bus_of(robot))
     assert [f.ok for f in findings if f.subject == "state"] == [False, False]
 
 
@@ -170,8 +170,8 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     eds = needs_data("eds", "nanotec_CL4-E-2-12.eds")
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
     robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    found = {f.subject: f.found for f in look(run.link, bus_of(robot))}
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    found = {f.subject: f.found for f in look(run, bus_of(robot))}
     assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
     assert "robot.toml: 65536 counts per turn" in found["scale"]
 
@@ -428,7 +428,7 @@ def test_a_hangup_that_is_ignored_stays_so():
 @pytest.mark.slow
 def test_a_recorder_that_hangs_is_noticed(tmp_path, monkeypatch):
     monkeypatch.setattr(recorder_logs, "SILENT_S", 1.0)
-    log = ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", Role.FED)
+    log = recorder_logs.ProcessLog(tmp_path / "a.mcap", robot_of(bus_text(1)), "robot.toml", recorder_logs.Role.FED)
     until_s = time.monotonic() + 10
     while log.poll(time.time_ns()) is None:  # it lives
         assert time.monotonic() < until_s

@@ -18,7 +18,7 @@ from acquisition.recording import SENT
 from acquisition.robot import approach, check_limits, table_reference
 from acquisition.session import Stop, Task
 from acquisition.session.session import _Session
-from acquisition.simulated import SimulatedDrives, dry_run
+from acquisition.simulated import LockStepLink, SimulatedDrives
 from acquisition.simulated.node import SimulatedNode
 
 LISTENED_NS = 1_500_000_000  # simulated time begins at 1 s; half a second of listening
@@ -314,9 +314,9 @@ def test_an_exception_in_any_phase(tmp_path, monkeypatch, method, error):
 def test_a_description_that_disagrees_with_the_drive_is_refused_before_start(tmp_path, change, expected):
     robot = robot_of(bus_text(2))
     other = robot_of(bus_text(2).replace(*change))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
     session_bus = bus_of(other)
-    session = _Session(other, Master(run.link, session_bus), _NoLog(), Task(duration_s=1.0), Stop())
+    session = _Session(other, Master(run, session_bus), _NoLog(), Task(duration_s=1.0), Stop())
     with pytest.raises(AcquisitionError, match=re.escape(expected)):
         session.prepare()
     assert not any(node.operational for node in run.drives.nodes)
@@ -450,8 +450,8 @@ def test_the_mode_is_awaited(tmp_path, monkeypatch, reads, fault):
 
 def test_a_statusword_from_before_start_counts_for_nothing():
     bus = bus_of(robot_of(bus_text(2)))
-    run = dry_run(SimulatedDrives(robot_of(bus_text(2)), bus))
-    master = Master(run.link, bus)
+    run = LockStepLink(SimulatedDrives(robot_of(bus_text(2)), bus))
+    master = Master(run, bus)
     master.dispatch(Frame(0, 0x181, bytes.fromhex("3702e8030000") + bytes(2)))
     assert (master.nodes[0].state, master.nodes[0].counts) == (State.OPERATION_ENABLED, 1000)
     master.start()

@@ -15,7 +15,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.protocol import State
 from acquisition.robot.bus import dictionary_label
 from acquisition.session import Task
-from acquisition.simulated import SimulatedDrives, TablePlant, dry_run
+from acquisition.simulated import LockStepLink, SimulatedDrives, TablePlant
 from acquisition.simulated.mechanism import JointwisePlant, typical_plant
 
 VENDORS = {
@@ -71,15 +71,15 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     session = dry_session(tmp_path / "a.mcap", Task(duration_s=0.2), robot=robot)
     assert session.recorded.warnings == (warning,)
     assert session.events("warning") == [warning]
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    found = [(f.subject, f.node, f.ok) for f in look(run.link, bus_of(robot)) if f.found == warning]
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    found = [(f.subject, f.node, f.ok) for f in look(run, bus_of(robot)) if f.found == warning]
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 
 def test_another_drive_than_the_dictionary_says_is_told():
     robot = robot_with("elmo_Gold.dcf", n=1)
-    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    master = Master(made.link, bus_of(robot))
+    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    master = Master(made, bus_of(robot))
     assert master.differences() == []
     made.drives.nodes[0].values[0x1018, 1] = 0x123
     assert master.differences() == ["node 1: vendor (1018:1) = 0x123: expected 0x9A as its dictionary says"]
@@ -88,8 +88,8 @@ def test_another_drive_than_the_dictionary_says_is_told():
 @pytest.fixture
 def run():
     robot = robot_of(bus_text(1))
-    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    return made, Master(made.link, bus_of(robot))
+    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    return made, Master(made, bus_of(robot))
 
 
 def test_sdo_server_refuses_what_a_drive_refuses(run):
@@ -136,7 +136,7 @@ def test_a_reset_node_has_forgotten_its_mapping(run):
     master.configure()
     assert len(made.drives.nodes[0].tpdos) == 1
     master.nmt(129, 1)
-    master.wait(made.link.now_ns() + 10_000_000)
+    master.wait(made.now_ns() + 10_000_000)
     assert master.nodes[0].booted
     assert made.drives.nodes[0].tpdos == ()
 
@@ -174,7 +174,7 @@ def test_plants_at_their_ends():
 def test_a_boot_up_counts_as_the_first_heartbeat():
     """CiA 301: a drive whose dictionary asks for heartbeats sends the first one a heartbeat time after its boot-up."""
     robot = robot_of(bus_text(1))
-    made = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    made = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
     made.drives.set_heartbeats(100)
     assert made.drives.boot() == [(0x701, b"\0")]
     assert made.drives.advance(1_000_000_000) == []

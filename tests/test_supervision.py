@@ -13,7 +13,7 @@ from acquisition.commands.checking import look
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
-from acquisition.simulated import DryRun, SimulatedDrives, dry_run
+from acquisition.simulated import LockStepLink, SimulatedDrives
 from acquisition.simulated import node as simulated_supervision
 from acquisition.simulated.node import SimulatedNode
 
@@ -53,11 +53,11 @@ def test_without_motion_there_is_no_heartbeat(tmp_path):
     assert not (frames["can_id"] == 0x77F).any()
 
 
-def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[DryRun, Master, MasterHeartbeat]:
+def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[LockStepLink, Master, MasterHeartbeat]:
     """Two drives in operation enabled, whose master has sent one heartbeat and now says nothing more."""
     robot = robot_of(bus_text(2))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot), supervised=supervised))
-    master = Master(run.link, bus_of(robot))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot), supervised=supervised))
+    master = Master(run, bus_of(robot))
     heartbeat = MasterHeartbeat(master)
     master.configure()
     master.choose_mode(Mode.CYCLIC_SYNCHRONOUS_POSITION)
@@ -68,7 +68,7 @@ def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[DryR
         for command in (Command.SHUTDOWN, Command.SWITCH_ON, Command.ENABLE_OPERATION):
             master.write(node.drive.node, 0x6040, 0, command.controlword, 2)
     master.sync()
-    master.wait(run.link.now_ns() + MS)
+    master.wait(run.now_ns() + MS)
     return run, master, heartbeat
 
 
@@ -84,10 +84,10 @@ def enabled(*, abort_connection: int = 1, supervised: bool = True) -> tuple[DryR
 def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, state):
     monkeypatch.setattr(simulated_supervision, "SYNC_LOST_NS", 3600 * 10**9)
     run, master, _ = enabled(abort_connection=option)
-    master.wait(run.link.now_ns() + 298 * MS)
+    master.wait(run.now_ns() + 298 * MS)
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
     assert master.nodes[0].emergency is None
-    master.wait(run.link.now_ns() + 3 * MS)
+    master.wait(run.now_ns() + 3 * MS)
     assert run.drives.states == [state] * 2
     assert master.nodes[0].emergency == 0x8130
 
@@ -95,7 +95,7 @@ def test_a_drive_reacts_to_a_lost_heartbeat_as_6007_says(monkeypatch, option, st
 def test_an_unsupervised_drive_notices_nothing():
     run, master, heartbeat = enabled(abort_connection=0, supervised=False)
     assert ["not there" in text or "does not exist" in text for text in heartbeat.request()] == [True, True]
-    master.wait(run.link.now_ns() + 2000 * MS)
+    master.wait(run.now_ns() + 2000 * MS)
     assert run.drives.states == [State.OPERATION_ENABLED] * 2
 
 
@@ -149,13 +149,13 @@ def test_a_master_under_the_id_of_a_drive_is_refused():
 
 def supervision(values: dict[tuple[int, int], int], *missing: int) -> str:
     robot = robot_of(bus_text(1))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
     node = run.drives.nodes[0]
     node.types |= {(0x1029, 1): "U8", (0x1400, 5): "U16"}
     node.values |= {(0x1029, 1): 1, (0x1400, 5): 0} | values
     for key in [key for key in node.values if key[0] in missing]:
         del node.values[key]
-    master = Master(run.link, bus_of(robot))
+    master = Master(run, bus_of(robot))
     text = "\n".join(" = ".join(pair) for pair in supervision_of(master, master.bus.drives[0]))
     return text
 
@@ -190,8 +190,8 @@ def test_supervision_in_words(values, missing, expected):
 
 def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
-    run = dry_run(SimulatedDrives(robot, bus_of(robot)))
-    (reaction,) = [f for f in look(run.link, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
+    run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
+    (reaction,) = [f for f in look(run, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
     assert reaction.found.startswith("1: fault")
     file = bus_of(robot).file
     assert second_stop(file).startswith("the recorder's process stops the drives")
@@ -215,7 +215,7 @@ def test_a_second_session_on_the_same_simulated_drives():
     """The consumer of the first one does not time out again when its entry is written once more."""
     run, master, heartbeat = enabled()
     heartbeat.release([1, 2])
-    master.wait(run.link.now_ns() + 2000 * MS)
+    master.wait(run.now_ns() + 2000 * MS)
     heartbeat.request()
-    master.wait(run.link.now_ns() + 100 * MS)
+    master.wait(run.now_ns() + 100 * MS)
     assert [watch.emergency for watch in master.nodes] == [0x8700] * 2  # SYNC is lost, the master is not

@@ -90,17 +90,14 @@ def sign_of_master(frame: Frame, bus: Bus) -> str | None:
     if frame.flags & EXTENDED:
         return None
     function, node = frame.can_id & 0x780, frame.can_id & 0x7F
-    from_drives = {pdo.can_id for drive in bus.drives for pdo in drive.tpdos}
-    to_drives = {pdo.can_id for drive in bus.drives for pdo in drive.rpdos}
     if frame.can_id == bus.file.sync_can_id:
         return service if bus.file.sync_producer == "recorder" else None
-    if frame.flags & REMOTE_REQUEST or frame.can_id == 0 or frame.can_id in to_drives or (function == REQUEST and node):
+    if frame.flags & REMOTE_REQUEST or frame.can_id in command_ids(bus) or (function == REQUEST and node):
         return service
     if function == HEARTBEAT and node == bus.file.master_node and not _is_boot_up(frame):
         return f"{service}, which is master_node of robot.toml"
-    if frame.can_id not in from_drives and service.startswith("RPDO"):
-        return service
-    return None
+    from_drives = {pdo.can_id for drive in bus.drives for pdo in drive.tpdos}
+    return service if frame.can_id not in from_drives and service.startswith("RPDO") else None
 
 
 def _is_boot_up(frame: Frame) -> bool:

@@ -16,7 +16,6 @@ from .frames import block_of, frame_of
 from .links import is_no_frame, socket_of
 
 _CAN_FRAME = np.dtype([("can_id", "<u4"), ("length", "u1"), ("pad", "u1", (3,)), ("data", "u1", (8,))])
-
 _TIMESPEC_BYTES = 16
 
 

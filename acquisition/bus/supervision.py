@@ -130,7 +130,6 @@ OPTIONS = {
     ERROR_BEHAVIOUR: {0: "pre-operational", 1: "no change of the NMT state", 2: "stopped"},
 }
 _STOPS = dict(zip(STOP_OPTIONS, ("quick stop", "shutdown", "disable operation", "fault reaction"), strict=True))
-
 NOT_THERE = "not there"
 Property = tuple[str, str]  # of a drive: its name, and what was found
 

@@ -1,7 +1,6 @@
 """The one loop that sends: record, enable, track, stop; its guards; the recorder, and the second stop, in another process."""
 
-from .logs import InlineLog, ProcessLog
-from .process import Role
+from .logs import InlineLog
 from .recorder import Recorded, Recorder, Status, write_decoded
 from .running import Operator, RecordOptions, record, replay, stop_on_signals
 from .session import Outcome, Stop, Task, run_active

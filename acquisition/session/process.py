@@ -27,6 +27,8 @@ from ..recording import FRAME, SENT
 from ..robot import Bus, BusFile, Robot, resolve, robot_from_files
 from .recorder import Recorded, Recorder
 
+BLOCK_S = 0.1
+STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
 SILENT_S = 0.3
 SILENT_PERIODS = 3  # of SYNC, where they are longer
 ALIVE, ENDED = b"\1", b"\0"
@@ -118,10 +120,6 @@ class DeadMan:
 
     def _event(self, kind: str, text: str) -> None:
         self.events.append((time.time_ns(), kind, text))
-
-
-BLOCK_S = 0.1
-STOPPING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)  # handled by the session's process
 
 
 class Role(Enum):

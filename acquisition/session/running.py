@@ -28,7 +28,7 @@ from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
 from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, table_reference
-from ..simulated import SimulatedDrives, describe_loops, dry_run, mechanism_of
+from ..simulated import LockStepLink, SimulatedDrives, describe_loops, mechanism_of
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
@@ -119,10 +119,10 @@ def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
     with closing(log):
-        run = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
+        link = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
         if mechanism.warning is not None:
-            log.event(run.link.now_ns(), "warning", f"dry run: {mechanism.warning}")
-        yield run.link, log
+            log.event(link.now_ns(), "warning", f"dry run: {mechanism.warning}")
+        yield link, log
 
 
 @contextmanager

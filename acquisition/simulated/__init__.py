@@ -1,6 +1,6 @@
 """Simulated CiA 402 drives, the plants they move, and dry runs of a session."""
 
-from .drives import DryRun, SimulatedDrives, dry_run, serve
+from .drives import LockStepLink, SimulatedDrives, serve
 from .mechanism import (
     SUBSTEPS,
     LoopGains,

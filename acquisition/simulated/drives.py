@@ -7,7 +7,6 @@ period. Time is that of the frames passed in, so a run in lock-step repeats bit 
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -239,10 +238,13 @@ IDLE_HEARTBEAT_MS = 200  # until a master sets another: a master that listens fi
 
 
 class LockStepLink(Link):
-    """A link to simulated drives in simulated time, which advances only when nobody has a frame to send or take."""
+    """The link of a session to simulated drives, which it boots; every run with the same drives gives the same frames.
 
-    def __init__(self, drives: SimulatedDrives, tap: Tap | None) -> None:
-        self._drives, self._tap, self._time_ns = drives, tap, 1_000_000_000
+    Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
+    """
+
+    def __init__(self, drives: SimulatedDrives, *, tap: Tap | None = None) -> None:
+        self.drives, self._tap, self._time_ns = drives, tap, 1_000_000_000
         self._to_drives, self._from_drives = deque[tuple[int, bytes]](), deque(drives.boot())
 
     def now_ns(self) -> int:
@@ -258,15 +260,15 @@ class LockStepLink(Link):
     def receive(self, until_ns: int) -> Frame | None:
         """As `Link.receive`."""
         while not self._from_drives:
-            due_ns = self._drives.due_ns()
+            due_ns = self.drives.due_ns()
             if self._to_drives:
-                self._from_drives += self._drives.receive(self._time_ns, *self._to_drives.popleft())
+                self._from_drives += self.drives.receive(self._time_ns, *self._to_drives.popleft())
                 continue
             if due_ns is not None and due_ns <= self._time_ns:
-                self._from_drives += self._drives.advance(self._time_ns)
+                self._from_drives += self.drives.advance(self._time_ns)
                 if self._from_drives:
                     break
-                due_ns = self._drives.due_ns()
+                due_ns = self.drives.due_ns()
             if self._time_ns >= until_ns:
                 return None
             self._time_ns = until_ns if due_ns is None else max(min(until_ns, due_ns), self._time_ns + 1)
@@ -274,22 +276,6 @@ class LockStepLink(Link):
         if self._tap is not None:
             self._tap(frame)
         return frame
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DryRun:
-    """The link of a session in simulated time, and the drives at the other end."""
-
-    link: LockStepLink
-    drives: SimulatedDrives
-
-
-def dry_run(drives: SimulatedDrives, *, tap: Tap | None = None) -> DryRun:
-    """Boot simulated drives, in lock-step with the link of a session; every run with the same drives gives the same frames.
-
-    Time is simulated: it advances only when the link waits. `tap` is called with every frame that the link sends or receives.
-    """
-    return DryRun(link=LockStepLink(drives, tap), drives=drives)
 
 
 def serve(drives: SimulatedDrives, stopped: Callable[[], bool], ready: Callable[[], None] = lambda: None) -> None:

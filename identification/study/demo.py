@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.bus import Master
 from acquisition.robot import Robot, resolve
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
-from acquisition.simulated import SUBSTEPS, Mechanism, SimulatedDrives, describe_loops, dry_run
+from acquisition.simulated import SUBSTEPS, LockStepLink, Mechanism, SimulatedDrives, describe_loops
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -50,11 +50,11 @@ def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *,
     bus = resolve(robot, place)
     source = "simulated drives before the rigid robot of [parameters]"
     log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))
-    simulated = dry_run(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
+    simulated = LockStepLink(SimulatedDrives(robot, bus, mechanism), tap=log.tap)
     try:
         say(f"simulated drives: {DURATION_S:g} s on the bus")
-        outcome = run_active(robot, Master(simulated.link, bus), log, Task(reference=q_ref, place="reference"), Stop())
-        log.finish(simulated.link.now_ns())
+        outcome = run_active(robot, Master(simulated, bus), log, Task(reference=q_ref, place="reference"), Stop())
+        log.finish(simulated.now_ns())
     finally:
         log.close()
     if outcome.fault:
