@@ -44,6 +44,11 @@ EFFORT_UNITS = {
     "mN m": ("N m", 1e-3),
     "N": ("N", 1.0),
 }
+# Efforts that are of one side only, and why.
+ONE_SIDE: Mapping[str, tuple[Side, str]] = {
+    "known_torque": ("joint", "where it acts"),
+    "feedforward": ("motor", "where the controller's output acts"),
+}
 
 
 class Quantity(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -97,20 +102,13 @@ class Source:
         joint_effort, rule = effort_at_joint(self.robot, values, side)
         return joint_effort, f"{origin}; {rule}"
 
-    def known_torque(self, key: str, quantity: Quantity) -> Array:
-        """Known torques (N, n) on the joints in N m, forces in N."""
-        if not self.robot.gain_known:
+    def effort_of_one_side(self, key: str, quantity: Quantity) -> Array:
+        """Known torques (N, n) on the joints in N m, forces in N; feed-forward by motor in the units of the recorded effort."""
+        side, why = ONE_SIDE[key]
+        if side == "joint" and not self.robot.gain_known:
             problem = "cannot be added to efforts in " + one(self.robot.effort_units)
             expected = "the drive gains in robot.toml, which make them N m or N"
             self.place.refuse(key, expected=expected, text=problem)
-        return self._effort_at(key, quantity, "joint", "where it acts")
-
-    def feedforward(self, key: str, quantity: Quantity) -> Array:
-        """What is added to the controller's output (N, n), by motor, in the units of the recorded effort."""
-        return self._effort_at(key, quantity, "motor", "where the controller's output acts")
-
-    def _effort_at(self, key: str, quantity: Quantity, side: Side, why: str) -> Array:
-        """Efforts (N, n) that can only be of one side, as they are there."""
         if quantity.side not in (None, side):
             self.place.refuse(f"{key}.side", quantity.side, f"{side!r}, {why}")
         units, values = self._read(key, quantity, EFFORT_UNITS)

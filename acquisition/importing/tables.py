@@ -111,10 +111,10 @@ def _parts(source: Source, table_map: TableMap) -> tuple[dict[str, Array], str]:
     parts["effort"], provenance = source.effort("effort", table_map.effort)
     if table_map.reference is not None:
         parts["reference"] = source.position("reference", table_map.reference)
-    for name, read in zip(OPTIONAL, (source.velocity, source.known_torque, source.feedforward), strict=True):
+    for name in OPTIONAL:
         quantity = getattr(table_map, name)
         if quantity is not None:
-            parts[name] = read(name, quantity)
+            parts[name] = (source.velocity if name == "velocity" else source.effort_of_one_side)(name, quantity)
     return parts, provenance
 
 

@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from acquisition.robot import FrictionTerm, LowSpeed, Robot, low_speed_by_method
+from acquisition.robot import FrictionTerm, LowSpeed, Robot
 
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
@@ -113,7 +113,7 @@ def fits_with(choice: TermChoice, overrides: Overrides) -> tuple[Fit, Fit]:
 
 def in_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
     """The same with least squares in the rows of instrumental variables, where nothing else is asked for."""
-    stored = low_speed_by_method(robot.identification.low_speed)
+    stored = robot.identification.low_speed
     rows = LowSpeed(ls=stored.iv, iv=stored.iv) if overrides.low_speed_percent is None else overrides.low_speed_percent
     return replace(overrides, low_speed_percent=rows)
 
