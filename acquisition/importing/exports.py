@@ -66,7 +66,7 @@ def export_bag(path: Path, out: Path, warn: Callable[[str], None] = lambda text:
             if field in fields
         }
         for part in in_parts(samples):
-            around = slice(max(0, first - 1), first + len(part) + 1)
+            around = slice(max(0, first - 1), first + len(part) + 1)  # central differences need a neighbour
             speeds: dict[str, Array] = {
                 field: _derivative(samples[field][around], t_s[around])[first - around.start :] for field in channels
             }

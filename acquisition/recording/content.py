@@ -206,16 +206,13 @@ class _Chunks:
                 schema = mcap.records.Schema.read(_stream(content[begin:end]))
                 self._schemas[schema.id] = schema.data.decode()
             elif opcode == Opcode.CHANNEL:
-                self._describe(mcap.records.Channel.read(_stream(content[begin:end])))
-
-    def _describe(self, channel: Any) -> None:
-        self._channels[channel.id] = None
-        if self._wanted(channel.topic):
-            layout = self._schemas.get(channel.schema_id, "")
-            topic = self.messages.setdefault(channel.topic, Messages(layout))
-            if topic.layout != layout:
-                raise ValueError(f"{channel.topic} changes its layout")
-            self._channels[channel.id] = topic
+                channel = mcap.records.Channel.read(_stream(content[begin:end]))
+                layout, topic = self._schemas.get(channel.schema_id, ""), None
+                if self._wanted(channel.topic):
+                    topic = self.messages.setdefault(channel.topic, Messages(layout))
+                    if topic.layout != layout:
+                        raise ValueError(f"{channel.topic} changes its layout")
+                self._channels[channel.id] = topic
 
 
 def _unpacked(chunk: Any) -> bytes:

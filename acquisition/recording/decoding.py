@@ -43,7 +43,7 @@ class PdoCount:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Decoded:
-    """Joint samples, made when they are asked for, and counters that tell how complete and how even they are.
+    """Joint samples, made when they are asked for, and how complete and how even they are.
 
     Attributes:
         rows: of each PDO the (N,) frames that samples are made of. SYNCs that a drive did not answer are left out, and those

@@ -126,14 +126,11 @@ def _drive(robot: Robot, i: int, place: str, traffic: Mapping[int, Values] | Non
 def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: Entry, at: Place) -> tuple[Pdo, ...]:
     """The PDOs of one direction, as described, or those of the `default` objects in as few as their order allows."""
     found = []
-    files: tuple[PdoFile | None, ...] = getattr(file, way)
-    wanted = [tuple(entry(f"{way}[{k}].objects", name) for name in pdo.objects) for k, pdo in enumerate(files) if pdo]
-    if not files:
-        wanted = _packed(default)
-        files = (None,) * len(wanted)
-    for k, (written, entries) in enumerate(zip(files, wanted, strict=True)):
-        number = (written.number if written else None) or k + 1
-        can_id = (written.can_id if written else None) or usual_can_id(way, number, file.node)
+    files: tuple[PdoFile, ...] = getattr(file, way) or _packed(default)
+    for k, written in enumerate(files):
+        entries = tuple(entry(f"{way}[{k}].objects", name) for name in written.objects)
+        number = written.number or k + 1
+        can_id = written.can_id or usual_can_id(way, number, file.node)
         if can_id is None:
             at.refuse(f"{way}[{k}].can_id", None, "one: only the first four PDOs have a usual one")
         pdo = Pdo(number=number, can_id=can_id, entries=entries)
@@ -145,13 +142,13 @@ def _pdos(way: str, file: DriveFile, default: tuple[ObjectEntry, ...], entry: En
     return tuple(found)
 
 
-def _packed(entries: tuple[ObjectEntry, ...]) -> list[tuple[ObjectEntry, ...]]:
+def _packed(entries: tuple[ObjectEntry, ...]) -> tuple[PdoFile, ...]:
     parts: list[tuple[ObjectEntry, ...]] = [()]
     for entry in entries:
         if sum(e.bits for e in parts[-1]) + entry.bits > MAX_PDO_BITS:
             parts.append(())
         parts[-1] += (entry,)
-    return parts
+    return tuple(PdoFile(objects=tuple(map(str, part))) for part in parts)
 
 
 def _effort(file: DriveFile, word: str, entry: ObjectEntry, motor: Motor, at: Place) -> EffortCodec:
