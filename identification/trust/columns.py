@@ -239,7 +239,7 @@ def _to_describe(joint: Joint, term: str, otherwise: str) -> str:
 def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
     """Torque per rad that gravity is turned by about the base's x and y; of what the estimate tells of the links alone."""
     robot, idm = evidence.problem.signals.robot, evidence.problem.model
-    links = np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0)
+    links = np.where(idm.of_links, chi, 0.0)
     gravity = np.array(robot.gravity)
     for axis, about in zip(np.eye(3), "xyz", strict=True):
         turned = np.cross(axis, gravity)
@@ -252,7 +252,7 @@ def _tilts(evidence: Evidence, chi: Array, q: Array) -> Iterator[_Column]:
 def _frictions(evidence: Evidence, chi: Array) -> Iterator[_Column]:
     """Friction by the root of speed along each direction of Coulomb friction, and by the load of each joint."""
     robot, idm = evidence.problem.signals.robot, evidence.problem.model
-    links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
+    links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
     roots, loads = list[Array](), list[Array]()
     for part in evidence.recordings:
         motion, decimation = _motion(part, evidence.method)
