@@ -40,7 +40,8 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
-    found = [_expected_link(of, j, values[columns]) for j, columns in enumerate(link_columns(of))]
+    of_urdf = of.link_parameters()
+    found = [_expected_link(of, j, values[columns], of_urdf[j]) for j, columns in enumerate(link_columns(of))]
     links = np.array([link for link, _ in found])
     if prior is not None:
         T = _frames_of(idm, prior)
@@ -207,10 +208,8 @@ def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
     return row[None, None], terms[0], text
 
 
-def _expected_link(idm: InverseModel, j: int, described: Array) -> tuple[Array, str]:
+def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) -> tuple[Array, str]:
     """Ten parameters of link j: those described, those of the URDF, or those of a rod to the next joint; and which of them."""
-    inertia = idm.model.inertias[j + 1]
-    of_urdf = np.asarray(inertia.toDynamicParameters())[list(FROM_PINOCCHIO)]
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source
