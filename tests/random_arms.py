@@ -57,7 +57,8 @@ def random_estimate(
     chi = np.zeros(idm.p)
     for columns in physical.links:
         chi[columns] = random_body(rng)
-    rows, shares = own_shares(idm)
+    terms, shares = own_shares(idm)
+    rows = list(terms)
     chi[rows] = np.linalg.solve(shares[:, rows], rng.lognormal(-1.0, 1.0, len(rows)))
     q, dq, ddq = (rng.uniform(-s, s, (ROWS, idm.robot.n)) for s in (2.0, 1.5, 4.0))
     W = idm.regressor(q, dq, ddq)

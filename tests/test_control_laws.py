@@ -178,8 +178,9 @@ def test_viscous_friction_of_each_direction_slows_its_own(way):
     Fv, Fc = (160.0, 15.0) if way > 0 else (240.0, 25.0)
     model = direct_model(dynamics, chi)
     one = np.ones(1)
-    assert model.inverse(0 * one, way * 0.2 * one, 0 * one, way * one) == pytest.approx(way * (Fv * 0.2 + Fc))
-    row = dynamics.regressor(0 * one[None], way * 0.2 * one[None], 0 * one[None])[0, 0] @ chi
+    zero, speed = np.zeros((1, 1)), np.full((1, 1), way * 0.2)
+    assert model.torque(zero, speed, zero) == pytest.approx(way * (Fv * 0.2 + Fc))
+    row = dynamics.regressor(zero, speed, zero)[0, 0] @ chi
     assert row == pytest.approx(way * (Fv * 0.2 + Fc))
     zero = np.zeros((TICKS, 1))
     loop = ControlLaw(

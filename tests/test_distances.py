@@ -58,12 +58,12 @@ def points_of(solid):
 @pytest.mark.parametrize("solid", list(solids()), ids=lambda solid: type(solid).__name__)
 def test_a_capsule_holds_its_shape(solid):
     solid.computeLocalAABB()
-    found = bounding_capsule(solid)
+    ends, radius = bounding_capsule(solid)
     points = points_of(solid)
-    axis = np.broadcast_to(found.ends, (len(points), 2, 3))
+    axis = np.broadcast_to(ends, (len(points), 2, 3))
     apart = segments_apart(axis, np.stack([points, points], axis=1))
-    assert apart.max() <= found.radius + 1e-12
-    assert found.radius <= 1.001 * np.ptp(points, axis=0).max()
+    assert apart.max() <= radius + 1e-12
+    assert radius <= 1.001 * np.ptp(points, axis=0).max()
 
 
 def test_the_nearest_pair_is_found_though_not_all_are_looked_at():

@@ -57,7 +57,7 @@ def tilted_arm() -> Robot:
 def test_regressor_is_that_of_pinocchio_also_across_the_borders_of_blocks(robot):
     """The arm has tilted axes, a slide and gravity that is tilted too; 4099 samples are two blocks and three."""
     dynamics = InverseModel(tilted_arm() if robot == "arm" else robot_named(robot))
-    n, links = dynamics.robot.n, [c for c in range(dynamics.p) if dynamics.is_link_parameter(c)]
+    n, links = dynamics.robot.n, np.flatnonzero(dynamics.of_links)
     q, dq, ddq = states(n, 4099)
     W = dynamics.regressor(q, dq, ddq)
     data, order = dynamics.model.createData(), list(FROM_PINOCCHIO)

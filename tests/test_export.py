@@ -40,7 +40,8 @@ def values_of(model, seed=1):
     physical, rng = physical_parameters(model), np.random.default_rng(seed)
     chi = physical.start.copy()
     chi[physical.links] *= rng.uniform(0.5, 2.0, (len(physical.links), 1))
-    rows, shares = own_shares(model)
+    terms, shares = own_shares(model)
+    rows = list(terms)
     chi[rows] = np.linalg.solve(shares[:, rows], rng.uniform(0.1, 2.0, len(rows)))
     for c, source in enumerate(model.sources):
         if isinstance(source, JointTerm) and c not in rows:

@@ -63,15 +63,15 @@ class BaseParameters:
 
     def without(self, names: Collection[str]) -> "BaseParameters":
         """The others, for a model that lacks these: friction terms that are regrouped with nothing."""
-        kept = np.array([name not in names for name in self.names])
+        left = [i for i, name in enumerate(self.names) if name not in names]
         return replace(
             self,
-            names=tuple(x for x, keep in zip(self.names, kept, strict=True) if keep),
-            expressions=tuple(x for x, keep in zip(self.expressions, kept, strict=True) if keep),
-            units=tuple(x for x, keep in zip(self.units, kept, strict=True) if keep),
-            columns=self.columns[kept],
-            K=self.K[kept],
-            links=self.links[kept],
+            names=tuple(self.names[i] for i in left),
+            expressions=tuple(self.expressions[i] for i in left),
+            units=tuple(self.units[i] for i in left),
+            columns=self.columns[left],
+            K=self.K[left],
+            links=self.links[left],
         )
 
 
@@ -88,7 +88,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     norms = np.linalg.norm(W, axis=0)
     apart = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
     # All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it.
-    order = sorted(range(dynamics.p), key=lambda c: (not dynamics.is_link_parameter(c), c))
+    order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))
     present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in apart]
     scaled = W[:, present] / norms[present]
     R = np.linalg.qr(scaled, mode="r")
@@ -115,7 +115,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
         columns=columns,
         K=K,
         masses=np.array([c for c in range(dynamics.p) if dynamics.names[c] in link_masses]),
-        links=np.array([dynamics.is_link_parameter(int(c)) for c in columns]),
+        links=dynamics.of_links[columns],
     )
 
 

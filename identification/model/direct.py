@@ -81,15 +81,17 @@ class DirectModel:
                 g[k] += pin.computeGeneralizedGravity(rigid, self.data, qk)
         return g
 
-    def inverse(self, q: Array, dq: Array, ddq: Array, dq_sign: Array) -> Array:
-        """Torque (n,) at one state; Coulomb friction takes its signs from `dq_sign`, such as a reference without noise."""
-        rigid = self.of_links(q, dq, ddq)
-        return rigid + self._of_joints(dq, ddq, dq_sign, rigid)
+    def torque(self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None) -> Array:
+        """Torque (N, n) along a motion q, dq, ddq (N, n).
 
-    def torque(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """Torque (N, n) along a motion q, dq, ddq (N, n)."""
+        Friction has the signs of `dq_sign` (N, n), where it is given: of a reference without noise.
+        """
         rigid = self.torques_of_links(q, dq, ddq)
-        return rigid + self._of_joints(dq, ddq, dq, rigid)
+        u = (dq if dq_sign is None else dq_sign) @ self.directions.T
+        sliding = self.up * (u > 0) - self.down * (u < 0)
+        if self.shapes:
+            sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
+        return np.asarray(rigid + (self.without_sliding(dq, ddq) + sliding @ self.directions))
 
     def torques_of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
         """tau_rigid (N, n) along a motion q, dq, ddq (N, n)."""
@@ -102,14 +104,6 @@ class DirectModel:
         """What rotors, offsets and friction without the sign of a speed add (..., n) to the torque of the links."""
         one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
-
-    def _of_joints(self, dq: Array, ddq: Array, dq_sign: Array, rigid: Array) -> Array:
-        """What rotors and friction add (..., n) to the torque of the links `rigid` (..., n)."""
-        u = dq_sign @ self.directions.T
-        sliding = self.up * (u > 0) - self.down * (u < 0)
-        if self.shapes:
-            sliding = sliding + np.sign(u) * self.shape(u, rigid @ self.directions.T)
-        return np.asarray(self.without_sliding(dq, ddq) + sliding @ self.directions)
 
     def shape(self, u: Array, rigid: Array) -> Array:
         """Size (..., c) of friction beside Coulomb's at speeds u (..., c), the links' torques along them `rigid` (..., c)."""

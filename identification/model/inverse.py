@@ -30,7 +30,8 @@ _BLOCK = 2048  # samples at a time: the twists of six joints stay in the cache
 class InverseModel:
     """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link.
 
-    `sources` are where each is from: (link, place in LINK), or a term of a joint. `coulomb_directions` (c, n) are directions r
+    `sources` are where each is from: (link, place in LINK), or a term of a joint; `of_links` (p,) are the former.
+    `coulomb_directions` (c, n) are directions r
     that friction with a sign acts along, its speed being r·dq: of joints, and of coupled motors.
     """
 
@@ -46,14 +47,10 @@ class InverseModel:
             self.sources += joint_terms(robot, j)
         self.names = tuple(s.name if isinstance(s, JointTerm) else f"{LINK[s[1]]}{s[0] + 1}" for s in self.sources)
         self.units = tuple(s.unit if isinstance(s, JointTerm) else _link_unit(robot, s) for s in self.sources)
-        self.p = len(self.names)
+        self.p, self.of_links = len(self.names), np.array([not isinstance(s, JointTerm) for s in self.sources])
         self._nonzero = self._structure()
         along = [s.direction for s in self.sources if isinstance(s, JointTerm) and s.kind in SLIDING]
         self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
-
-    def is_link_parameter(self, column: int) -> bool:
-        """Whether a column belongs to a link (XX ... M) rather than to a motor or to friction."""
-        return not isinstance(self.sources[column], JointTerm)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
         """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""

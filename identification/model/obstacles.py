@@ -29,14 +29,6 @@ Find = Callable[[str], Path | None]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Bounding:
-    """A capsule about a shape: the ends (2, 3) of its axis in the shape's frame, in m, and its radius in m."""
-
-    ends: Array
-    radius: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
     """A convex shape fixed to a link, 0 the base, at a placement in the link's frame."""
 
@@ -49,9 +41,10 @@ class Shape:
         self.geometry.computeLocalAABB()
 
     @cached_property
-    def bounding(self) -> Bounding:
-        """The capsule about it."""
-        return bounding_capsule(self.geometry)
+    def capsule(self) -> tuple[Array, float]:
+        """Ends (2, 3) of the axis of the capsule about it, in the link's frame, and its radius."""
+        ends, radius = bounding_capsule(self.geometry)
+        return ends @ self.placement.rotation.T + self.placement.translation, radius
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,27 +101,17 @@ class Obstacles:
             pin.forwardKinematics(model, data, qk)
             for i, placement in enumerate(data.oMi):
                 origins[k, i], turns[k, i] = placement.translation, placement.rotation
-        ends = {
-            shape: origins[:, None, shape.link] + self._ends[shape] @ turns[:, shape.link].swapaxes(1, 2)
-            for shape in self._ends
-        }
+
+        def ends(shape: Shape) -> Array:
+            return origins[:, None, shape.link] + shape.capsule[0] @ turns[:, shape.link].swapaxes(1, 2)
+
         least = np.empty((len(q), len(self.pairs)))
         for p, (a, b) in enumerate(self.pairs):
             if isinstance(a.geometry, coal.Halfspace):
-                least[:, p] = (ends[b] @ a.geometry.n).min(axis=1) - a.geometry.d - b.bounding.radius
+                least[:, p] = (ends(b) @ a.geometry.n).min(axis=1) - a.geometry.d - b.capsule[1]
             else:
-                least[:, p] = segments_apart(ends[a], ends[b]) - a.bounding.radius - b.bounding.radius
+                least[:, p] = segments_apart(ends(a), ends(b)) - a.capsule[1] - b.capsule[1]
         return least
-
-    @cached_property
-    def _ends(self) -> dict[Shape, Array]:
-        """Ends (2, 3) of the capsules' axes in the frames of their links."""
-        shapes = dict.fromkeys(shape for pair in self.pairs for shape in pair)
-        return {
-            shape: shape.bounding.ends @ shape.placement.rotation.T + shape.placement.translation
-            for shape in shapes
-            if not isinstance(shape.geometry, coal.Halfspace)
-        }
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles | None:
@@ -188,11 +171,11 @@ def _distance(data: Any, a: Shape, b: Shape) -> Any:
     return found
 
 
-def bounding_capsule(geometry: Any) -> Bounding:
-    """A capsule that holds a convex shape of coal, along the longest side of its box."""
+def bounding_capsule(geometry: Any) -> tuple[Array, float]:
+    """A capsule that holds a convex shape of coal, along the longest side of its box: ends (2, 3) of its axis, and radius."""
     if isinstance(geometry, coal.Capsule):
         half = np.array([0.0, 0.0, geometry.halfLength])
-        return Bounding(ends=np.array([-half, half]), radius=float(geometry.radius))
+        return np.array([-half, half]), float(geometry.radius)
     if hasattr(geometry, "points"):
         points = np.array([geometry.point(i) for i in range(geometry.num_points)])
     else:
@@ -210,7 +193,7 @@ def bounding_capsule(geometry: Any) -> Bounding:
     # Of a compact shape the first may be the last: it is near every point between them.
     ends = np.tile(middle, (2, 1))
     ends[:, along] += first, last
-    return Bounding(ends=ends, radius=radius)
+    return ends, radius
 
 
 def segments_apart(a: Array, b: Array) -> Array:
@@ -233,27 +216,18 @@ def _capsule(link: int, name: str, capsule: Capsule) -> Shape:
     start, end = np.array(capsule.from_m), np.array(capsule.to_m)
     along = end - start
     length = float(np.linalg.norm(along))
-    turn = (
-        pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length)
-        if length
-        else pin.Quaternion.Identity()
-    )
-    placement = pin.SE3(turn.toRotationMatrix(), (start + end) / 2)
+    placement = pin.SE3(np.eye(3), (start + end) / 2)
+    if length:
+        placement.rotation = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), along / length).toRotationMatrix()
     return Shape(link=link, name=name, placement=placement, geometry=coal.Capsule(capsule.radius_m, length))
 
 
 def _urdf_shapes(dynamics: InverseModel, find: Find, missing: list[str]) -> Iterator[Shape]:
     """Collision shapes of the URDF's links, each at the joint that moves it; meshes that are not found go to `missing`."""
-    root = ET.fromstring(dynamics.robot.urdf or "")
-    if not any(True for _ in root.iter("collision")):
-        return
-    place = f"robot {dynamics.robot.name}: URDF"
-    for link in root.findall("link"):
+    for link in ET.fromstring(dynamics.robot.urdf or "").findall("link"):
         name = link.get("name", "")
-        if not link.findall("collision"):
-            continue
-        frame = dynamics.model.frames[dynamics.model.getFrameId(name)]
         for collision in link.findall("collision"):
+            frame = dynamics.model.frames[dynamics.model.getFrameId(name)]
             origin, geometry = collision.find("origin"), collision.find("geometry")
             shape = None if geometry is None else next(iter(geometry), None)
             if shape is None:
@@ -264,7 +238,7 @@ def _urdf_shapes(dynamics: InverseModel, find: Find, missing: list[str]) -> Iter
             if mesh and file is None:
                 missing.append(mesh)
                 continue
-            solid = _solid(shape, file, f"{place}: link {name!r}")
+            solid = _solid(shape, file, f"robot {dynamics.robot.name}: URDF: link {name!r}")
             yield Shape(link=int(frame.parentJoint), name=name, placement=frame.placement * put, geometry=solid)
 
 

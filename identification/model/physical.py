@@ -40,7 +40,8 @@ def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tupl
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
-    found = [_expected_link(of, j, values[columns]) for j, columns in enumerate(link_columns(of))]
+    of_urdf = of.link_parameters()
+    found = [_expected_link(of, j, values[columns], of_urdf[j]) for j, columns in enumerate(link_columns(of))]
     links = np.array([link for link, _ in found])
     if prior is not None:
         T = _frames_of(idm, prior)
@@ -100,24 +101,24 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
     Of joints whose friction has further terms: with `shaped`, friction that is positive without those, a joint's or motor's
     own share of it too; else nothing, and their power is looked at.
     """
-    found, (columns, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
+    found, (terms, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
     alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
     alone |= {j for joints in _groups(idm, shaped=True) if shaped for j in joints}
-    for c, row in zip(columns, A, strict=True):
-        if _term(idm, c).kind == "rotor" or alone.issuperset(_term(idm, c).rows.tolist()):
+    for term, row in zip(terms.values(), A, strict=True):
+        if term.kind == "rotor" or alone.issuperset(term.rows.tolist()):
             found.append(_single(idm, row))
     for joints in _groups(idm, shaped=False):
         if len(joints) > 1:
-            viscous, coulomb = (_columns(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
+            viscous, coulomb = (_terms(idm, (kind,), joints) for kind in ("viscous", "coulomb"))
             if viscous:
-                across = spanning(np.array([_term(idm, c).row for c in viscous]))
+                across = spanning(np.array([term.row for term in viscous.values()]))
                 matrix = np.zeros((len(across), len(across), idm.p))
-                for c in viscous:
-                    matrix[..., c] = across @ _term(idm, c).matrix @ across.T
+                for c, term in viscous.items():
+                    matrix[..., c] = across @ term.matrix @ across.T
                 text = f"viscous friction of {' and '.join(idm.robot.joints[j].name for j in joints)}"
-                found.append((matrix, _term(idm, viscous[0]), text))
-            for speeds in corner_speeds(np.array([_term(idm, c).direction for c in coulomb])) if coulomb else ():
-                found.append(_single(idm, np.asarray(np.bincount(coulomb, speeds, minlength=idm.p), dtype=float)))
+                found.append((matrix, next(iter(viscous.values())), text))
+            for speeds in corner_speeds(np.array([term.direction for term in coulomb.values()])) if coulomb else ():
+                found.append(_single(idm, np.asarray(np.bincount(list(coulomb), speeds, minlength=idm.p), dtype=float)))
     return found
 
 
@@ -134,11 +135,10 @@ def physical_parameters(
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
     links, start = link_columns(idm), np.zeros(idm.p)
     start[links] = expected_links(idm, prior)[0]
-    rows, A = own_shares(idm)
-    first = A @ values
-    for i, c in enumerate(rows):
+    terms, A = own_shares(idm)
+    first, rows = A @ values, list(terms)
+    for i, term in enumerate(terms.values()):
         if first[i] <= 0:
-            term = _term(idm, c)
             ZZ = start[links[int(term.rows[-1]), LINK.index("ZZ")]]
             first[i] = ROTOR_SHARE * ZZ if term.kind == "rotor" else FRICTION
     start[rows] = np.linalg.solve(A[:, rows], first) if len(rows) else first
@@ -155,51 +155,43 @@ def physical_parameters(
     )
 
 
-def _term(idm: InverseModel, c: int) -> JointTerm:
-    term = idm.sources[c]
-    assert isinstance(term, JointTerm)
-    return term
-
-
-def _columns(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...]) -> list[int]:
-    """Columns of the terms of these kinds that act on one of the joints."""
-    return [
-        c
-        for c, source in enumerate(idm.sources)
-        if isinstance(source, JointTerm) and source.kind in kinds and not set(source.rows).isdisjoint(joints)
-    ]
+def _terms(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None) -> dict[int, JointTerm]:
+    """By column, the terms of these kinds that act on one of the joints, or on any."""
+    found = {
+        c: source for c, source in enumerate(idm.sources) if isinstance(source, JointTerm) and source.kind in kinds
+    }
+    return {c: term for c, term in found.items() if joints is None or not set(term.rows).isdisjoint(joints)}
 
 
 def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
     """Joints that share motors: those whose friction has further terms than viscous and Coulomb ones, or the others."""
-    everywhere = tuple(range(idm.robot.n))
     joined = np.eye(idm.robot.n)
-    for c in _columns(idm, DISSIPATING, everywhere):
-        joined[np.ix_(_term(idm, c).rows, _term(idm, c).rows)] = 1.0
+    for term in _terms(idm, DISSIPATING).values():
+        joined[np.ix_(term.rows, term.rows)] = 1.0
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
     # One-sided terms count as further ones where joints share motors.
     one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
-    further = {g for g in groups if _columns(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
+    further = {g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
     return [joints for joints in groups if (joints in further) == shaped]
 
 
-def own_shares(idm: InverseModel) -> tuple[list[int], Array]:
-    """Columns (m,) of rotors, viscous and Coulomb friction, and what of each (m, p) is its joint's or motor's alone."""
-    columns = _columns(idm, RESISTING, tuple(range(idm.robot.n)))
-    terms = {c: _term(idm, c) for c in columns}
+def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
+    """Rotors, viscous and Coulomb friction by column, and what of each (m, p) is its joint's or motor's alone."""
+    terms = _terms(idm, RESISTING)
+    columns = list(terms)
     own = {(s.kind, int(s.rows[0])): c for c, s in terms.items() if len(s.rows) == 1 and s.side == 0}
     A = np.zeros((idm.p, idm.p))
     A[columns, columns] = 1.0
     for c, term in terms.items():
         for j in np.flatnonzero(term.given_away):
             A[own[term.kind, int(j)], c] -= term.given_away[j]
-    return columns, A[columns]
+    return terms, A[columns]
 
 
 def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
     """That a combination (p,) of parameters of one kind is positive."""
-    terms = [_term(idm, int(c)) for c in np.flatnonzero(row)]
+    terms = [term for c, term in _terms(idm, RESISTING).items() if row[c]]
     text = " ".join(
         f"{'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{abs(x):.4g} '}{term.name}"
         for x, term in zip(row[row != 0], terms, strict=True)
@@ -207,10 +199,8 @@ def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
     return row[None, None], terms[0], text
 
 
-def _expected_link(idm: InverseModel, j: int, described: Array) -> tuple[Array, str]:
+def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) -> tuple[Array, str]:
     """Ten parameters of link j: those described, those of the URDF, or those of a rod to the next joint; and which of them."""
-    inertia = idm.model.inertias[j + 1]
-    of_urdf = np.asarray(inertia.toDynamicParameters())[list(FROM_PINOCCHIO)]
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source

@@ -85,17 +85,17 @@ class Friction:
         near = np.exp(-((self._S.dot(v) / self._falls) ** 2)) if self._stribeck else None
         if self._shaped:
             shape, steepness = self._shapes(bias if self._rigid is None else self._rigid, v)
-        added: Array | float = 0.0
+        A = M
         for _ in range(MODE_PASSES):
             level = self._level if near is None else self._level + (near * self._slips) @ self._S
             if self._shaped:
                 level = level + (self._mode * shape) @ self._S
-                added = 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
+                A = M + 0.5 * h * (self._S.T * (steepness * (self._mode != 0))) @ self._S
             if self._stuck:
                 creep = self._creep
-                _, dv, info = self._solve(M + added + h * creep, h * (force - level - creep.dot(v)))
+                _, dv, info = self._solve(A + h * creep, h * (force - level - creep.dot(v)))
             else:
-                _, dv, info = self._solve(M + added, h * (force - level))
+                _, dv, info = self._solve(A, h * (force - level))
             if info:
                 return None
             w = v + dv

@@ -246,9 +246,9 @@ class Control:
             u = u + loop.Ki * self._integral
         if loop.computed_torque:
             ddq = self._reference.ddq[k] + np.linalg.solve(loop.R, u)
-            tau = self._model.inverse(q, v, ddq, self._reference.dq[k])
+            tau = self._model.torque(q[None], v[None], ddq[None], self._reference.dq[k : k + 1])[0]
             if not self._limited and self._added is None:
-                return tau
+                return np.asarray(tau)
             u = self._motor_effort(tau)
             if self._added is not None:
                 u = u + self._added[k]

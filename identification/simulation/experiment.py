@@ -117,7 +117,7 @@ class Experiment:
         if self.loop is None:  # a continuous law: it acts at every step
             self.period_s, self.substeps = self.period_s / self.substeps, 1
         steps, self.instants = span_s / self.period_s * self.substeps, math.floor(span_s / self.period_s + 1e-6) + 1
-        what = ""
+        rate_hz, what, expected = 1 / self.period_s, "", ""
         if steps > MOST_STEPS:
             what = f"{steps:.2g} steps to simulate with bandwidth_hz = {self.bandwidth_hz:g}"
             expected = f"at most {MOST_STEPS:.2g} steps"
@@ -125,9 +125,10 @@ class Experiment:
             what = f"{self.instants} instants in the {used / fs:.3g} s of {recording}"
             expected = f"at least {LEAST_INSTANTS} instants"
         if what:
-            place, rate_hz = f"robot {self.problem.signals.robot.name}", 1 / self.period_s
-            key, shown = "controller.sample_rate_hz", f"{rate_hz:g}"
-            raise IdentificationError(what, place=place, key=key, value=rate_hz, shown=shown, expected=expected)
+            place, key = f"robot {self.problem.signals.robot.name}", "controller.sample_rate_hz"
+            raise IdentificationError(
+                what, place=place, key=key, value=rate_hz, shown=f"{rate_hz:g}", expected=expected
+            )
 
     def _look_along(self) -> None:
         """What the whole recording says of start, poses, speeds, travel and scatter, block by block."""
@@ -175,9 +176,8 @@ class Experiment:
 
     def t_s(self, at: slice) -> Array:
         """Seconds of the recording of samples of the instruments."""
-        return np.asarray(
-            (self.first + self.stride * np.arange(at.start, at.stop)) / self.problem.signals.sample_rate_hz
-        )
+        samples = self.first + self.stride * np.arange(at.start, at.stop)
+        return np.asarray(samples / self.problem.signals.sample_rate_hz)
 
     def places(self, first: int, last: int) -> Array:
         """Controller's instants, counted in samples of the recording."""
@@ -248,18 +248,16 @@ def _refuse_foreign_reference(problem: Problem) -> None:
     for joint, scale, error in zip(joints, _scales(spreads, joints)[0], errors, strict=True):
         if error <= LOST * scale:
             continue
-        place = f"{signals.recording}: reference of joint {joint.name}"
-        left = f"{error:.3g} {joint.position_unit} rms off the measured position"
+        what = f"{error:.3g} {joint.position_unit} rms off the measured position"
         saturated = saturated_percent(problem)
         if saturated is not None and saturated > MIN_SATURATED_PERCENT:
-            raise IdentificationError(
-                f"{left}: a drive is saturated in {saturated:.0f} % of the samples",
-                place=place,
-                expected="a slower motion, within the drives' limits",
-            )
-        raise IdentificationError(
-            f"{left}, where references travel {scale:.3g}", place=place, expected="the reference of this recording"
-        )
+            what += f": a drive is saturated in {saturated:.0f} % of the samples"
+            expected = "a slower motion, within the drives' limits"
+        else:
+            what += f", where references travel {scale:.3g}"
+            expected = "the reference of this recording"
+        place = f"{signals.recording}: reference of joint {joint.name}"
+        raise IdentificationError(what, place=place, expected=expected)
 
 
 def saturated_percent(problem: Problem) -> float | None:

@@ -150,14 +150,6 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
 
     With a covariance (b, b) the nearest consistent parameters stand in for those that cannot; `reason` is that of beta.
     """
-    free = _replica(e, beta)
-    if free.reason is None or covariance is None:
-        return free
-    near = _replica(e, nearest(e, beta, covariance))
-    return free if near.motion is None else replace(near, reason=free.reason)
-
-
-def _replica(e: Experiment, beta: Array) -> Replica:
     error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
     try:
         for block, x in simulated_blocks(e, *gains_for(e, beta)):
@@ -167,6 +159,10 @@ def _replica(e: Experiment, beta: Array) -> Replica:
             parts.append(tuple(map(e.decimation.kept, own)) if e.long else own)
     except NotSimulatedError as why:
         reason, q = str(why), np.zeros((0, len(e.held)))
+        if covariance is not None:
+            near = simulate_replica(e, nearest(e, beta, covariance))
+            if near.motion is not None:
+                return replace(near, reason=reason)
     else:
         t_s, q, *rest = (np.concatenate(x) for x in zip(*parts, strict=True))
         motion = Motion(t_s=t_s, q=rest[0], dq=rest[1], ddq=rest[2], tau=rest[3])

@@ -151,7 +151,7 @@ def _columns(evidence: Evidence) -> Iterator[MissingTerm]:
     problem, robot, idm = evidence.problem, evidence.problem.signals.robot, evidence.problem.model
     chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
     chi[problem.base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
-    links = direct_model(idm, np.where([idm.is_link_parameter(c) for c in range(idm.p)], chi, 0.0))
+    links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
     speed, slow, position, root, load = (np.concatenate(x) for x in zip(*_series(evidence, links), strict=True))
     value = {s.name: chi[c] for c, s in enumerate(idm.sources) if isinstance(s, JointTerm)}

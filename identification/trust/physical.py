@@ -182,7 +182,7 @@ def _gravity_findings(evidence: Evidence) -> list[Finding]:
         return []
     measured = [motion_of(part, "wls") for part in evidence.recordings]
     q = np.concatenate([decimation.kept(motion.q) for motion, decimation in measured])
-    of_links = np.array([idm.is_link_parameter(c) for c in columns])
+    of_links = idm.of_links[columns]
     at_rest = np.where(of_links, idm.regressor(q, np.zeros_like(q), np.zeros_like(q))[:, :, columns], 0.0)
     if np.abs(at_rest).max() <= NO_WEIGHT * np.linalg.norm(problem.signals.robot.gravity):
         return []
