@@ -16,6 +16,7 @@ from ..data import Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
+    System,
     TorqueError,
     essential_parameters,
     instrumental_variables,
@@ -155,10 +156,9 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
     prior = inertia_prior(observed, ls)
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
-    def solve(z: Instruments, observed: StackedSystem = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: Instruments, system: System) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places()) if z.load_unknown else kept
-        system, Z = observed.along(z)
-        return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
+        return instrumental_variables(system.with_columns(columns), z.Z[:, columns], weights)
 
     beta, C = start_values(observed, iteration, ls)
     ls, passes = ls.without_rows(), list[Pass]()
@@ -168,18 +168,18 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         # Z = IDM(q_sim, dq_sim, ddq_sim)
         z = lab.instruments(beta, C, weights, kept=kept_rows(passes), coarse=coarse)
         about = observed.about(z)
+        W_and_Y = about.along(z)
         try:
-            estimate = solve(z, about)
+            estimate = solve(z, W_and_Y)
         except IdentificationError as error:
             passes = failed(passes, z, lab.names, error)
             break
         # C = D R D
         asked, C = C, covariance_of_all(names, estimate, intervals_along(about, z, estimate), ls.full)
-        W_and_Y = about.along(z)[0]
         this = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
         passes = [*(before.without_rows() for before in passes), replace(this, number=number, coarse=coarse)]
         beta = next_values(passes, names)
-    best = conclude(lab, passes, solve)
+    best = conclude(lab, passes, lambda z: solve(z, observed.along(z)))
     passes = [one.without_rows() for one in passes]
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
     lab_of = partial(StackedSystem.lab, prior=prior, gain_update=iteration.gain_update)
