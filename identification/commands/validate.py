@@ -39,7 +39,6 @@ def run(options: argparse.Namespace) -> int:
     refuse_outputs([options.fit, *options.recordings, options.robot], options.json)
     with Progress("reading") as progress:
         from ..methods import (
-            Validated,
             consistent_fit,
             stored_beta,
             stored_settings,
@@ -58,13 +57,12 @@ def run(options: argparse.Namespace) -> int:
             recordings.append((signals, overrides))
             notes += told
         progress.say("predicting")
-        each, errors = validate_all(recordings, lambda base: stored_beta(stored, base, str(options.fit)))
+        validated, errors = validate_all(recordings, lambda base: stored_beta(stored, base, str(options.fit)))
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
             _, of_set = validate_all(recordings, lambda base: stored_beta(consistent, base, str(options.fit)))
-    of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
+    of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)
     warnings = (*of_settings, *notes, *stored.warnings_of(str(options.fit)))
-    validated = [Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
     document = validation_document(validated, options.fit.name, errors, warnings, of_set)
     if options.json:
         write_json(options.json, validation_file(validated, options.fit.name, errors, warnings, of_set))

@@ -42,6 +42,7 @@ from .iteration import (
     next_values,
     start_values,
 )
+from .recording_report import Validated
 from .settled import settled_least_squares
 from .system import StackedSystem, observe_all
 from .timing import counted, in_known_time, lags_of_ls, over_all, timed
@@ -219,21 +220,21 @@ def validate(
     -------
     The settings, and an error per joint and, last, that of all joints.
     """
-    ((settings, errors),), _ = validate_all([(signals, overrides)], values)
-    return settings, errors
+    (one,), _ = validate_all([(signals, overrides)], values)
+    return one.settings, one.errors
 
 
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], values: Callable[[BaseParameters], Array]
-) -> tuple[tuple[tuple[Settings, tuple[TorqueError, ...]], ...], tuple[TorqueError, ...]]:
-    """`validate` of several recordings of one robot: settings and errors of each, and the errors of all together."""
+) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
+    """`validate` of several recordings of one robot, and the errors of all together."""
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)
     each, parts = [], []
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
         parts.append(torque_of_recording(problem, values(problem.base)))
-        each.append((problem.settings, torque_errors(*parts[-1], names)))
+        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names)))
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)
