@@ -43,13 +43,12 @@ def run(options: argparse.Namespace) -> int:
             recordings.append((signals, overrides))
             notes += lines
         progress.say("predicting")
-        each, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
+        validated, errors = methods.validate_all(recordings, lambda base: methods.stored_beta(stored, base, place))
         of_set: tuple[TorqueError, ...] = ()
         if consistent is not None:
             _, of_set = methods.validate_all(recordings, lambda base: methods.stored_beta(consistent, base, place))
-    of_settings = dict.fromkeys(text for settings, _ in each for text in settings.warnings)
+    of_settings = dict.fromkeys(text for one in validated for text in one.settings.warnings)
     warnings = (*of_settings, *notes, *stored.warnings_of(place))
-    validated = [methods.Validated(signals, *found) for (signals, _), found in zip(recordings, each, strict=True)]
     document = methods.validation_document(validated, name, errors, warnings, of_set)
     if options.json:
         write_json(options.json, methods.validation_file(validated, name, errors, warnings, of_set))

@@ -38,7 +38,8 @@ WEAK_INSTRUMENTS_F = 10.0
 def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
     first = observed.problems()[0].with_samples()
-    alone = len(observed.observations) == 1 and not observed.load
+    lone, reduced = len(observed.observations) == 1, observed.regression.reduced
+    long = observed.observations if reduced and not lone else ()
     return Evidence(
         recordings=observed.observations,
         observed=observed.regression,
@@ -50,18 +51,11 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
         intervals=ls.intervals,
         least_squares=ls.full,
         blocks=sums_of_blocks(ls.estimate, observed.regression.time_blocks),
-        factors=factors_of_ls(observed),
-        position_noise=position_noise_line(first, method, ls, alone=alone),
+        factors=tuple((one.regression.system, one.regression.system.W) for one in long),
+        position_noise=position_noise_line(first, method, ls, alone=lone and not observed.load),
         lags=lags,
         essential=essential_names(ls.essential, ls.estimate, ls.intervals),
     )
-
-
-def factors_of_ls(observed: StackedSystem) -> tuple[tuple[System, Array], ...]:
-    """The reduced system of each of several recordings, W as its instruments; none where rows are held."""
-    if not observed.regression.reduced or len(observed.observations) == 1:
-        return ()
-    return tuple((one.regression.system, one.regression.system.W) for one in observed.observations)
 
 
 def fit_of(observed: StackedSystem, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
@@ -173,7 +167,7 @@ def assess_iv(
 ) -> Fit:
     """A fit by instruments; the robot simulated with its estimate is the direct model's validation."""
     observed, z, estimate, replicas = observed.about(best.z), best.z, best.estimate, best.replicas
-    evidence, (system, _) = _evidence_along(observed, best, ls), observed.along(z)
+    evidence, system = _evidence_along(observed, best, ls), observed.along(z)
     tests = _tests(system, estimate, observed.regression.tau - evidence.predicted, z.used)
     status, reason = _status(passes, best, [one.problem.signals.recording for one in observed.observations], tests)
     if reason is not None and best.number != len(passes):
@@ -227,7 +221,7 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Ev
         used=z.used,
         intervals=within,
         least_squares=ls.full,
-        Z=observed.along(z)[1],
+        Z=z.Z,
         lags=observed.lags,
         essential=essential_names(ls.essential, estimate, within),
     )

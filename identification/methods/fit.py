@@ -24,7 +24,6 @@ class Pass:
         z: its instruments. Their `kind`: along the robot `simulated` with the physically consistent parameters nearest to the
             estimate before; named `consistent` where the inertia matrix of that estimate itself is not positive; along the
             `reference` where the simulated robot leaves it. `reason` says why it is one of the last two.
-        estimate: that they give.
         asked, covariance: (b, b) of all base parameters, with honest deviations: that the instruments were asked for with,
             None of a regular start, and that of the estimate.
         coarse: whether the robot was simulated coarsely.
@@ -72,14 +71,12 @@ class InstrumentEvidence:
     """What the instrumental variable method adds to a fit.
 
     Attributes:
-        start: `regular`, `ls`, or the file the start was read from.
+        start: as of `Iteration`.
         reference: `recorded`, or `surrogate` where the measured position stands in, which leaves the instruments not
             strictly exogenous. `controller`: `described`, or `surrogate` for a PD of the stated bandwidth.
         passes: one by one; `returned` is the number of the one whose estimate this is, counted from 1.
         reason: why the status is what it is, None for `converged`.
-        tests: of the instruments.
         contrast, contrast_at: least squares off the estimate, in half-widths of the parameter that is furthest off.
-        rows_used_percent: rows left after those at low simulated speed were taken out.
         saturated_percent: share of recorded samples at a drive's limit, None where no limit is stated.
         direct: the direct model's errors by joint, empty where the final estimate could not be simulated.
         simulated, q: the simulated motion with the final estimate and the measured position at its instants.
@@ -107,9 +104,7 @@ class LeastSquares:
 
     Attributes:
         estimate: `full`, or that of the essential parameters where only these were asked for.
-        intervals: its 95 % intervals.
-        full: of all base parameters.
-        essential: the reduction to the essential parameters.
+        full, essential: that of all base parameters, and the reduction to the essential ones.
         tau_predicted: (rows, n) decimated torque that `estimate` predicts.
     """
 
@@ -136,8 +131,7 @@ class ConsistentSet:
     """The physically consistent standard parameters nearest to an estimate.
 
     Attributes:
-        names, units: (p,) of the standard parameters, as the model has them.
-        chi: (p,) values: every link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy.
+        chi: (p,) standard parameters: each link's pseudo-inertia and every rotor inertia is positive, friction feeds no energy.
         half: (p,) half-widths of their 95 % intervals, by Laplace.
         from_prior: (p,) which of them come from the prior: their variance is above half of the one that it alone gives.
         base_names, beta, base_half, base_from_prior: (b,) the same of the base parameters K chi; their move is in it.
@@ -207,20 +201,16 @@ class Fit:
     """Base parameters of a robot from one recording or several, and the evidence for them.
 
     Attributes:
-        recordings: those fitted, in the order given.
-        method, status: by which method, and how it ended.
+        recordings: in the order given.
         estimate: of the base parameters, fewer than `base` has when only the essential ones were kept.
-        intervals: 95 % intervals of the estimate.
         least_squares: least squares of the same recording and settings; that of the fit itself, or weighted least squares
             beside instrumental variables.
         t_s: (rows,) instants of the decimated rows in their recordings, s; recordings in the order of their digests.
         tau, tau_predicted, speed: (rows, n) torques and joint speeds there.
         errors: one entry per joint and, last, all joints together.
-        trust: tests of the estimate, and the verdict.
-        iv: there for the instrumental variable method only.
+        iv: None after least squares.
         consistent: the nearest physically consistent parameters, where asked for, and `consistent_errors`: their torque errors,
             as `errors`.
-        method_reason: why this method.
         lags: of the recordings' torques, corrected and counted in the intervals.
         own: the test of the parameters that recordings have for themselves; None where they share all.
     """

@@ -16,6 +16,7 @@ from ..data import Recordings, Signals, check_one_robot
 from ..errors import IdentificationError
 from ..estimation import (
     Estimate,
+    System,
     essential_parameters,
     instrumental_variables,
     lag_one,
@@ -40,6 +41,7 @@ from .iteration import (
     next_values,
     start_values,
 )
+from .recording_report import Validated
 from .settled import settled_least_squares
 from .system import StackedSystem, observe_all
 from .timing import counted, in_known_time, lags_of_ls, over_all, timed
@@ -154,10 +156,9 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
     prior = inertia_prior(observed, ls)
     lab = observed.lab(prior, gain_update=iteration.gain_update)
 
-    def solve(z: Instruments, observed: StackedSystem = observed) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
+    def solve(z: Instruments, system: System) -> Estimate:  # beta = (ZᵀW)⁻¹ ZᵀY
         columns = np.setdiff1d(kept, observed.load_places()) if z.load_unknown else kept
-        system, Z = observed.along(z)
-        return instrumental_variables(system.with_columns(columns), Z[:, columns], weights)
+        return instrumental_variables(system.with_columns(columns), z.Z[:, columns], weights)
 
     beta, C = start_values(observed, iteration, ls)
     ls, passes = ls.without_rows(), list[Pass]()
@@ -167,18 +168,18 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         # Z = IDM(q_sim, dq_sim, ddq_sim)
         z = lab.instruments(beta, C, weights, kept=kept_rows(passes), coarse=coarse)
         about = observed.about(z)
+        W_and_Y = about.along(z)
         try:
-            estimate = solve(z, about)
+            estimate = solve(z, W_and_Y)
         except IdentificationError as error:
             passes = failed(passes, z, lab.names, error)
             break
         # C = D R D
         asked, C = C, covariance_of_all(names, estimate, intervals_along(about, z, estimate), ls.full)
-        W_and_Y = about.along(z)[0]
         this = assess_pass(z, estimate, W_and_Y, (asked, C), tolerance_percent=iteration.tolerance_percent)
         passes = [*(before.without_rows() for before in passes), replace(this, number=number, coarse=coarse)]
         beta = next_values(passes, names)
-    best = conclude(lab, passes, solve)
+    best = conclude(lab, passes, lambda z: solve(z, observed.along(z)))
     passes = [one.without_rows() for one in passes]
     # Y(tau(t + L)) with the lag L that the same instruments find: no further simulation
     lab_of = partial(StackedSystem.lab, prior=prior, gain_update=iteration.gain_update)
@@ -218,21 +219,21 @@ def validate(
     -------
     The settings, and an error per joint and, last, that of all joints.
     """
-    ((settings, errors),), _ = validate_all([(signals, overrides)], values)
-    return settings, errors
+    (one,), _ = validate_all([(signals, overrides)], values)
+    return one.settings, one.errors
 
 
 @one_thread
 def validate_all(
     recordings: Sequence[tuple[Signals, Overrides]], values: Callable[[BaseParameters], Array]
-) -> tuple[tuple[tuple[Settings, tuple[TorqueError, ...]], ...], tuple[TorqueError, ...]]:
-    """`validate` of several recordings of one robot: settings and errors of each, and the errors of all together."""
+) -> tuple[tuple[Validated, ...], tuple[TorqueError, ...]]:
+    """`validate` of several recordings of one robot, and the errors of all together."""
     check_one_robot([signals for signals, _ in recordings])
     names = tuple(j.name for j in recordings[0][0].robot.joints)
     each, parts = [], []
     for signals, overrides in recordings:
         problem = make_problem(signals, overrides)
         parts.append(torque_of_recording(problem, values(problem.base)))
-        each.append((problem.settings, torque_errors(*parts[-1], names)))
+        each.append(Validated(signals, problem.settings, torque_errors(*parts[-1], names)))
     tau, predicted, speed = (np.concatenate(x) for x in zip(*parts, strict=True))
     return tuple(each), torque_errors(tau, predicted, speed, names)

@@ -23,9 +23,7 @@ from ..regression import (
     make_settings,
     measured_fast_rows,
     regression_of_recording,
-    retimed,
     row_states,
-    torque_of_recording,
 )
 from ..report import Method
 from ..trust import RecordingData, TrustLine, replay_line
@@ -81,18 +79,6 @@ def regression_at(problem: Problem, overrides: Overrides, share: int) -> tuple[S
     problem = problem.with_samples()
     settings = make_settings(problem.signals, overrides, problem.motion)
     return settings, regression_of_recording(replace(problem, settings=settings), share=share)
-
-
-@one_thread
-def retimed_at(problem: Problem, regression: Regression, lag_s: float) -> Regression:
-    """The regression of a recording with its torque corrected by another lag."""
-    return retimed(regression, problem.with_samples().corrected(lag_s))
-
-
-@one_thread
-def predict(problem: Problem, beta: Array) -> Array:
-    """Decimated torque (rows, n) that beta (b,) predicts for a recording."""
-    return torque_of_recording(problem.with_samples(), beta)[1]
 
 
 def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, alone: bool) -> TrustLine:
@@ -171,7 +157,7 @@ def _noise_like(problem: Problem) -> Array:
 def _with_noise(problem: Problem, noise: Array) -> Problem:
     q = np.array(problem.signals.q)
     q[: len(noise)] += noise
-    signals: Signals = replace(problem.signals, q=q)
+    signals = replace(problem.signals, q=q)
     return replace(problem, signals=signals, motion=FilteredMotion(signals))
 
 

@@ -26,11 +26,13 @@ from ..regression import (
     own_parameters,
     reduced_regression,
     refuse_slow_joints,
+    retimed,
     rule_cutoff_hz,
+    torque_of_recording,
 )
 from ..simulation import Instruments, Lab, Replica, Simulation
 from ..trust import Lag, RecordingData
-from .observation import SPAN_S, Say, observation_of, observe, predict, regression_at, retimed_at
+from .observation import SPAN_S, Say, observation_of, observe, regression_at
 
 SPAN_NUMBERS = 3_000_000  # of its W
 
@@ -147,11 +149,9 @@ class StackedSystem:
         system = stack(self.recordings, self.overrides, observations, self.order)
         return replace(system, left_out=self.left_out)
 
-    def along(self, z: Instruments) -> tuple[System, Array]:
-        """W, Y and Z with the rows that count in a pass, about its parameters; of long recordings QR factors."""
-        if z.system is not None:
-            return z.system, z.Z
-        return self.at(z.beta).regression.system.with_rows(z.used), z.Z
+    def along(self, z: Instruments) -> System:
+        """W and Y with the rows that count in a pass, about its parameters; of long recordings QR factors."""
+        return self.at(z.beta).regression.system.with_rows(z.used) if z.system is None else z.system
 
     def about(self, z: Instruments) -> "StackedSystem":
         """The same about the parameters of a pass; of long recordings the factors of `z` are about them."""
@@ -208,7 +208,7 @@ class StackedSystem:
         if all(one.problem.settings.torque_lag_s == lag for one, lag in zip(self.observations, lags_s, strict=True)):
             return self
         run, tasks = self.recordings.work.run, list(zip(self.problems(), self.plain, lags_s, strict=True))
-        found = zip(self.observations, lags_s, run(retimed_at, tasks), strict=True)
+        found = zip(self.observations, lags_s, run(retimed, tasks), strict=True)
         return self._of(
             [replace(one, problem=one.problem.corrected(lag_s), regression=plain) for one, lag_s, plain in found]
         )
@@ -218,7 +218,9 @@ class StackedSystem:
         if self.regression.reduced:
             beta = estimate.among(self.problem.base.names)
             tasks = [(problem, beta) for problem in self.problems()]
-            return np.concatenate(list(self.recordings.work.run(predict, tasks)))
+            return np.concatenate(
+                [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
+            )
         return self.regression.predicted(estimate.among(self.parameters.names))
 
     @property

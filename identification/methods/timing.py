@@ -7,7 +7,7 @@ import numpy as np
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..estimation import Estimate, Intervals, intervals_from
+from ..estimation import Estimate, Intervals, System, intervals_from
 from ..regression import KnownLag
 from ..simulation import Instruments, Lab
 from ..trust import Lag, combined_lag, lag_columns, lag_moves, lags_in
@@ -19,7 +19,7 @@ LAG_PASSES = 4
 NEAR = 0.25  # samples that the last of them may find
 MOVES = 0.1  # deviations of a parameter: of long recordings a lag that moves less is not worth another pass over them
 
-Solve = Callable[[Instruments, StackedSystem], Estimate]
+Solve = Callable[[Instruments, System], Estimate]
 
 
 def lag_groups(observed: StackedSystem) -> list[list[int]]:
@@ -64,7 +64,7 @@ def timed(
     span, weights = observed.on_span(), best.estimate.weights
     lab, beta = lab_of(span), best.estimate.among(observed.parameters.names)
     z = lab.instruments(beta, best.covariance, weights)
-    own = replace(best, z=z, estimate=solve(z, span), replicas=lab.replicas(beta, best.covariance))
+    own = replace(best, z=z, estimate=solve(z, span.along(z)), replicas=lab.replicas(beta, best.covariance))
     span, own = _in_time(span, own, solve)
     lags = over_all(observed, best.estimate, span.lags)
     now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in lag_groups(observed)]
@@ -72,25 +72,26 @@ def timed(
     if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
         z = lab_of(observed).instruments(best.z.beta, best.asked, weights, kept=best.z.fast)
-        best = replace(best, z=z, estimate=solve(z, observed))
+        best = replace(best, z=z, estimate=solve(z, observed.along(z)))
     return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 
 
 def _in_time(observed: StackedSystem, best: Pass, solve: Solve) -> tuple[StackedSystem, Pass]:
     """The recordings and a pass with the torques corrected by their lags, found where the reference is recorded."""
     z, estimate, why = best.z, best.estimate, _not_looked_at(observed, best)
-    groups, known = lag_groups(observed), known_lags(observed)
+    groups, known, system = lag_groups(observed), known_lags(observed), observed.along(z)
     found: list[tuple[float, float, float] | None] = [None] * len(groups)
     for _ in range(LAG_PASSES if why is None else 0):
         try:
-            steps, sd, reach = lags_in(observed.simulated(best.replicas), groups, *observed.along(z), estimate)
+            steps, sd, reach = lags_in(observed.simulated(best.replicas), groups, system, z.Z, estimate)
         except IdentificationError:
             break
         now = [observed.observations[group[0]].problem.settings.torque_lag_s for group in groups]
         found = [(float(at + step), float(s), reach) for at, step, s in zip(now, steps, sd, strict=True)]
         values = [combined_lag(prior, data).value_s for prior, data in zip(known, found, strict=True)]
         observed = _with_lags(observed, values).about(z)
-        estimate = solve(z, observed)
+        system = observed.along(z)
+        estimate = solve(z, system)
         fs = observed.problem.signals.sample_rate_hz
         if max(abs(value - at) for value, at in zip(values, now, strict=True)) * fs < NEAR:
             break

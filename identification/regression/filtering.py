@@ -134,7 +134,8 @@ def decimate(x: Array, factor: int, *, smooth_ends: bool = True) -> Array:
         if x.shape[-1] <= padding:
             samples = x.shape[-1]
             raise IdentificationError(key=f"samples to decimate by {r}", value=samples, expected=f"more than {padding}")
-        x = _decimated(x, r) if smooth_ends else _decimated_by_matlab(x, r, padding)
+        first = (x.shape[-1] - 1) % r
+        x = _decimated(x, r) if smooth_ends else _chebyshev(r).forward_backward(x, padding)[..., first::r]
     return np.ascontiguousarray(x)
 
 
@@ -163,10 +164,6 @@ def _decimated(x: Array, r: int) -> Array:
         folded[..., 0] += above[..., 0].conj() * (start > 0)
     kept = (lead + first_kept) // r
     return np.asarray(np.fft.irfft(folded, rows)[..., kept : kept + -(-N // r)] / r)
-
-
-def _decimated_by_matlab(x: Array, r: int, padding: int) -> Array:
-    return _chebyshev(r).forward_backward(x, padding)[..., (x.shape[-1] - 1) % r :: r]
 
 
 @lru_cache

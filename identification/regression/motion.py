@@ -1,7 +1,7 @@
 """Joint motion and torque on one time grid; that of a recording behind a low-pass, filtered once for all who need it."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -49,19 +49,18 @@ class FilteredMotion:
 
     def between(self, start: int, stop: int, cutoff_hz: float | None) -> Motion:
         """Motion of the samples `start` to `stop`; `cutoff_hz` None leaves the position as it is."""
-        s = self._signals
-        if cutoff_hz is None or s.q.size > _NUMBERS_KEPT:
-            motion = motion_between(
-                s.q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
-            )
+        s, q = self._signals, self._signals.q
+        if cutoff_hz is not None and q.size <= _NUMBERS_KEPT:
+            if cutoff_hz not in self._filtered:
+                self._filtered[cutoff_hz] = lowpass(q, cutoff_hz, s.sample_rate_hz)
+            q, cutoff_hz = self._filtered[cutoff_hz], None
+        motion = motion_between(
+            q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
+        )
+        if q is s.q:
             let_go(s.q)
             let_go(s.torque)
-            return motion
-        if cutoff_hz not in self._filtered:
-            self._filtered[cutoff_hz] = lowpass(s.q, cutoff_hz, s.sample_rate_hz)
-        return motion_of_filtered(
-            self._filtered[cutoff_hz], s.torque, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
-        )
+        return motion
 
 
 def differentiate(x: Array, sample_rate_hz: float) -> Array:
@@ -121,24 +120,16 @@ def motion_between(
     `cutoff_hz` None leaves q as it is. Only as much of q beyond the range is filtered as can show in it, so long
     recordings pass through in blocks and give what one pass over the whole gives.
     """
-    if not cutoff_hz:
-        return motion_of_filtered(q, tau, sample_rate_hz=sample_rate_hz, start=start, stop=stop)
-    margin = _DIFFERENCES + lowpass_reach(cutoff_hz, sample_rate_hz)
+    margin = _DIFFERENCES + (lowpass_reach(cutoff_hz, sample_rate_hz) if cutoff_hz else 0)
     low, high = max(0, start - margin), min(len(q), stop + margin)
-    part = lowpass(q[low:high], cutoff_hz, sample_rate_hz)
-    motion = motion_of_filtered(part, tau[low:high], sample_rate_hz=sample_rate_hz, start=start - low, stop=stop - low)
-    return replace(motion, t_s=np.arange(start, stop) / sample_rate_hz)
-
-
-def motion_of_filtered(q: Array, tau: Array, *, sample_rate_hz: float, start: int, stop: int) -> Motion:
-    """Motion of the samples `start` to `stop` of q, tau (N, n), with q as it is, such as filtered."""
-    low, high = max(0, start - _DIFFERENCES), min(len(q), stop + _DIFFERENCES)
-    dq = differentiate(q[low:high], sample_rate_hz)
+    part, inside = q[low:high], slice(start - low, stop - low)
+    if cutoff_hz:
+        part = lowpass(part, cutoff_hz, sample_rate_hz)
+    dq = differentiate(part, sample_rate_hz)
     ddq = differentiate(dq, sample_rate_hz)
-    inside = slice(start - low, stop - low)
     return Motion(
         t_s=np.arange(start, stop) / sample_rate_hz,
-        q=np.array(q[start:stop]),
+        q=np.array(part[inside]),
         dq=dq[inside],
         ddq=ddq[inside],
         tau=np.array(tau[start:stop]),

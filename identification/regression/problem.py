@@ -21,10 +21,7 @@ class Problem:
 
     Attributes:
         signals: the recording, the lag of its torque corrected; `recorded`: as it was recorded.
-        settings: cut-off, decimation and span, resolved.
-        model: inverse dynamic model of the robot, linear in its standard parameters.
-        base: its base parameters.
-        motion: the recording's motion behind the low-pass.
+        motion: that of the recording behind low-passes.
         source: where a task finds the recording, once the samples are left out.
     """
 

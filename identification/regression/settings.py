@@ -54,15 +54,14 @@ class Settings:
     """A fit's settings, resolved.
 
     Attributes:
-        cutoff_hz: low-pass of the position in Hz (one direction), None without.
+        cutoff_hz: low-pass of the position (one direction), None without.
         decimation: samples per decimated row, n_d.
-        start, stop: range of the samples used.
         filtered: whether the position's low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
         low_speed: rows slower than this are left out, by method (`fast_rows`).
         torque_lag_s: lag of the recorded torque in s, positive where it is late, that is corrected; 0 where none is.
         known_lag: what is known of it without a fit, by what the user states and the recording says.
-        span: what that range is, in words; `span_rule` the setting it follows from.
+        span: what the samples `start` to `stop` are, in words; `span_rule` the setting it follows from.
         warnings: rules of the method that the settings leave.
     """
 

@@ -93,7 +93,8 @@ def regression_of_recording(
         names = tuple(joint.name for joint in problem.signals.robot.joints)
         refuse_slow_joints(fast, names, problem.signals.recording)
     (rows, n), base = fast.shape, problem.base
-    factors = Factors(n, base.b + 1) if is_long(rows, problem, share) else None
+    b, most = len(base.names), math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
+    factors = Factors(n, b + 1) if rows * n * b > most else None
     time_blocks = TimeBlocks.none_yet(rows, n, base.names) if factors else None
     for at in row_blocks(problem):
         (W, Y, tau, speed), links = _block(problem, at, beta)
@@ -115,7 +116,7 @@ def regression_of_recording(
     else:
         W, Y = held
         system = System(
-            W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, base.b),
+            W=np.ascontiguousarray(W.transpose(0, 2, 1)).reshape(n * rows, b),
             Y=Y.reshape(-1),
             joint_of_row=np.repeat(np.arange(n), rows),
             names=base.names,
@@ -146,14 +147,10 @@ def rows_of_block(problem: Problem, block: RowBlock, beta: Array | None = None) 
     return W, Y
 
 
-def is_long(rows: int, problem: Problem, share: int = 1) -> bool:
-    """Whether so many decimated samples are too many to be held as rows; `share` as in `regression_of_recording`."""
-    most = math.inf if share == HELD else min(_NUMBERS_IN_MEMORY, _NUMBERS_OF_ALL // share)
-    return rows * len(problem.signals.robot.joints) * len(problem.base.names) > most
-
-
+@one_thread
 def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Array]:
     """Torque measured and predicted with `beta`, and joint speed, each (rows, n), decimated; W is not needed."""
+    problem = problem.with_samples()
     parts: list[tuple[Array, ...]] = []
     decimation = problem.settings.decimator
     for motion, inside, _ in motion_blocks(problem):
@@ -164,8 +161,10 @@ def torque_of_recording(problem: Problem, beta: Array) -> tuple[Array, Array, Ar
     return np.concatenate(tau), np.concatenate(tau_predicted), np.concatenate(speed)
 
 
-def retimed(regression: Regression, problem: Problem) -> Regression:
-    """The regression with the torque of the same recording corrected by another lag, which `problem` has."""
+@one_thread
+def retimed(problem: Problem, regression: Regression, lag_s: float) -> Regression:
+    """The regression of a recording with its torque corrected by another lag, s."""
+    problem = problem.with_samples().corrected(lag_s)
     if regression.reduced:
         return regression_of_recording(problem, share=ALL_REDUCED)
     settings = problem.settings
