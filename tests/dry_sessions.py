@@ -12,7 +12,7 @@ from acquisition.bus import Frame, Master
 from acquisition.recording import Recording, read_recording
 from acquisition.robot import Bus, Robot
 from acquisition.session import InlineLog, Outcome, Recorded, Recorder, Stop, Task, run_active
-from acquisition.simulated import LockStepLink, Mechanism, SimulatedDrives, cascaded_loops
+from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.mechanism import Plant, rated_motor_effort, typical_inertia
 
 
@@ -104,7 +104,7 @@ def dry_session(
     bus = bus or bus_of(robot)
     log = log_of(Recorder(path, robot, source="dry run", place="robot.toml"))
     loops = cascaded_loops(robot, typical_inertia(robot, rated_motor_effort(bus)))
-    mechanism = None if plant is None else Mechanism(plant=plant, loops=loops)
+    mechanism = None if plant is None else DrivenPlant(plant=plant, loops=loops)
     run = LockStepLink(simulated(robot, drives or bus, mechanism, faults), tap=log.tap)
     outcome, raised = None, None
     announced: list[Outcome] = []

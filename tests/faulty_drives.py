@@ -7,7 +7,7 @@ import numpy as np
 
 from acquisition.protocol import State
 from acquisition.robot import Bus, Robot
-from acquisition.simulated import Mechanism, SimulatedDrives
+from acquisition.simulated import DrivenPlant, SimulatedDrives
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,7 +34,7 @@ class FaultyDrives(SimulatedDrives):
         self,
         robot: Robot,
         bus: Bus,
-        mechanism: Mechanism | None = None,
+        mechanism: DrivenPlant | None = None,
         faults: Sequence[Fault] = (),
         *,
         supervised: bool = True,

@@ -7,12 +7,12 @@ import identification.regression.system as regression_system
 from identification.data import Signals
 from identification.methods import Fit, identify
 from identification.regression import Overrides
-from identification.trust import Evidence
+from identification.trust import FitData
 
 
-def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides) -> tuple[Fit, Evidence]:
+def looked_at(method: str, signals: Signals, *, long: bool = False, **overrides) -> tuple[Fit, FitData]:
     """`long`: as of a recording whose rows are not held, in short blocks."""
-    seen: list[Evidence] = []
+    seen: list[FitData] = []
     with pytest.MonkeyPatch.context() as patch:
         made = assess.trust_in
         patch.setattr(assess, "trust_in", lambda evidence: seen.append(evidence) or made(evidence))

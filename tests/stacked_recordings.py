@@ -5,7 +5,7 @@ from dataclasses import replace
 from identification.data import Recordings
 from identification.methods import StackedSystem
 from identification.methods.observation import observation_of
-from identification.methods.system import stack
+from identification.methods.system import stack_recordings
 from identification.regression import Overrides, Problem, Regression
 
 
@@ -15,4 +15,4 @@ def system_of(*problems: Problem, plain: Regression | None = None) -> StackedSys
     if plain is not None:
         observations = [replace(observations[0], regression=plain)]
     sources = tuple(problem.signals for problem in problems)
-    return stack(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))
+    return stack_recordings(Recordings(sources=sources), Overrides(), observations, tuple(range(len(problems))))

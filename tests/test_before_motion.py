@@ -14,11 +14,11 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, confirm_motion, position_words
 from acquisition.commands import main
-from acquisition.commands.checking import look, refusal
+from acquisition.commands.checking import check_drives, refusal
 from acquisition.errors import AcquisitionError
 from acquisition.recording import SENT
 from acquisition.robot import table_reference
-from acquisition.session import Operator, RecordOptions, Task, record, steady, timing
+from acquisition.session import RecordOptions, Task, UserInterface, record, steady, timing
 from acquisition.session.running import _before_motion as before_motion
 from acquisition.session.timing import largest_delay_s, refuse_jitter
 from acquisition.simulated import LockStepLink, SimulatedDrives
@@ -119,7 +119,7 @@ def test_drives_that_do_not_supervise_themselves_are_no_go_for_motion(values, mi
     else:
         ready(RecordOptions())
     assert any(mark.startswith("confirmed: joint_1") for mark in ready(RecordOptions(unsupervised_drives=True)))
-    lacks = [f for f in look(run, master.bus) if not f.ok]
+    lacks = [f for f in check_drives(run, master.bus) if not f.ok]
     assert [(f.subject, f.node, f.track) for f in lacks] == ([("supervision", 2, True)] if refused else [])
     assert refusal(lacks) == ("no go for --track: supervision of node 2" if refused else "")
 
@@ -205,7 +205,7 @@ def test_speeds_that_are_none(tmp_path, speed):
         with pytest.raises(AcquisitionError, match=expected):
             record(
                 robot, "robot.toml", tmp_path / "a.mcap", RecordOptions(track=track, speed=speed, dry_run=True),
-                Operator(),
+                UserInterface(),
             )  # fmt: skip
     assert not (tmp_path / "a.mcap").exists()
 

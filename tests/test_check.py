@@ -4,7 +4,7 @@ import pytest
 from faulty_drives import FaultyDrives
 from made_up_buses import bus_of, bus_text, robot_of
 
-from acquisition.commands.checking import Finding, look, refusal, table
+from acquisition.commands.checking import Finding, check_drives, refusal, table
 from acquisition.simulated import LockStepLink
 
 
@@ -16,7 +16,7 @@ def run():
 
 def test_drives_that_are_alike_share_a_row(run):
     run.drives.nodes[1].values[0x6007, 0] = 0
-    lines = table(look(run, run.drives.bus))
+    lines = table(check_drives(run, run.drives.bus))
     at = [k for k, line in enumerate(lines) if "reaction 6007" in line]
     assert [lines[k].split(maxsplit=1)[0] for k in at] == ["ok", "ok"]
     assert at[1] == at[0] + 1
@@ -29,14 +29,14 @@ def test_drives_that_are_alike_share_a_row(run):
 
 def test_a_drive_that_does_not_answer_is_named(run):
     run.drives.silent.add(1)
-    findings = look(run, run.drives.bus)
+    findings = check_drives(run, run.drives.bus)
     assert [(f.subject, f.node) for f in findings if not f.ok] == [("state", 2)]
     assert refusal(findings) == "no go: state of node 2"
 
 
 def test_where_no_drive_answers_at_all(run):
     run.drives.silent |= {0, 1, 2}
-    findings = look(run, run.drives.bus)
+    findings = check_drives(run, run.drives.bus)
     (row,) = [line for line in table(findings) if "state" in line]
     assert "1, 2, 3" in row
     assert refusal(findings).startswith("no go: no drive answers at all: interface? try --dry-run")

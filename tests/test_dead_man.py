@@ -40,7 +40,7 @@ from acquisition.errors import AcquisitionError
 from acquisition.protocol import State, state_of
 from acquisition.recording import Recording, read_recording
 from acquisition.session import InlineLog, Task
-from acquisition.session.process import DeadMan, SignsOfLife, silence_s
+from acquisition.session.process import DeadMan, WatchdogPipe, silence_s
 from acquisition.simulated import LockStepLink, serve
 
 __all__ = ["folder", "npm", "port"]  # fixtures
@@ -172,7 +172,7 @@ def test_a_dead_man_acts_only_when_armed_and_not_ended():
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     for signs, acts in (("e", False), ("a", True), ("aae", False), ("aea", False)):
         here, there = multiprocessing.Pipe()
-        dead_man, life = DeadMan(here, bus), SignsOfLife(there)
+        dead_man, life = DeadMan(here, bus), WatchdogPipe(there)
         for sign in signs:
             life.alive() if sign == "a" else life.ended()
         if not acts:
@@ -188,7 +188,7 @@ def test_a_dead_man_acts_only_when_armed_and_not_ended():
 def test_the_session_knows_of_the_second_stop_before_its_first_frame(monkeypatch):
     bus = bus_of(robot_of(bus_text(2, channel="nobody_here")))
     here, there = multiprocessing.Pipe()
-    life, said = SignsOfLife(there), []
+    life, said = WatchdogPipe(there), []
     monkeypatch.setattr(dead_man_module, "stop_drives", lambda _: said.append(life.stopped()) or [])
     dead_man = DeadMan(here, bus)
     assert life.stopped() == ""
@@ -306,7 +306,7 @@ def test_six_slow_drives_over_processes(folder, monkeypatch):
 
 def test_signs_never_wait_for_a_recorder_that_hangs():
     here, there = multiprocessing.Pipe()
-    life = SignsOfLife(there)
+    life = WatchdogPipe(there)
     began = time.monotonic()
     for _ in range(300_000):
         life.alive()
@@ -347,7 +347,7 @@ def test_a_third_party_drive_is_stopped(folder, npm):
         master.wait(link.now_ns() + 500_000_000, for_answers=True)
         assert master.nodes[0].state is State.OPERATION_ENABLED
         here, there = multiprocessing.Pipe()
-        dead_man, life = DeadMan(here, bus), SignsOfLife(there)
+        dead_man, life = DeadMan(here, bus), WatchdogPipe(there)
         life.alive()
         life.close()  # as when the session is killed
         words = []

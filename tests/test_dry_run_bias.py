@@ -14,7 +14,7 @@ from acquisition.protocol import State
 from acquisition.recording import read_recording
 from acquisition.robot import DriveFile, demand_ripple_warnings, load_robot
 from acquisition.robot.bus import demand_ripple
-from acquisition.simulated import LoopGains, Mechanism, SimulatedDrives, cascaded_loops, describe_loops
+from acquisition.simulated import DrivenPlant, LoopGains, SimulatedDrives, cascaded_loops, describe_loops
 from acquisition.simulated.mechanism import JointwisePlant, cubic
 from identification.data import load_signals
 from identification.methods import identify_ls
@@ -22,7 +22,7 @@ from identification.methods.recording_report import ripple_warnings
 from identification.model import InverseModel, direct_model
 from identification.regression import Overrides
 from identification.simulation import Reference, described_robot, drive_loops, recorded_loop
-from identification.study import rehearse, study_truth
+from identification.study import record_simulated_session, study_truth
 
 BANDWIDTH_HZ, PERIOD_S, INERTIA = 10.0, 0.004, 2.0
 W = 2 * np.pi * BANDWIDTH_HZ
@@ -38,7 +38,7 @@ def sampled(text: str, loops: LoopGains, *, seconds: float = 4.0) -> tuple[np.nd
     robot = robot_of(text)
     bus, one = bus_of(robot), np.ones(1)
     plant = JointwisePlant(INERTIA * one, 0 * one, 0 * one, 0 * one, slides=np.zeros(1, bool), position=0 * one)
-    drives = SimulatedDrives(robot, bus, Mechanism(plant=plant, loops=loops))
+    drives = SimulatedDrives(robot, bus, DrivenPlant(plant=plant, loops=loops))
     node, drive = drives.nodes[0], bus.drives[0]
     node.nmt, node.state, node.values[0x6061, 0] = 5, State.OPERATION_ENABLED, 8
     found = []
@@ -179,7 +179,7 @@ def dry_tx40(tmp_path_factory):
     """Twelve seconds of the simulated TX40 without noise, its drives reporting actual values."""
     text = (REPLAY / "tx40" / "robot.toml").read_text().replace('reference = "6074"', 'actual = "6077"')
     robot, out = robot_of(text), tmp_path_factory.mktemp("dry") / "a.mcap"
-    rehearse(robot, "robot.toml", out, lambda text: None, noise_percent=0.0)
+    record_simulated_session(robot, "robot.toml", out, lambda text: None, noise_percent=0.0)
     return robot, out
 
 

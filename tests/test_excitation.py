@@ -14,7 +14,7 @@ from test_limits import URDF_ARM, URDF_TOML
 from acquisition.errors import AcquisitionError
 from acquisition.robot import check_limits, fourier_reference, load_robot, robot_from_files, table_reference
 from identification.commands import main
-from identification.design import ExcitationSettings, excitation_document, excite, knowledge_of, search
+from identification.design import ExcitationSettings, excitation_document, excite, prior_information, search
 from identification.design.information import Information, earlier_information, torque_noise
 from identification.design.limits import Series, limits_of, motion_of
 from identification.errors import IdentificationError
@@ -24,8 +24,8 @@ from identification.model import (
     direct_model,
     obstacles_of,
     regressor_gradient,
-    sliding_apart,
     torque_of_links,
+    torque_without_sliding,
     truth,
 )
 from identification.regression import Overrides, make_problem, regression_of_recording
@@ -161,7 +161,7 @@ def test_torque_without_coulomb_friction_is_that_of_the_direct_model():
     motion = tuple(np.random.default_rng(0).standard_normal((3, 30, 6)))
     u = motion[1] @ direct.directions.T
     coulomb = (direct.up * (u > 0) - direct.down * (u < 0)) @ direct.directions
-    smooth = sliding_apart(direct, motion, torque_of_links(direct, motion))[0]
+    smooth = torque_without_sliding(direct, motion, torque_of_links(direct, motion))[0]
     assert smooth + coulomb == pytest.approx(direct.torque(*motion), abs=1e-10)
 
 
@@ -200,7 +200,7 @@ def tx40_excitation():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
         said = []
-        found = excite(robot, settings, knowledge_of(robot), "here", said.append)
+        found = excite(robot, settings, prior_information(robot), "here", said.append)
     return robot, found, said
 
 
@@ -234,7 +234,7 @@ def test_the_same_seed_gives_the_same_reference():
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
         one, two, other = (
-            excite(SCARA, replace(settings, seed=seed), knowledge_of(SCARA), "here") for seed in (4, 4, 5)
+            excite(SCARA, replace(settings, seed=seed), prior_information(SCARA), "here") for seed in (4, 4, 5)
         )
     assert np.array_equal(one.table()[1], two.table()[1])
     assert not np.array_equal(one.table()[1], other.table()[1])
@@ -276,7 +276,7 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
     with pytest.raises(
         IdentificationError, match=r"no reference keeps the limits: \w+ of joint \w+ is left by .* --seed"
     ):
-        excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), knowledge_of(SCARA), "here")
+        excite(SCARA, ExcitationSettings(period_s=2.0, harmonics=3), prior_information(SCARA), "here")
 
 
 @pytest.mark.parametrize(
@@ -297,7 +297,7 @@ def test_searches_that_all_leave_a_limit_end_in_one_line(monkeypatch):
 def test_what_cannot_be_is_refused_in_one_line(text, settings, says, monkeypatch):
     robot = with_text("scara", *text, 1)
     monkeypatch.setattr(search, "STARTS", 1)
-    knowledge = knowledge_of(robot)
+    knowledge = prior_information(robot)
     with pytest.raises((IdentificationError, AcquisitionError)) as caught:
         excite(robot, ExcitationSettings(**settings), knowledge, "here")
     assert says in str(caught.value)
@@ -311,13 +311,13 @@ def test_gravity_that_a_joint_cannot_hold_is_refused():
     with pytest.raises(
         IdentificationError, match=r"joint joint_2 needs [0-9.]+ N m to leave rest .* effort limit of 24"
     ):
-        excite(robot, ExcitationSettings(), knowledge_of(robot), "here")
+        excite(robot, ExcitationSettings(), prior_information(robot), "here")
 
 
 def test_without_parameters_the_torque_is_said_not_to_be_checked():
     text = (REPLAY / "scara" / "robot.toml").read_text().split("# Orders of magnitude")[0]
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    knowledge = knowledge_of(robot)
+    knowledge = prior_information(robot)
     assert knowledge.beta is None
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search, "STARTS", 1)
@@ -330,18 +330,18 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     model, base, direct = modelled(SCARA)
     motions = [motion_of(random_x(SCARA), SERIES.basis(100))]
     rms = np.sqrt((direct.torque(*motions[0]) ** 2).mean(axis=0))
-    knowledge = knowledge_of(SCARA)
+    knowledge = prior_information(SCARA)
     assert torque_noise(SCARA, direct, knowledge, motions)[0] == pytest.approx(0.02 * rms)
-    assert torque_noise(SCARA, direct, knowledge_of(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
+    assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
     with pytest.raises(IdentificationError, match=r"--noise.*expected one number, or one for each of 2 joints"):
-        knowledge_of(SCARA, noise=(1.0, 2.0, 3.0))
+        prior_information(SCARA, noise=(1.0, 2.0, 3.0))
     beta = truth(model, base)
     parameters = [
         {"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in zip(base.names, beta, base.units, strict=True)
     ]
     joints = [{"moving_relative_error_percent": 5.0, "autocorrelation": 0.6}] * 2
     (tmp_path / "fit.json").write_text(json.dumps({"parameters": parameters, "joints": joints, "method": "iv"}))
-    known = knowledge_of(SCARA, fit=tmp_path / "fit.json")
+    known = prior_information(SCARA, fit=tmp_path / "fit.json")
     assert (known.warnings, known.beta_from) == ((), "fit.json")
     assert known.beta == pytest.approx(beta)
     assert torque_noise(SCARA, direct, known, motions)[0] == pytest.approx(0.05 * 2 * rms)  # sqrt(1.6 / 0.4) = 2
@@ -357,7 +357,7 @@ def earlier(tmp_path_factory):
 
 
 def test_earlier_recordings_add_what_their_least_squares_know(earlier):
-    knowledge = knowledge_of(SCARA, after=[earlier, earlier])
+    knowledge = prior_information(SCARA, after=[earlier, earlier])
     _, base, _ = modelled(SCARA)
     noise = np.array([0.2, 0.01])
     M = earlier_information(base, noise, knowledge.recordings[:1])
@@ -476,7 +476,7 @@ def test_a_search_starts_where_the_links_are_far_apart():
 def test_links_keep_their_distance_between_the_samples_of_the_search(monkeypatch):
     monkeypatch.setattr(search, "STARTS", 1)
     robot, settings = capsules("", 0.95), ExcitationSettings(period_s=4.0, harmonics=4, seed=2)
-    found = excite(robot, settings, knowledge_of(robot), "here")
+    found = excite(robot, settings, prior_information(robot), "here")
     q = found.reference.at(np.linspace(0, 4, 3001))[0]
     s = np.linspace(0.2, 1.0, 81)
     apart = np.sqrt(1 + s**2 + 2 * s * np.cos(q[:, 1:])).min() - 0.95 - 0.1

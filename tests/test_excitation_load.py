@@ -8,10 +8,10 @@ from test_excitation import SERIES, modelled, random_x
 from test_friction_terms import ALL, USUAL, described, upright
 
 from acquisition.robot import fourier_reference, robot_from_files
-from identification.design import ExcitationSettings, excite, knowledge_of, search
+from identification.design import ExcitationSettings, excite, prior_information, search
 from identification.design.information import earlier_information
 from identification.design.limits import limits_of, motion_of
-from identification.model import sliding_apart, torque_of_links, truth
+from identification.model import torque_of_links, torque_without_sliding, truth
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
 
@@ -36,7 +36,10 @@ def test_efforts_count_load_friction_against_the_motion(robot):
     motion = motion_of(x, basis)
     n = robot.n
     of_links = torque_of_links(direct, motion)
-    smooth, mu = sliding_apart(direct, motion, of_links)[0], truth(model, base)[list(load_friction(model, base).places)]
+    smooth, mu = (
+        torque_without_sliding(direct, motion, of_links)[0],
+        truth(model, base)[list(load_friction(model, base).places)],
+    )
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
     used, slopes = limits.used_and_slopes(motion)
@@ -63,7 +66,7 @@ def test_load_friction_is_said_to_be_left_out_of_the_criterion(known, monkeypatc
     if not known:
         text = text.split("[parameters]")[0]
     robot = robot_from_files({"robot.toml": text.encode()}, "here")
-    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), knowledge_of(robot), "here")
+    found = excite(robot, ExcitationSettings(period_s=2.0, harmonics=2), prior_information(robot), "here")
     assert not {"mu1", "mu2"} & set(found.base.names)
     assert found.warnings[-1].startswith("load friction (mu1, mu2) is not in the criterion")
     assert (found.beta is not None) == known
@@ -77,7 +80,7 @@ def test_earlier_recordings_add_what_they_know_of_all_but_load_friction(tmp_path
     robot = scara(("viscous", "coulomb", "load"))
     q_ref = fourier_reference(robot, period_s=3.0, seed=1).at(np.arange(3001) / 1000)[0]
     write_signals(tmp_path / "log.mcap", closed_loop(robot, q_ref, 1000.0, noise=Noise(), seed=1), source="simulated")
-    knowledge = knowledge_of(robot, after=[tmp_path / "log.mcap"])
+    knowledge = prior_information(robot, after=[tmp_path / "log.mcap"])
     _, base, _ = modelled(robot)
     noise, fewer = np.array([0.2, 0.01]), base.without(["mu1", "mu2"])
     problem = make_problem(knowledge.recordings[0], Overrides())

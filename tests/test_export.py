@@ -20,7 +20,7 @@ from identification.errors import IdentificationError
 from identification.estimation import consistent_parameters
 from identification.export import export_model, mechanism_of, model_of_fit, write_models
 from identification.export.exporting import with_parameters
-from identification.export.formats import UNLIMITED, made_urdf, quaternion, roll_pitch_yaw
+from identification.export.formats import UNLIMITED, make_urdf, quaternion, roll_pitch_yaw
 from identification.methods import Prior, fit_file, stored_robot, with_consistent
 from identification.model import InverseModel, JointTerm, base_parameters, physical_parameters
 from identification.model.physical import own_shares
@@ -134,7 +134,7 @@ def test_a_stated_effort_is_a_new_urdfs_limit_whatever_the_motors_are_recorded_i
     )
     joints = tuple(msgspec.structs.replace(joint, effort_nm=30.0) for joint in robot.joints)
     model = InverseModel(dataclasses.replace(robot, motors=motors, joints=joints))
-    assert made_urdf(model).count('effort="30.0"') == robot.n
+    assert make_urdf(model).count('effort="30.0"') == robot.n
 
 
 def inverse_in_mujoco(text, q, dq, ddq, *, friction):

@@ -22,8 +22,8 @@ from identification.design.trials import Trials, parts_of
 from identification.estimation import System
 from identification.export import mechanism_of
 from identification.export.mechanism import random_states, representable, whole_regressor
-from identification.methods import Iteration, Prior, identify_iv, identify_ls, settled_least_squares, with_consistent
-from identification.methods.settled import told_apart
+from identification.methods import Iteration, Prior, identify_iv, identify_ls, solve_with_load_friction, with_consistent
+from identification.methods.settled import independent_norm
 from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
 from identification.regression import (
     LoadFriction,
@@ -233,7 +233,7 @@ def exact(arm):
 @pytest.mark.slow
 def test_exact_motion_gives_every_term_back(exact):
     problem, known = exact
-    settled, full = settled_least_squares(system_of(problem))
+    settled, full = solve_with_load_friction(system_of(problem))
     assert settled.problem.settings.warnings == problem.settings.warnings  # nothing is left out
     np.testing.assert_allclose(full.beta, known, rtol=1e-8, atol=1e-8)
 
@@ -250,15 +250,15 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     robot = upright([[*USUAL, "root", "load"], [*USUAL, "load"]], "Fr1 = 0.5\nmu1 = 0.2\nmu2 = 0.3\n")
     t = np.arange(0.0, 12.0, 1 / 250.0)
     problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
-    _, whole = settled_least_squares(system_of(problem))
+    _, whole = solve_with_load_friction(system_of(problem))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
     monkeypatch.setattr(system, "_LINKS_KEPT", 0)
-    _, blocks = settled_least_squares(system_of(problem))
+    _, blocks = solve_with_load_friction(system_of(problem))
     np.testing.assert_allclose(blocks.beta, whole.beta, rtol=1e-6, atol=1e-7)
     monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
     plain = regression_of_recording(problem)
     assert plain.reduced
-    _, reduced = settled_least_squares(system_of(problem, plain=plain))
+    _, reduced = solve_with_load_friction(system_of(problem, plain=plain))
     np.testing.assert_allclose(reduced.beta, whole.beta, rtol=1e-6, atol=1e-7)
 
 
@@ -412,7 +412,7 @@ def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
         rho = W[:, i] - others @ np.linalg.lstsq(others, W[:, i], rcond=1e-12)[0]
         expected[name] = np.linalg.norm(rho) / np.linalg.norm(W[:, i]) if name != "e" else 0.0
     assert 5e-4 < expected["a"] < 2e-3
-    found = told_apart(system, names[1:])
+    found = independent_norm(system, names[1:])
     assert set(found) == set(names[1:])
     np.testing.assert_allclose(list(found.values()), [expected[name] for name in names[1:]], rtol=1e-6, atol=1e-8)
 
@@ -420,12 +420,12 @@ def test_what_other_columns_leave_of_a_column_is_what_least_squares_leaves():
 def test_root_friction_at_two_speeds_is_named_and_left_out():
     """Three columns of two speeds: Coulomb and viscous friction say all, the root nothing more."""
     problem, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0)
-    settled, full = settled_least_squares(system_of(problem))
+    settled, full = solve_with_load_friction(system_of(problem))
     assert full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
     (told,) = settled.problem.settings.warnings[-1:]
     assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
     three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
-    settled, full = settled_least_squares(system_of(three))
+    settled, full = solve_with_load_friction(system_of(three))
     np.testing.assert_allclose(full.beta, known, rtol=1e-8)
 
 
@@ -434,7 +434,7 @@ def test_load_friction_is_left_out_where_the_load_does_not_change(a_m_s2, left_o
     """A weight that hardly accelerates: its load friction is Coulomb friction."""
     robot = axis(["viscous", "coulomb", "load"], vertical=True, Fv=100.0, Fc=20.0, mu=0.2)
     problem, known = two_speeds(robot, a_m_s2)
-    settled, full = settled_least_squares(system_of(problem))
+    settled, full = solve_with_load_friction(system_of(problem))
     told = [
         warning for warning in settled.problem.settings.warnings if "load friction of joint axis left out" in warning
     ]

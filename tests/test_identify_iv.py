@@ -16,7 +16,7 @@ from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, direct_model, not_positive, truth
+from identification.model import InverseModel, base_parameters, direct_model, truth, why_not_positive
 from identification.regression import Overrides
 from identification.simulation import recorded_loop
 from identification.study import Noise, Run, RunFit, RunSettings, closed_loop, random_reference, summaries
@@ -196,7 +196,7 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = InverseModel(signals.robot)
     assert fit.status == "converged"
-    assert not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)), signals.q[::500]) is None
+    assert why_not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)), signals.q[::500]) is None
     # A torque of the wrong sign gives inertias below zero: nothing may be called converged.
     wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "not_confirmed"

@@ -127,7 +127,7 @@ def test_an_existing_file_is_not_replaced_and_the_urdf_is_found_from_it(here, ca
 def test_the_example_of_the_drives_is_one(here, capsys):
     """Without the mark of its lines: a description whose simulated drives can be resolved and moved."""
     from acquisition.robot import resolve
-    from acquisition.simulated import mechanism_of
+    from acquisition.simulated import driven_plant
 
     assert run(capsys, "init", "arm.urdf", *NAMES, *STATED, "-o", "robot.toml")[0] == 0
     (here / "cell.toml").write_text((here / "robot.toml").read_text().replace("\n#: ", "\n"))
@@ -137,7 +137,7 @@ def test_the_example_of_the_drives_is_one(here, capsys):
     assert "Ia1" not in load_robot("robot.toml").parameters
     bus = resolve(robot, "cell.toml")
     assert [drive.node for drive in bus.drives] == [1, 2, 3]
-    assert mechanism_of(robot, bus).warning is None
+    assert driven_plant(robot, bus).warning is None
     middle = np.array([np.mean(j.si("position")) for j in robot.joints])
     check_limits(np.tile(middle, (3, 1)), robot, 0.002, "nowhere")
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from conftest import REPLAY
 
-from acquisition.files import GrowingBytes, let_go, on_disk, room
+from acquisition.files import GrowingBytes, allocate, on_disk, release_pages
 from acquisition.recording import read_recording
 from identification import identify_iv, load_signals
 from identification.methods import Iteration
@@ -35,16 +35,16 @@ def test_bytes_are_those_appended_wherever_they_are(monkeypatch, held):
 
 
 def test_what_is_let_go_is_read_again(everything_on_disk):
-    x = room((500, 3))
+    x = allocate((500, 3))
     x[:] = np.arange(1500.0).reshape(500, 3)
     assert is_on_disk(x)
-    let_go(x)
-    let_go(x[10:20, 1])
+    release_pages(x)
+    release_pages(x[10:20, 1])
     np.testing.assert_array_equal(x, np.arange(1500.0).reshape(500, 3))
-    held = room((3, 3))
+    held = allocate((3, 3))
     held[:] = 1.0
     assert not is_on_disk(held)
-    let_go(held)
+    release_pages(held)
     assert (held == 1.0).all()
 
 

@@ -15,7 +15,7 @@ from test_friction_terms import axis, described, direct_of, model_of, simulated,
 from identification.commands import main
 from identification.data import RecordingFile, Recordings, cluster, processes, signals_from_arrays
 from identification.design import with_terms
-from identification.methods import Iteration, identify_iv, identify_ls, settled_least_squares
+from identification.methods import Iteration, identify_iv, identify_ls, solve_with_load_friction
 from identification.regression import (
     Overrides,
     make_problem,
@@ -277,7 +277,7 @@ def test_terms_that_recordings_cannot_tell_are_left_out_of_all(a_m_s2, others):
     robot = axis(["viscous", "coulomb", "root", "load"], vertical=True, Fv=100.0, Fc=20.0, Fr=30.0, mu=0.2)
     problems = [two_speeds(robot, a_m_s2, speeds)[0] for speeds in ((0.1, 0.2), others)]
     whole = system_of(*problems)
-    settled, full = settled_least_squares(whole)
+    settled, full = solve_with_load_friction(whole)
     told = settled.left_out
     assert set(told.values()) <= set(settled.problem.settings.warnings)
     if a_m_s2 < 1:

@@ -11,8 +11,8 @@ import acquisition.simulated.mechanism as mechanism_module
 from acquisition.errors import AcquisitionError
 from acquisition.recording import read_recording
 from acquisition.robot import load_robot
-from acquisition.session import Operator, RecordOptions, record
-from acquisition.simulated import mechanism_of
+from acquisition.session import RecordOptions, UserInterface, record
+from acquisition.simulated import driven_plant
 from acquisition.simulated.mechanism import JointwisePlant
 from identification.model import InverseModel
 from identification.model.base import known_parameters
@@ -30,7 +30,9 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
     table = tmp_path / "reference.csv"
     names = ",".join(joint.name for joint in robot.joints)
     np.savetxt(table, np.column_stack([t_s, reference]), delimiter=",", header=f"time_s,{names}", comments="")
-    outcome, _ = record(robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), Operator())
+    outcome, _ = record(
+        robot, str(place), tmp_path / "a.mcap", RecordOptions(dry_run=True, track=table), UserInterface()
+    )
     assert (outcome.reason, outcome.unconfirmed) == ("finished", ())
     recording = read_recording(tmp_path / "a.mcap")
     # Its copy of the description states the law of the simulated drives; theirs is the described one where there is one.
@@ -56,7 +58,7 @@ def test_a_dry_run_moves_the_described_robot_and_tracks(tmp_path, name):
 
 def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch):
     robot = robot_of(bus_text(2))
-    made = mechanism_of(robot, bus_of(robot))
+    made = driven_plant(robot, bus_of(robot))
     assert isinstance(made.plant, JointwisePlant)
     assert made.warning.startswith("a stand-in of independent joints with a gravity-like load moves")
     assert "robot.toml has no [parameters]" in made.warning
@@ -68,7 +70,7 @@ def test_without_parameters_or_dynamics_a_stand_in_with_weight_moves(monkeypatch
     assert made.plant.state()[0] == pytest.approx([-fallen] * 2, rel=0.05)
     monkeypatch.setattr(mechanism_module, "entry_points", lambda **_: EntryPoints())
     scara = load_robot(REPLAY / "scara" / "robot.toml")
-    alone = mechanism_of(scara, bus_of(scara))
+    alone = driven_plant(scara, bus_of(scara))
     assert isinstance(alone.plant, JointwisePlant)
     assert "no installed package offers the robot's dynamics (entry points robot_idim.plants)" in alone.warning
 
@@ -90,4 +92,4 @@ def test_a_joint_that_slides_carries_its_load_everywhere():
 def test_parameters_that_describe_no_robot_are_refused_in_one_line(was, becomes, expected):
     robot = robot_of((REPLAY / "scara" / "robot.toml").read_text().replace(was, becomes))
     with pytest.raises(AcquisitionError, match=expected.replace("(", r"\(")):
-        mechanism_of(robot, bus_of(robot))
+        driven_plant(robot, bus_of(robot))

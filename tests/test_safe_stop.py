@@ -12,7 +12,7 @@ import acquisition.bus.stopping as stopping
 from acquisition.bus import Master, leave_operational, not_disabled, safe_stop, stop_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
-from acquisition.simulated import LockStepLink, Mechanism, SimulatedDrives, cascaded_loops
+from acquisition.simulated import DrivenPlant, LockStepLink, SimulatedDrives, cascaded_loops
 from acquisition.simulated.node import SimulatedNode
 
 SPEED = 2.0  # rad/s of joint 1 when the stop begins; the limits are 200 °/s and 4000 °/s²
@@ -49,7 +49,7 @@ def moving(
     """Two enabled drives, and what is sent to them from here on."""
     robot = robot_of(bus_text(2, extra=extra))
     bus, sent = bus_of(robot), list[tuple[int, int, bytes]]()
-    mechanism = Mechanism(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
+    mechanism = DrivenPlant(plant=Coasting(after), loops=cascaded_loops(robot, np.ones(2)))
     run = LockStepLink(
         simulated(robot, bus, mechanism, supervised=False),
         tap=lambda f: sent.append((f.time_ns, f.can_id, f.data)),

@@ -18,7 +18,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 import acquisition.session.logs as recorder_logs
 import acquisition.simulated.drives as dry_run_module
 from acquisition.bus import Frame, Link, Master, open_bus
-from acquisition.commands.checking import look
+from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import (
     DISABLED,
@@ -33,7 +33,7 @@ from acquisition.protocol.objects import DictionaryEntry
 from acquisition.recording import SENT
 from acquisition.robot import axis_of
 from acquisition.robot.bus import dictionary_label
-from acquisition.session import Operator, RecordOptions, Stop, Task, record, stop_on_signals
+from acquisition.session import RecordOptions, Stop, Task, UserInterface, record, stop_on_signals
 from acquisition.simulated import LockStepLink, SimulatedDrives, serve
 from acquisition.simulated.node import SimulatedNode
 
@@ -97,7 +97,7 @@ def test_a_drive_found_in_fault_is_told(tmp_path, monkeypatch):
     assert session.events("mark") == [f"node {k}: found in fault" for k in (1, 2)]
     robot = robot_of(bus_text(2))
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    findings = look(run, bus_of(robot))
+    findings = check_drives(run, bus_of(robot))
     assert [f.ok for f in findings if f.subject == "state"] == [False, False]
 
 
@@ -171,7 +171,7 @@ def test_check_shows_what_the_drive_holds_on_its_scale():
     text = bus_text(1, drive='dictionary = "drive.eds"').replace('reference = "6074"', 'actual = "6077"')
     robot = robot_of(text, {dictionary_label("drive.eds"): eds.read_bytes()})
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    found = {f.subject: f.found for f in look(run, bus_of(robot))}
+    found = {f.subject: f.found for f in check_drives(run, bus_of(robot))}
     assert found["scale"].startswith("encoder increments per turns 608F 2000/1, gear 6091 1/1, feed 6092 1/1")
     assert "robot.toml: 65536 counts per turn" in found["scale"]
 
@@ -455,14 +455,14 @@ def test_what_is_refused_leaves_no_file(tmp_path):
     out = tmp_path / "a.mcap"
     nowhere = robot_of(bus_text(1, interface="slcan", channel="/nowhere/adapter"))
     with pytest.raises(AcquisitionError, match=r"bus: slcan .*: cannot be opened"):
-        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), Operator())
+        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0), UserInterface())
     with pytest.raises(AcquisitionError, match="--track: lasts as long as its reference"):
-        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), Operator())
+        record(nowhere, "robot.toml", out, RecordOptions(duration_s=1.0, track=tmp_path / "x.csv"), UserInterface())
     assert not out.exists()
     far = tmp_path / "far.csv"
     far.write_text("time_s,joint_1\n0,0\n1,0.5\n2,9\n3,9\n")
     with pytest.raises(AcquisitionError, match=r"far.csv: .*position of joint_1"):
-        record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), Operator())
+        record(nowhere, "robot.toml", out, RecordOptions(track=far, dry_run=True), UserInterface())
     assert not out.exists()
 
 

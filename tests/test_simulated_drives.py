@@ -10,7 +10,7 @@ from dry_sessions import dry_session, swing
 from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master
-from acquisition.commands.checking import look
+from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import State
 from acquisition.robot.bus import dictionary_label
@@ -72,7 +72,7 @@ def test_doubts_about_a_dictionary_reach_check_and_recording(tmp_path):
     assert session.recorded.warnings == (warning,)
     assert session.events("warning") == [warning]
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    found = [(f.subject, f.node, f.ok) for f in look(run, bus_of(robot)) if f.found == warning]
+    found = [(f.subject, f.node, f.ok) for f in check_drives(run, bus_of(robot)) if f.found == warning]
     assert found == [("dictionary", 1, True), ("dictionary", 2, True)]
 
 

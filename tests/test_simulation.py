@@ -11,7 +11,15 @@ from loops import simulate
 from acquisition.robot import robot_from_files
 from identification.errors import IdentificationError
 from identification.methods import Iteration, identify_iv, regular_start
-from identification.model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
+from identification.model import (
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    direct_model,
+    inertias,
+    truth,
+    why_not_positive,
+)
 from identification.model.base import known_parameters
 from identification.regression import Overrides
 from identification.simulation import ClosedLoop, Control, ControlLaw, Reference, recorded_loop, surrogate_loop
@@ -381,9 +389,9 @@ def test_a_representative_robot_has_no_link_without_mass(mass):
 def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
     dynamics = InverseModel(robot_named("scara"))
     massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
-    assert not_positive(direct_model(dynamics, massless), np.zeros((1, 2))) is None
+    assert why_not_positive(direct_model(dynamics, massless), np.zeros((1, 2))) is None
     broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
-    assert not_positive(broken, np.zeros((1, 2))) == "the inertia matrix is not finite on the trajectory"
+    assert why_not_positive(broken, np.zeros((1, 2))) == "the inertia matrix is not finite on the trajectory"
 
 
 def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
@@ -404,7 +412,7 @@ def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
         beta[base.names.index(name)] = value
     model = direct_model(dynamics, base.standard_parameters(beta))
     zero = still(2, 0.1)
-    assert "not positive on the trajectory" in not_positive(model, zero[:1])
+    assert "not positive on the trajectory" in why_not_positive(model, zero[:1])
     done = simulate(model, free(2), Reference(zero, zero, zero), start=(zero[0], zero[0]), bound=np.ones(2))
     assert done.reason == "the inertia matrix is not positive definite"
 
@@ -432,7 +440,7 @@ def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint
     J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
     M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
     np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
-    assert not_positive(direct_model(dynamics, base.standard_parameters(beta)), np.zeros((1, 6))) is None
+    assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)), np.zeros((1, 6))) is None
 
 
 def test_a_controller_described_in_part_names_what_is_missing():

@@ -9,7 +9,7 @@ from made_up_buses import bus_of, bus_text, robot_of
 
 from acquisition.bus import Master, MasterHeartbeat, second_stop, supervision_of
 from acquisition.bus.supervision import free_entry, timeout_ms
-from acquisition.commands.checking import look
+from acquisition.commands.checking import check_drives
 from acquisition.errors import AcquisitionError
 from acquisition.protocol import Command, Mode, State
 from acquisition.session import Task
@@ -191,7 +191,7 @@ def test_supervision_in_words(values, missing, expected):
 def test_check_shows_it_and_where_there_is_no_second_stop():
     robot = robot_of(bus_text(2))
     run = LockStepLink(SimulatedDrives(robot, bus_of(robot)))
-    (reaction,) = [f for f in look(run, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
+    (reaction,) = [f for f in check_drives(run, bus_of(robot)) if (f.subject, f.node) == ("reaction 6007", 2)]
     assert reaction.found.startswith("1: fault")
     file = bus_of(robot).file
     assert second_stop(file).startswith("the recorder's process stops the drives")

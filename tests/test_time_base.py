@@ -13,7 +13,7 @@ from acquisition.commands import main
 from acquisition.errors import AcquisitionError, Place
 from acquisition.importing import import_tables
 from acquisition.importing.stamps import rows_in_time, stamps_warning, ticks_from_velocity
-from acquisition.importing.time_base import rate_doubts, report_of, resample, roundest_rate_hz
+from acquisition.importing.time_base import rate_warnings, report_of, resample, roundest_rate_hz
 from acquisition.recording import read_recording
 
 RNG = np.random.default_rng(5)
@@ -180,14 +180,14 @@ def test_stamps_of_a_log_with_stalls_are_found():
     assert len(set(wrong) & set(left_out)) >= 0.98 * 300
     assert len(set(left_out) - set(wrong)) < 0.2 * 300
     found = resample(stamps, {"position": q}, rate_hz=100.0, largest_gap_periods=3.0, place=Place("log")).report
-    assert rate_doubts(found) == []
-    (doubt,) = rate_doubts(replace(found, off=500))
+    assert rate_warnings(found) == []
+    (doubt,) = rate_warnings(replace(found, off=500))
     assert doubt.startswith("2.5 % of the rows are left out")
 
 
 def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     def doubts(rate_hz: float) -> list[str]:
-        return rate_doubts(
+        return rate_warnings(
             resample(UNEVEN, {"q": motion(UNEVEN)}, rate_hz=rate_hz, largest_gap_periods=3, place=Place("")).report
         )
 
@@ -195,7 +195,7 @@ def test_grids_coarser_or_much_finer_than_the_rows_are_told():
     assert doubts(80.0)[0].startswith("resample_hz = 80 is below the rows' 100 Hz")
     assert doubts(260.0)[0].startswith("resample_hz = 260 is 2.6 times the rows' 100 Hz")
     assert doubts(1000.0)[0].startswith("resample_hz = 1000 is 10 times the rows' 100 Hz")
-    assert rate_doubts(report_of(UNEVEN)) == []
+    assert rate_warnings(report_of(UNEVEN)) == []
     for rate_hz in (1e-3, 1e9):
         with pytest.raises(
             AcquisitionError, match=r"resample_hz = .*: expected about the 100 Hz of the rows, which last"

@@ -17,7 +17,7 @@ from identification.estimation import System, weighted_least_squares
 from identification.estimation.estimators import joint_weights
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
 from identification.model import InverseModel, truth
-from identification.regression import FilteredMotion, Overrides, fast_rows, make_problem, regression_of_recording
+from identification.regression import FilteredMotion, Overrides, make_problem, moving_rows_of, regression_of_recording
 from identification.regression.rows import measured_slip
 from identification.study import Noise, closed_loop, random_reference
 
@@ -61,14 +61,14 @@ def test_a_description_asks_for_matlabs_edges():
 def test_a_row_is_slow_where_a_direction_that_acts_on_its_joint_is():
     directions = np.array([[1.0, 0.0], [0.0, 1.0], [1.0, 1.0]])
     q_dot = np.array([[10.0, 10.0], [0.3, 10.0], [10.0, 0.3], [10.0, -10.0]])
-    fast = fast_rows(q_dot @ directions.T, np.zeros(3), directions, None)
+    fast = moving_rows_of(q_dot @ directions.T, np.zeros(3), directions, None)
     # The third direction acts on both joints: at +10 and -10 it stands.
     assert fast.tolist() == [[True, True], [False, True], [True, False], [False, False]]
-    assert fast_rows(q_dot @ directions.T, np.zeros(3), directions, 0.0).all()
+    assert moving_rows_of(q_dot @ directions.T, np.zeros(3), directions, 0.0).all()
     # 4 deviations of a noise of 0.1 are 0.4; a stated share takes no notice of it.
-    noisy = fast_rows(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), None)
+    noisy = moving_rows_of(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), None)
     assert noisy[:, 0].tolist() == [True, True, False]
-    assert fast_rows(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), 4.0)[:, 0].tolist() == [
+    assert moving_rows_of(np.array([[10.0], [0.41], [0.39]]), np.array([0.1]), np.eye(1), 4.0)[:, 0].tolist() == [
         True,
         True,
         False,
@@ -113,7 +113,7 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     slip = [
         speed[max(0, k - half) : k + half + 1].min(axis=0) for k in range((len(speed) - 1) % steps, len(speed), steps)
     ]
-    fast = fast_rows(np.array(slip), np.zeros(len(D)), D, None)
+    fast = moving_rows_of(np.array(slip), np.zeros(len(D)), D, None)
     used = fast.T.reshape(-1).astype(float)
     assert used.sum() == pytest.approx(iv.estimate.rows, rel=5e-3)  # these are the rows of an earlier pass
     on_its_rows = weighted_least_squares(regression_of_recording(ls.problem).system.with_rows(used))

@@ -27,7 +27,7 @@ from identification.estimation import System, instrumental_variables, intervals
 from identification.estimation.diagnostics import autoregression
 from identification.methods import Fit, identify, identify_ls
 from identification.regression import Overrides
-from identification.trust import LEVELS, Evidence, Trust, TrustLine
+from identification.trust import LEVELS, FitData, Trust, TrustLine
 from identification.trust.columns import missing_terms
 from identification.trust.held_out import held_out_test
 from identification.trust.physical import physical_test
@@ -75,13 +75,13 @@ def recorded(name: str, cell: Imperfections = WHITE, fault: str = "") -> Signals
 
 
 @cache
-def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, Evidence]:
+def examined(method: str, name: str, cell: Imperfections = WHITE, fault: str = "") -> tuple[Fit, FitData]:
     """A fit, and the evidence that its tests looked at."""
     return looked_at(method, recorded(name, cell, fault))
 
 
 @cache
-def examined_as_long(method: str) -> tuple[Fit, Evidence]:
+def examined_as_long(method: str) -> tuple[Fit, FitData]:
     """The same of the SCARA as of a recording whose rows are not held."""
     return looked_at(method, recorded("scara"), long=True)
 
@@ -272,7 +272,7 @@ def test_a_relative_gain_is_named():
 # Other estimates from the same rows
 
 
-def block_errors(evidence: Evidence, blocks: int) -> tuple[float, float]:
+def block_errors(evidence: FitData, blocks: int) -> tuple[float, float]:
     """Held-out and training error in percent, each block predicted by least squares of the rows of the others."""
     W, Y, used = evidence.rows.W, evidence.rows.Y, evidence.used > 0
     n = evidence.observed.tau.shape[1]
@@ -449,7 +449,7 @@ def test_prewhitened_rows_are_those_of_the_filter():
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["iv", "wls"])
 def test_a_long_recording_is_tested_as_its_rows_are(method):
-    """Borders of blocks are off by half a block of 128 at most. By instruments a row or two more count: see `fast_rows`."""
+    """Borders of blocks are off by half a block of 128 at most. By instruments a row or two more count."""
     (fit, evidence), (long, of_blocks) = examined(method, "scara"), examined_as_long(method)
     assert (evidence.observed.reduced, of_blocks.observed.reduced) == (False, True)
     rows = 5e-8 if method == "wls" else 0.01

@@ -5,7 +5,7 @@ from .before_motion import (
     Confirm,
     confirm_motion,
     error_report,
-    homed,
+    is_homed,
     joint_positions,
     joints_of,
     listen_for_others,

@@ -80,8 +80,8 @@ def position_words(robot: Robot, q: Array) -> list[str]:
     ]
 
 
-def homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
-    """Whether the object or bit of the description's `homed` is set, read from the drive; None where none is described."""
+def is_homed(master: Master, drive: Drive, file: DriveFile) -> bool | None:
+    """Whether the object or bit of the description's `is_homed` is set, read from the drive; None where none is described."""
     if file.homed is None:
         return None
     index, sub, bit = parse_homed(file.homed)
@@ -96,7 +96,7 @@ def confirm_motion(robot: Robot, master: Master, confirm: Confirm, *, reset_faul
     confirmed: `joint_1 = 12.34 deg`. Raises `AcquisitionError`: not homed, no answer, or not confirmed.
     """
     for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-        if homed(master, drive, file) is False:
+        if is_homed(master, drive, file) is False:
             where, expected = f"node {drive.node} ({drive.name})", "a homed drive before motion"
             raise AcquisitionError("not set", place=where, key="homed", value=file.homed, expected=expected)
     words = position_words(robot, joint_positions(robot, master))

@@ -116,7 +116,7 @@ LARGEST_PAYLOAD = 8  # bytes, of classic CAN
 _TRC_VERSIONS = ("1.0", "1.1", "1.3", "2.0", "2.1")  # that python-can reads; it reads any other as 1.0
 
 
-class _Doubts(logging.Handler):
+class _FirstWarning(logging.Handler):
     """Keeps the first warning of python-can's TRC reader, which skips lines that it cannot read."""
 
     def __init__(self) -> None:
@@ -141,7 +141,7 @@ def read_log(path: Path) -> Iterator[tuple[str | None, Frame | None]]:
     if path.suffix.lower() not in SUFFIXES:
         expected = ".log (candump), .asc, .blf or .trc"
         raise AcquisitionError(f"suffix {path.suffix!r}", place=str(path), expected=expected)
-    count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _Doubts()
+    count, latest_s, doubts = 0, LARGEST_STAMP_NS * 1e-9, _FirstWarning()
     logger = logging.getLogger("can.io.trc")
     logger.addHandler(doubts)
     try:

@@ -10,7 +10,7 @@ from ..bus import (
     QUEUE_BYTES,
     Link,
     Master,
-    homed,
+    is_homed,
     joint_positions,
     listen_for_others,
     open_bus,
@@ -62,7 +62,7 @@ def check(robot: Robot, bus: Bus) -> list[Finding]:
             findings.append(Finding("kernel queue", f"{granted} bytes{text}", ok=ok))
         with steady() as scheduling:
             findings.append(Finding("scheduling", scheduling.words))
-            found = look(link, bus)
+            found = check_drives(link, bus)
         if all(finding.ok for finding in found if finding.subject in (STRANGER, "state")):
             found += _positions(robot, Master(link, bus))
         return findings + found
@@ -91,7 +91,7 @@ def refusal(findings: list[Finding]) -> str:
     return f"no go{' for --track' if all(f.track for f in failed) else ''}: {', '.join(names)}" if failed else ""
 
 
-def look(link: Link, bus: Bus) -> list[Finding]:
+def check_drives(link: Link, bus: Bus) -> list[Finding]:
     """Findings of the drives and of SYNC over an open link; nothing is sent if another node is heard first."""
     master = Master(link, bus)
     if (other := listen_for_others(master)) is not None:
@@ -209,11 +209,11 @@ def _positions(robot: Robot, master: Master) -> list[Finding]:
         text = f"{', '.join(words)}: see that the robot stands like that"
         findings.append(Finding("joint positions", text))
         for drive, file in zip(master.bus.drives, master.bus.file.drive, strict=True):
-            is_homed = homed(master, drive, file)
+            found = is_homed(master, drive, file)
             text = "not described: the drive's zero may be where it was switched on"
-            if is_homed is not None:
-                text = f"{'yes' if is_homed else 'NO'} ({file.homed})"
-            findings.append(Finding("homed", text, ok=is_homed is not False, node=drive.node, track=True))
+            if found is not None:
+                text = f"{'yes' if found else 'NO'} ({file.homed})"
+            findings.append(Finding("homed", text, ok=found is not False, node=drive.node, track=True))
     except AcquisitionError as error:
         findings.append(Finding("joint positions", str(error), ok=False))
     return findings

@@ -32,7 +32,7 @@ def add(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> int:
     """Record, show the status, and print what was recorded; 1 when the session ended with a fault."""
     from ..robot import load_robot
-    from ..session import Operator, Stop, record, stop_on_signals
+    from ..session import Stop, UserInterface, record, stop_on_signals
 
     if options.duration_s is not None and not 0 < options.duration_s < float("inf"):
         raise AcquisitionError(key="--duration", value=options.duration_s, expected="more than 0, and finite")
@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         line.show(*live_line(robot, status, left_s))
 
     line.show(("starting", False))
-    operator = Operator(stop=stop, confirm=confirm, show=show, announce=announce)
+    operator = UserInterface(stop=stop, confirm=confirm, show=show, announce=announce)
     try:
         with stop_on_signals(stop):
             asked = from_options(RecordOptions, options)

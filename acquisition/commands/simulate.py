@@ -24,18 +24,18 @@ def run(options: argparse.Namespace) -> None:
     from ..recording import read_recording
     from ..robot import load_robot, resolve
     from ..session import Stop, stop_on_signals
-    from ..simulated import Mechanism, SimulatedDrives, TablePlant, cascaded_loops, mechanism_of, serve
+    from ..simulated import DrivenPlant, SimulatedDrives, TablePlant, cascaded_loops, driven_plant, serve
 
     robot = load_robot(options.robot)
     bus = resolve(robot, str(options.robot))
     if options.replay is None:
-        mechanism = mechanism_of(robot, bus)
+        mechanism = driven_plant(robot, bus)
     else:
         recording = read_recording(options.replay)
         if recording.samples is None:
             raise AcquisitionError(recording.no_samples, place=str(options.replay), expected="some to replay")
         plant = TablePlant(recording.samples, recording.sample_rate_hz)
-        mechanism = Mechanism(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # which have no effect
+        mechanism = DrivenPlant(plant=plant, loops=cascaded_loops(robot, np.ones(robot.n)))  # which have no effect
     stop, end_s = Stop(), time.monotonic() + (options.duration if options.duration is not None else float("inf"))
     nodes = ", ".join(str(drive.node) for drive in bus.drives)
     text = f"simulated drives, nodes {nodes}, on {bus.file.interface} {bus.file.channel}"

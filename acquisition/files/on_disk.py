@@ -35,7 +35,7 @@ class GrowingBytes:
         return mmap.mmap(self._file.fileno(), len(self), access=mmap.ACCESS_READ)
 
 
-def room(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:
+def allocate(shape: tuple[int, ...], held: int | None = None) -> NDArray[np.float64]:
     """An array to be filled; one larger than `held`, or `HELD`, lies in a temporary file without a name."""
     size = 8 * int(np.prod(shape))
     if size <= (HELD if held is None else held):
@@ -50,15 +50,15 @@ def field_of(rows: NDArray[np.void], name: str) -> NDArray[Any]:
     x = rows[name]
     if rows.nbytes <= HELD:
         return x
-    own = room(x.shape).view(x.dtype)
+    own = allocate(x.shape).view(x.dtype)
     for first in range(0, len(x), _ROWS):
         own[first : first + _ROWS] = x[first : first + _ROWS]
-        let_go(rows)
-    let_go(own)
+        release_pages(rows)
+    release_pages(own)
     return own
 
 
-def let_go(x: NDArray[np.generic]) -> None:
+def release_pages(x: NDArray[np.generic]) -> None:
     """Take what lies in a temporary file out of memory: it is read again where it is looked at."""
     base: object = x
     while isinstance(base, np.ndarray):

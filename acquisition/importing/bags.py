@@ -13,7 +13,7 @@ from ..recording import JOINT_STATE, Header
 from ..robot import Robot
 from .quantities import EFFORT_UNITS, effort_at_joint, effort_side, position_side, si_units
 from .stamps import smallest_difference
-from .time_base import Imported, resample, with_doubts, write_samples
+from .time_base import Imported, resample, with_warnings, write_samples
 
 SUFFIXES = (".mcap", ".db3")
 # Noise and motion are so many times as large at Nyquist in a few per cent of the windows of so many rows.
@@ -64,7 +64,7 @@ def import_bag(
     grid = resample(time_s, parts, rate_hz=resample_hz, place=place)
     clock = "times of reception" if received else "header stamps"
     way_out = "record a topic that the robot's own clock stamps, or import a table whose map states sample_rate_hz"
-    grid = replace(with_doubts(grid, time_s, position, clock, way_out), first_ns=first_ns)
+    grid = replace(with_warnings(grid, time_s, position, clock, way_out), first_ns=first_ns)
     header = Header(
         robot=robot,
         source=f"ROS 2 bag {bag.name}, topic {topic}",

@@ -56,7 +56,7 @@ def decode_recording(path: Path, out: Path, robot: Robot | None, place: str) -> 
     return _imported(decoded, out)
 
 
-def row_doubts(recording: Recording) -> str:
+def row_warnings(recording: Recording) -> str:
     """What the frames of a recording of an older version say of its samples; empty where all of them stand."""
     if not recording.frames or recording.samples is None or not _is_older(recording):
         return ""

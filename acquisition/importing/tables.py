@@ -18,7 +18,7 @@ from ..recording import OPTIONAL, Header
 from ..robot import EffortTiming, Positive, Robot, parse_toml
 from .quantities import Quantity, Source, TableNumber
 from .stamps import ticks_from_velocity
-from .time_base import LARGEST_GAP_PERIODS, Imported, OnGrid, even, resample, with_doubts, write_samples
+from .time_base import LARGEST_GAP_PERIODS, Imported, OnGrid, even, resample, with_warnings, write_samples
 
 Periods = Annotated[float, msgspec.Meta(ge=1.5)]
 
@@ -142,7 +142,7 @@ def _on_grid(source: Source, table_map: TableMap, parts: Mapping[str, Array]) ->
         source.place.refuse("sample_rate_hz", given_hz, expected)
     clock = "stamps" if time.ticks is None else "ticks"
     way_out = "take a counter of the robot as time.ticks, or state sample_rate_hz in place of [time]"
-    grid = with_doubts(grid, time_s, parts["position"], clock, way_out)
+    grid = with_warnings(grid, time_s, parts["position"], clock, way_out)
     assert grid.report is not None
     return replace(grid, report=replace(grid.report, doubled=grid.report.doubled + twice, stamps_off_s=off_s))
 

@@ -94,13 +94,13 @@ class OnGrid:
         return np.asarray(self.first_ns + round(start_s * 1e9) + steps)
 
 
-def with_doubts(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
+def with_warnings(grid: OnGrid, time_s: Array, q: Array, clock: str, way_out: str) -> OnGrid:
     """A grid of rows at times (N,) by a `clock` and positions q (N, n), with doubts about these times."""
     assert grid.report is not None
     report = replace(grid.report, clock=clock)
     growing = np.concatenate([[True], np.diff(time_s) > 0])
     warning = stamps_warning(time_s[growing], q[growing], way_out)
-    return replace(grid, report=report, doubts=(*rate_doubts(report), *([warning] if warning else [])))
+    return replace(grid, report=report, doubts=(*rate_warnings(report), *([warning] if warning else [])))
 
 
 def report_of(time_s: Array, doubled: int = 0) -> TimeReport:
@@ -202,7 +202,7 @@ def _roundest(rate_hz: float, scatter: float) -> float:
     return next(r for d in range(1, 18) if abs((r := float(f"{rate_hz:.{d}g}")) / rate_hz - 1) <= scatter)
 
 
-def rate_doubts(report: TimeReport | None) -> list[str]:
+def rate_warnings(report: TimeReport | None) -> list[str]:
     """Warnings about a grid that is coarser than the rows, or much finer, and about many rows that were left out."""
     if report is None or report.grid_hz is None:
         return []

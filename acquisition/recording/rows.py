@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Ints
 from ..errors import Place
-from ..files import let_go
+from ..files import release_pages
 from ..protocol import PARAMETERS, REQUEST, ObjectEntry, Pdo, request_of
 
 # One raw CAN frame; `data` beyond `length` is zero.
@@ -78,7 +78,7 @@ def in_parts(rows: Block) -> Iterator[Block]:
     """Rows some at a time."""
     for first in range(0, len(rows), _AT_ONCE):
         yield rows[first : first + _AT_ONCE]
-        let_go(rows)
+        release_pages(rows)
 
 
 def check_samples(samples: Block, after_ns: int, place: str) -> None:
@@ -154,7 +154,7 @@ class Traffic:
         for first in range(0, len(rows), _TAKEN):
             part = slice(first, first + _TAKEN)
             found[part] = column[rows[part]]
-            let_go(self.frames)
+            release_pages(self.frames)
         return found
 
 

@@ -19,12 +19,12 @@ from .rows import SENT, Block, gaps, in_parts
 _SHOWN = 20  # gaps and events in the tables; the JSON has all
 
 
-def overview(recording: Recording, row_doubts: str = "") -> dict[str, Any]:
+def overview(recording: Recording, row_warnings: str = "") -> dict[str, Any]:
     """The content of `robot-acquire info` as plain data; stamps are the recording's, tables count them from `first_ns`.
 
     `joints`, `extras`: lowest and highest values, an empty unit is that of raw integers. `step_jitter_s`: standard deviation
     and worst deviation of the steps between samples, gaps left out. `first_ns`: of the first sample, of the first frame where
-    there are no samples, None without either. `row_doubts`: what the frames say of samples that an older version made.
+    there are no samples, None without either. `row_warnings`: what the frames say of samples that an older version made.
     `health`: the last counters. `attachments`: sizes in bytes by name.
     """
     samples, robot, metadata = recording.samples, recording.robot, recording.metadata
@@ -56,7 +56,7 @@ def overview(recording: Recording, row_doubts: str = "") -> dict[str, Any]:
         "extras": extras,
         "step_jitter_s": (0.0, 0.0) if samples is None else _step_jitter(samples["stamp_ns"]),
         "no_samples": recording.no_samples if samples is None else "",
-        "row_doubts": row_doubts,
+        "row_doubts": row_warnings,
         "effort_provenance": metadata.get("effort_provenance", ""),
         "times": metadata.get("times", ""),
         "gaps": () if samples is None else gaps(samples, recording.sample_rate_hz, _own_syncs(recording)),

@@ -2,6 +2,6 @@
 
 from .logs import InlineLog
 from .recorder import Recorded, Recorder, Status, write_decoded
-from .running import Operator, RecordOptions, record, replay, stop_on_signals
+from .running import RecordOptions, UserInterface, record, replay, stop_on_signals
 from .session import Outcome, Stop, Task, run_active
 from .timing import DEVIATIONS, steady, sync_jitter

@@ -14,7 +14,7 @@ from typing import Any
 from ..bus import Frame, block_of
 from ..errors import AcquisitionError
 from ..robot import Robot
-from .process import BLOCK_S, STOPPING, Role, SignsOfLife, run
+from .process import BLOCK_S, STOPPING, Role, WatchdogPipe, run
 from .recorder import Recorded, Recorder, Status
 
 START_S = 20.0  # for the process to come up
@@ -84,7 +84,7 @@ class ProcessLog:
         context = multiprocessing.get_context("spawn")
         self._connection, other = context.Pipe()
         watched, signs = context.Pipe() if role is Role.GUARD else (None, None)
-        self._signs = None if signs is None else SignsOfLife(signs)
+        self._signs = None if signs is None else WatchdogPipe(signs)
         self._frames: list[Frame] = []
         self.on_status: OnStatus = lambda status, stamp_ns: None
         arguments = (other, path.absolute(), dict(robot.files), place, role, watched)

@@ -39,7 +39,7 @@ def silence_s(file: BusFile) -> float:
     return max(SILENT_S, SILENT_PERIODS * file.sync_period_s)
 
 
-class SignsOfLife:
+class WatchdogPipe:
     """The session's end of the pipe. It never waits: a recorder that hangs must not hold up SYNC."""
 
     def __init__(self, connection: Connection) -> None:

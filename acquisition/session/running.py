@@ -28,7 +28,7 @@ from ..options import RecordOptions
 from ..protocol import ANSWER, EMERGENCY, HEARTBEAT
 from ..recording import ERROR, EXTENDED, REMOTE_REQUEST, Block, Recording, read_recording, written_by_master
 from ..robot import Bus, BusFile, Robot, check_limits, refuse_load, resolve, table_reference
-from ..simulated import LockStepLink, SimulatedDrives, describe_loops, mechanism_of
+from ..simulated import LockStepLink, SimulatedDrives, describe_loops, driven_plant
 from .logs import InlineLog, ProcessLog
 from .process import STOPPING, Role
 from .recorder import Recorded, Recorder, Status
@@ -40,7 +40,7 @@ ShowStatus = Callable[[Status, float | None], None]  # status of the recorder, s
 
 
 @dataclass(frozen=True, kw_only=True)
-class Operator:
+class UserInterface:
     """Whoever runs a session: how they stop it, what they are shown and asked. By default nothing moves.
 
     `confirm` shows the joint positions, and drives in fault, before motion; True where the operator confirms them.
@@ -52,7 +52,9 @@ class Operator:
     announce: Callable[[Outcome], None] = lambda outcome: None  # called as soon as the outcome is known
 
 
-def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator: Operator) -> tuple[Outcome, Recorded]:
+def record(
+    robot: Robot, place: str, out: Path, options: RecordOptions, operator: UserInterface
+) -> tuple[Outcome, Recorded]:
     """Record until the task is done or the operator's `stop` has a reason. The robot moves only with `options.track`.
 
     `robot` has a `[bus]` section; `place` names it in errors. `out` is the recording to write; an existing file is never
@@ -94,7 +96,7 @@ def record(robot: Robot, place: str, out: Path, options: RecordOptions, operator
             raise outcome.error or error from error  # the first error may be the cause of the second
 
 
-def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Operator) -> Task:
+def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: UserInterface) -> Task:
     """The task that the options ask for. Raises `AcquisitionError` for options that contradict each other."""
     if options.track is not None and options.duration_s is not None:
         raise AcquisitionError("lasts as long as its reference", place="--track", expected="it without --duration")
@@ -115,7 +117,7 @@ def _task_of(robot: Robot, period_s: float, options: RecordOptions, operator: Op
 @contextmanager
 def _simulated(bus: Bus, robot: Robot, out: Path, place: str) -> Iterator[tuple[Link, InlineLog]]:
     """Link to simulated drives in simulated time, and the log of its frames."""
-    mechanism = mechanism_of(robot, bus)
+    mechanism = driven_plant(robot, bus)
     described = describe_loops(robot, mechanism.loops)
     log = InlineLog(Recorder(out, described, source="dry run on simulated drives", place=place))
     with closing(log):
@@ -151,7 +153,7 @@ def _before_motion(robot: Robot, master: Master, options: RecordOptions, confirm
     return marks
 
 
-def _listen(robot: Robot, place: str, out: Path, task: Task, operator: Operator) -> tuple[Outcome, Recorded]:
+def _listen(robot: Robot, place: str, out: Path, task: Task, operator: UserInterface) -> tuple[Outcome, Recorded]:
     """Record the frames of the bus. No link is opened here: that of the recorder's process cannot send."""
     stop, clock = operator.stop, WallClock()
     log = ProcessLog(out, robot, place, Role.LISTENER, clock.now_ns() - time.monotonic_ns())

@@ -3,11 +3,11 @@
 from .drives import LockStepLink, SimulatedDrives, serve
 from .mechanism import (
     SUBSTEPS,
+    DrivenPlant,
     LoopGains,
-    Mechanism,
     TablePlant,
     cascaded_loops,
     describe_loops,
-    mechanism_of,
+    driven_plant,
     middle_of_range,
 )

@@ -30,7 +30,7 @@ from ..protocol import (
 )
 from ..recording import SENT
 from ..robot import Bus, Robot, axis_index
-from .mechanism import SUBSTEPS, Mechanism, cubic, mechanism_of
+from .mechanism import SUBSTEPS, DrivenPlant, cubic, driven_plant
 from .node import Sent, SimulatedNode, Supervision, simulated_node
 
 # Times the following errors of the joints that a motor moves: the drive's own (6065h) stops after the session's.
@@ -42,11 +42,13 @@ QUICK_STOP_STAYS = range(5, 9)
 class SimulatedDrives:
     """All drives of a robot: `receive` takes a frame and returns the frames that the drives send. No I/O, no clock.
 
-    They move `mechanism` (default: `mechanism_of` the description). Drives that are not `supervised` notice no lost SYNC, no
+    They move `mechanism` (default: `driven_plant` the description). Drives that are not `supervised` notice no lost SYNC, no
     lost master (no 1016h, 6007h is 0), and no following error (6065h is off).
     """
 
-    def __init__(self, robot: Robot, bus: Bus, mechanism: Mechanism | None = None, *, supervised: bool = True) -> None:
+    def __init__(
+        self, robot: Robot, bus: Bus, mechanism: DrivenPlant | None = None, *, supervised: bool = True
+    ) -> None:
         self.nodes = [simulated_node(drive) for drive in bus.drives]
         for node, file in zip(self.nodes, bus.file.drive, strict=True):
             if file.homed is not None:
@@ -56,7 +58,7 @@ class SimulatedDrives:
             Supervision(node, WINDOW * limit * node.drive.position_codec.counts_per_unit, supervised=supervised)
             for node, limit in zip(self.nodes, following, strict=True)
         ]
-        mechanism = mechanism or mechanism_of(robot, bus)
+        mechanism = mechanism or driven_plant(robot, bus)
         self.bus, self.plant = bus, mechanism.plant
         self._robot, self._loops = robot, mechanism.loops
         self._period_s = bus.file.sync_period_s

@@ -182,7 +182,7 @@ PlantOf = Callable[[Robot], tuple[Plant, LoopGains]]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Mechanism:
+class DrivenPlant:
     """The plant that simulated drives move, and their loops; `warning` is set where it is not the described robot."""
 
     plant: Plant
@@ -190,7 +190,7 @@ class Mechanism:
     warning: str | None = None
 
 
-def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
+def driven_plant(robot: Robot, bus: Bus) -> DrivenPlant:
     """The robot of `[parameters]`; independent joints, with a warning, without them or where no package offers its dynamics."""
     if not robot.parameters:
         return _stand_in(robot, bus, "robot.toml has no [parameters]")
@@ -202,14 +202,14 @@ def mechanism_of(robot: Robot, bus: Bus) -> Mechanism:
     except (ImportError, AttributeError) as error:
         Place(f"entry point {GROUP} {offered[0].value}").refuse(text=f"cannot be loaded: {error}")
     plant, loops = plant_of(robot)
-    return Mechanism(plant=plant, loops=loops)
+    return DrivenPlant(plant=plant, loops=loops)
 
 
-def _stand_in(robot: Robot, bus: Bus, why: str) -> Mechanism:
+def _stand_in(robot: Robot, bus: Bus, why: str) -> DrivenPlant:
     rated = rated_motor_effort(bus)
     warning = f"a stand-in of independent joints with a gravity-like load moves, not the described robot: {why}"
     loops = cascaded_loops(robot, typical_inertia(robot, rated))
-    return Mechanism(plant=typical_plant(robot, rated), loops=loops, warning=warning)
+    return DrivenPlant(plant=typical_plant(robot, rated), loops=loops, warning=warning)
 
 
 def rated_motor_effort(bus: Bus) -> Array:

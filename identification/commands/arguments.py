@@ -162,7 +162,7 @@ def print_results(*items: "Document | str") -> None:
     print_whole(*items)
 
 
-def untrusted(reasons: Sequence[str]) -> int:
+def trust_status(reasons: Sequence[str]) -> int:
     """The exit status of a result; one that is not to be trusted has a line on stderr that says why."""
     if reasons:
         print(one_line(f"robot-identify: not to be trusted: {'; '.join(reasons)}"), file=sys.stderr)

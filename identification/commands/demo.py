@@ -29,7 +29,7 @@ def run(options: argparse.Namespace) -> None:
         from ..methods import Iteration, fit_document, fit_file, identify_iv, identify_ls
         from ..regression import Overrides
         from ..report import write_json
-        from ..study import base_file, description, rehearse, study_truth, truth_document
+        from ..study import base_file, description, record_simulated_session, study_truth, truth_document
         from ..view import write_fit_rrd
 
         place, out = description(options.robot), options.out
@@ -37,7 +37,7 @@ def run(options: argparse.Namespace) -> None:
         robot = load_robot(place)
         make_folder(out)
         with atomic_write(out / "session.mcap") as recording:
-            rehearse(robot, str(place), recording, progress.say, noise_percent=options.noise)
+            record_simulated_session(robot, str(place), recording, progress.say, noise_percent=options.noise)
         signals = load_signals(out / "session.mcap")
         base, true = study_truth(robot)
         write_json(out / "truth.json", base_file(base, robot, true))

@@ -32,11 +32,13 @@ def run(options: argparse.Namespace) -> None:
 
         from acquisition.files import write_columns
 
-        from ..design import ExcitationSettings, excitation_document, excite, knowledge_of
+        from ..design import ExcitationSettings, excitation_document, excite, prior_information
 
         robot = robot_of(options, moves=True)
         settings = from_options(ExcitationSettings, options)
-        knowledge = knowledge_of(robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after)
+        knowledge = prior_information(
+            robot, options.robot.parent, fit=options.fit, noise=options.noise, after=options.after
+        )
         found = excite(robot, settings, knowledge, str(options.robot), progress.say)
     document = excitation_document(found)
     try:

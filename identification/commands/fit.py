@@ -18,7 +18,7 @@ from .arguments import (
     print_results,
     refuse_outputs,
     sources,
-    untrusted,
+    trust_status,
     work_of,
 )
 
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
     verdict, reasons = fit.trust.verdict, fit.distrust
     if options.require and not reasons and verdict != options.require:
         reasons = tuple(line.text for line in fit.trust.lines if line.level == verdict)
-    return untrusted(reasons)
+    return trust_status(reasons)
 
 
 def _prior(options: argparse.Namespace) -> "Prior":

@@ -5,7 +5,7 @@ import argparse
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..options import Overrides
-from .arguments import add_settings, add_work, make_folder, print_results, refuse_outputs, untrusted, work_of
+from .arguments import add_settings, add_work, make_folder, print_results, refuse_outputs, trust_status, work_of
 
 
 def add(parser: argparse.ArgumentParser) -> None:
@@ -56,4 +56,6 @@ def run(options: argparse.Namespace) -> int:
                 write_fleet_rrd(options.rrd, series, document)
     finally:  # print the table of a long run even if a file cannot be written
         print_results(document)
-    return untrusted([] if any(row.is_fitted for row in rows) else [f"no recording could be fitted: {rows[0].reason}"])
+    return trust_status(
+        [] if any(row.is_fitted for row in rows) else [f"no recording could be fitted: {rows[0].reason}"]
+    )

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from acquisition.commands import Progress, add_flag, add_path, from_options
 
 from ..options import Overrides, above_zero
-from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, untrusted
+from .arguments import add_recordings, add_settings, print_results, refuse_outputs, sources, trust_status
 
 if TYPE_CHECKING:
     from ..data import Signals
@@ -38,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
         stored, recordings, notes = read_fit(options.fit), [], []
         consistent = methods.consistent_fit(stored, place) if options.consistent else None
         for path, source in zip(options.recordings, sources(options), strict=True):
-            signals, lines = as_fitted(source.load(), path, stored, place, chosen=options.robot is not None)
+            signals, lines = signals_as_fitted(source.load(), path, stored, place, chosen=options.robot is not None)
             overrides = from_options(Overrides, options).over(methods.stored_settings(stored, signals))
             recordings.append((signals, overrides))
             notes += lines
@@ -58,10 +58,10 @@ def run(options: argparse.Namespace) -> int:
         return 0
     found = "no torque to compare with" if error is None else f"relative torque error {error:.4g} %"
     on = ", ".join(map(str, options.recordings))
-    return untrusted([f"{options.fit} on {on}: {found}: expected at most {most:g} %"])
+    return trust_status([f"{options.fit} on {on}: {found}: expected at most {most:g} %"])
 
 
-def as_fitted(
+def signals_as_fitted(
     signals: "Signals", recording: Path, stored: "FitFile", place: str, *, chosen: bool
 ) -> tuple["Signals", list[str]]:
     """The signals of a recording, by the fit's own description where the parameters are not those of the recording's.

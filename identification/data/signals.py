@@ -11,7 +11,7 @@ from typing import Any, TypedDict, Unpack
 import numpy as np
 from numpy.typing import ArrayLike
 
-from acquisition.files import let_go
+from acquisition.files import release_pages
 from acquisition.recording import OPTIONAL
 from acquisition.robot import EffortTiming, ExtraColumn, Robot, check_recorded_velocities
 
@@ -97,7 +97,7 @@ class Signals:
                         place=self.recording, key=f"{name}[{row}]", value=array[row].tolist(), expected="finite numbers"
                     )
                 array.flags.writeable = False
-                let_go(array)
+                release_pages(array)
 
     @property
     def of_drives(self) -> bool:

@@ -16,7 +16,7 @@ from ..estimation import one_thread
 from ..model import BaseParameters, InverseModel, base_parameters, direct_model, load_parameters, obstacles_of
 from ..options import ReferenceOptions
 from ..report import Document, Number, Row, Section, Table, columns
-from .information import Information, Knowledge, earlier_information, rows_per_s, torque_noise
+from .information import Information, PriorInformation, earlier_information, rows_per_s, torque_noise
 from .limits import FAR_M, KINDS, MARGIN_M, Limits, Series, limits_of, motion_of
 from .search import FINER, SAMPLES_PER_PERIOD, SearchProblem, best_of_searches, random_within
 
@@ -96,7 +96,7 @@ class Excitation:
 def excite(
     robot: Robot,
     settings: ExcitationSettings,
-    knowledge: Knowledge,
+    knowledge: PriorInformation,
     place: str,
     say: Callable[[str], None] = lambda text: None,
 ) -> Excitation:

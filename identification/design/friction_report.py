@@ -18,10 +18,10 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..methods import Fit, FittedRecording
 from ..model import friction_alone
-from ..regression import base_name, links_at_rows
+from ..regression import base_name, rigid_torque_at_rows
 from ..report import Document, Number, ResultFile, Section, Table, columns
 from .selection import TermChoice
-from .trials import TRIED, Trial, described_terms, tried_terms
+from .trials import CANDIDATES, Trial, candidate_terms, described_terms
 
 POINTS = 80  # of a curve, each way
 LEVELS = (10.0, 50.0, 90.0)  # percentiles of the load at which curves are given
@@ -124,8 +124,8 @@ def friction_line(terms: tuple[FrictionTerm, ...]) -> str:
 def set_text(robot: Robot, trial: Trial) -> str:
     """A set in words, such as `root; load: joint_3`: where no joint is named, all of them have the term."""
     parts = []
-    for term in TRIED:
-        able = [joint.name for joint in robot.joints if term in tried_terms(joint)]
+    for term in CANDIDATES:
+        able = [joint.name for joint in robot.joints if term in candidate_terms(joint)]
         own = [joint.name for joint, more in zip(robot.joints, trial.terms, strict=True) if term in more]
         if own:
             parts.append(term if own == able else f"{term}: {', '.join(own)}")
@@ -254,6 +254,6 @@ def friction_of_joints(fit: Fit) -> tuple[JointFriction, ...]:
 
 def _rows_of(fit: Fit, one: FittedRecording) -> tuple[Array, Array, Array, Array]:
     """Speeds, torques of the links and residuals (rows, n) of a recording, and which parameters (b,) are its own or shared."""
-    dq, rigid = links_at_rows(one.problem, fit.estimate.among(one.parameters))
+    dq, rigid = rigid_torque_at_rows(one.problem, fit.estimate.values_of(one.parameters))
     residual = (fit.tau - fit.tau_predicted)[one.rows][: len(dq)]
     return dq, rigid, residual, np.array([name in one.parameters for name in fit.estimate.names], dtype=float)

@@ -38,7 +38,7 @@ SAMPLE_RATE_HZ = 1000.0  # of a recording, where nothing states one
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Knowledge:
+class PriorInformation:
     """What is known of the robot beforehand.
 
     Attributes:
@@ -60,14 +60,14 @@ class Knowledge:
     warnings: tuple[str, ...] = ()
 
 
-def knowledge_of(
+def prior_information(
     robot: Robot,
     folder: Path | None = None,
     *,
     fit: Path | None = None,
     noise: Sequence[float] | None = None,
     after: Sequence[Path] = (),
-) -> Knowledge:
+) -> PriorInformation:
     """What files and options know of a robot: a fit's parameters, else those of the description.
 
     Raises `IdentificationError`: where a file cannot be read, or is not of this robot.
@@ -77,7 +77,7 @@ def knowledge_of(
         raise IdentificationError(key="--noise", value=",".join(f"{x:g}" for x in noise), expected=expected)
     model = InverseModel(robot)
     base = base_parameters(model)
-    known = Knowledge(
+    known = PriorInformation(
         beta=truth(model, base) if fit is None and robot.parameters else None,
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
@@ -102,7 +102,7 @@ def knowledge_of(
 
 
 def torque_noise(
-    robot: Robot, model: DirectModel | None, knowledge: Knowledge, motions: Sequence[Motion]
+    robot: Robot, model: DirectModel | None, knowledge: PriorInformation, motions: Sequence[Motion]
 ) -> tuple[Array, str]:
     """Deviation (n,) of each joint's torque in a row of the fit, and its origin in words.
 

@@ -10,7 +10,7 @@ from acquisition.robot import EffortLimits, FourierReference, Robot, effort_limi
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, Obstacles, sliding_apart, torque_of_links
+from ..model import DirectModel, Obstacles, torque_of_links, torque_without_sliding
 
 MARGIN_M = 0.02  # that links keep from each other and from the ground
 FAR_M = 0.2  # from which on a distance does not matter
@@ -139,7 +139,7 @@ class Limits:
         if self.model is None:
             return self.used(motion), np.zeros((3, len(motion[0]), 0, self.robot.n))
         links = torque_of_links(self.model, motion)
-        tau, by_joint = sliding_apart(self.model, motion, links)
+        tau, by_joint = torque_without_sliding(self.model, motion, links)
         scaled = self.effort.directions / self.allowed[:, None]
         sides = _sides(tau @ scaled.T)
         by_load = (self.load * np.sign(links[0]))[..., None] * links[1]

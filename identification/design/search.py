@@ -25,7 +25,7 @@ FINER = 10  # times as many samples check what lies between those of the search
 ALL = 1 - (math.pi / (FINER * SAMPLES_PER_PERIOD)) ** 2 / 2
 STARTS = 3  # from random references of other seeds
 FIRST_SEED = 20  # of these: those before are of plain references
-WORST = 1 / 0.95  # of a deviation over that of the plain reference
+MAX_DEVIATION_RATIO = 1 / 0.95  # of a deviation over that of the plain reference
 START_SHARE = 0.9  # of the limits, which a search starts within
 POSES = 200  # of which the one with most room is started from
 ITERATIONS = 50  # of a search
@@ -53,7 +53,8 @@ class SearchProblem:
 def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callable[[str], None]) -> tuple[Array, Array]:
     """Coefficients (n, K) of the best of several searches that keeps the limits between samples too, and deviations (b,).
 
-    The best has the least criterion; one that makes no deviation larger than `WORST` times the plain one goes before others.
+    The best has the least criterion; one that makes no deviation larger than
+    `MAX_DEVIATION_RATIO` times the plain one goes before others.
     `say` is called with a line of text as a search goes on; an `IdentificationError` where no search keeps the limits.
     """
     best: tuple[tuple[bool, float], Array, Array] | None = None
@@ -75,7 +76,7 @@ def best_of_searches(problem: SearchProblem, seed: int, place: str, say: Callabl
             worst = str(error)
             continue
         ratios = sigma / problem.plain
-        found = (bool(ratios.max() > WORST), float(np.mean(ratios**2))), x, sigma
+        found = (bool(ratios.max() > MAX_DEVIATION_RATIO), float(np.mean(ratios**2))), x, sigma
         if best is None or found[0] < best[0]:
             best = found
     if best is None:

@@ -20,19 +20,27 @@ from acquisition.robot import FrictionTerm, LowSpeed, Robot
 from ..data import Recordings, Signals
 from ..errors import IdentificationError
 from ..estimation import one_thread
-from ..methods import Fit, StackedSystem, alike, identify_ls, in_known_time, leave_out_untold, observe_all
+from ..methods import (
+    Fit,
+    StackedSystem,
+    correct_known_lags,
+    identify_ls,
+    leave_out_collinear_terms,
+    most_collinear,
+    stack_of,
+)
 from ..regression import Overrides
 from .trials import (
-    TRIED,
+    CANDIDATES,
     TermSet,
     Trial,
     Trials,
+    baseline_estimate,
+    candidate_terms,
     described_terms,
-    everywhere,
+    for_all_joints,
     parts_of,
     predictable,
-    tried_terms,
-    usual_estimate,
     with_terms,
 )
 
@@ -79,21 +87,21 @@ def choose_terms(
     sources = signals.sources if isinstance(signals, Recordings) else (signals,)
     recordings = tuple(source if isinstance(source, Signals) else source.load() for source in sources)
     robot = recordings[0].robot
-    observed = in_known_time(
-        observe_all(_with_terms(recordings, frozenset(TRIED)), in_rows_of_iv(robot, overrides), say)
+    observed = correct_known_lags(
+        stack_of(_with_terms(recordings, frozenset(CANDIDATES)), in_rows_of_iv(robot, overrides), say)
     )
     names = [one.problem.signals.recording for one in observed.observations]
     if observed.regression.reduced:
         raise IdentificationError("too long", place=", ".join(names), expected="a part of it, or a larger --decimate")
     observed = _identifiable(observed)
-    about = observed.at(usual_estimate(observed).among(observed.parameters.names))
+    about = observed.at(baseline_estimate(observed).values_of(observed.parameters.names))
     parts, unpredicted = predictable(parts_of(observed, names), about.regression)
     trials = Trials(observed, parts)
-    usual = trials.of(everywhere(robot.joints, frozenset()))
+    usual = trials.of(for_all_joints(robot.joints, frozenset()))
     for terms in _for_all_joints(robot):
         say(f"set {len(trials.done) + 1}: {', '.join(terms)}")
-        trials.of(everywhere(robot.joints, terms))
-    _joint_by_joint(trials, trials.of(everywhere(robot.joints, frozenset(TRIED))), say)
+        trials.of(for_all_joints(robot.joints, terms))
+    _joint_by_joint(trials, trials.of(for_all_joints(robot.joints, frozenset(CANDIDATES))), say)
     found = sorted(trials.done, key=lambda trial: trial.score)
     return TermChoice(
         recordings=recordings,
@@ -123,7 +131,7 @@ def in_rows_of_iv(robot: Robot, overrides: Overrides) -> Overrides:
 
 def _with_terms(recordings: Sequence[Signals], terms: TermSet | frozenset[FrictionTerm]) -> Recordings:
     """The recordings of a robot with a set of terms, or with these terms at all joints."""
-    sets = (everywhere(one.robot.joints, terms) if isinstance(terms, frozenset) else terms for one in recordings)
+    sets = (for_all_joints(one.robot.joints, terms) if isinstance(terms, frozenset) else terms for one in recordings)
     robots = (with_terms(one.robot, own) for one, own in zip(recordings, sets, strict=True))
     return Recordings(sources=tuple(replace(one, robot=robot) for one, robot in zip(recordings, robots, strict=True)))
 
@@ -142,11 +150,13 @@ def recommended(trials: Iterable[Trial]) -> Trial:
 
 def _identifiable(observed: StackedSystem) -> StackedSystem:
     """W and Y without the terms that cannot be identified with all others at hand."""
-    observed = leave_out_untold(observed)
+    observed = leave_out_collinear_terms(observed)
     while observed.load:
         names = observed.parameters.names
-        about = observed.at(usual_estimate(observed).among(names))
-        dependent = alike(observed.problem, about.regression.system, [names[place] for place in observed.load_places()])
+        about = observed.at(baseline_estimate(observed).values_of(names))
+        dependent = most_collinear(
+            observed.problem, about.regression.system, [names[place] for place in observed.load_places()]
+        )
         if not dependent:
             break
         observed = observed.without(dependent)
@@ -155,7 +165,7 @@ def _identifiable(observed: StackedSystem) -> StackedSystem:
 
 def _for_all_joints(robot: Robot) -> Iterator[frozenset[FrictionTerm]]:
     """Every choice of the terms that some joint may have, small ones first."""
-    able = [term for term in TRIED if any(term in tried_terms(joint) for joint in robot.joints)]
+    able = [term for term in CANDIDATES if any(term in candidate_terms(joint) for joint in robot.joints)]
     for size in range(1, len(able) + 1):
         yield from (frozenset(chosen) for chosen in combinations(able, size))
 
@@ -186,7 +196,7 @@ def _joint_by_joint(trials: Trials, everything: Trial, say: Callable[[str], None
 
 
 def _places(terms: TermSet) -> list[tuple[int, FrictionTerm]]:
-    return [(j, term) for j, more in enumerate(terms) for term in TRIED if term in more]
+    return [(j, term) for j, more in enumerate(terms) for term in CANDIDATES if term in more]
 
 
 def _toggled(terms: TermSet, j: int, term: FrictionTerm) -> TermSet:

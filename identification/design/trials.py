@@ -37,12 +37,17 @@ FIFTHS = 5  # of one recording
 LEVEL = 0.05  # share of recordings without any of the tried terms that show one by chance
 LEAST = 2  # parts of which a mean has a standard error
 USUAL: tuple[FrictionTerm, ...] = ("viscous", "coulomb", "offset")
-TRIED: tuple[FrictionTerm, ...] = ("asymmetric", "root", "load", "stribeck")  # in the order of a description's list
+CANDIDATES: tuple[FrictionTerm, ...] = (
+    "asymmetric",
+    "root",
+    "load",
+    "stribeck",
+)  # in the order of a description's list
 TermSet = tuple[frozenset[FrictionTerm], ...]  # by joint, what it has beside the usual terms
 Mask = NDArray[np.bool_]
 
 
-def usual_terms(joint: Joint) -> tuple[FrictionTerm, ...]:
+def baseline_terms(joint: Joint) -> tuple[FrictionTerm, ...]:
     """The terms that a joint has in any set: those of viscous, coulomb and offset that are described.
 
     Friction that is two for the two directions has an offset in it: in its place stands friction that is one, and an offset.
@@ -51,15 +56,15 @@ def usual_terms(joint: Joint) -> tuple[FrictionTerm, ...]:
     return tuple(term for term in USUAL if term in described)
 
 
-def tried_terms(joint: Joint) -> frozenset[FrictionTerm]:
+def candidate_terms(joint: Joint) -> frozenset[FrictionTerm]:
     """What is tried beside the usual terms: Stribeck friction where its speed is stated."""
-    return frozenset(term for term in TRIED if term != "stribeck" or joint.si("stribeck_speed") is not None)
+    return frozenset(term for term in CANDIDATES if term != "stribeck" or joint.si("stribeck_speed") is not None)
 
 
 def described_terms(robot: Robot, terms: TermSet) -> dict[str, tuple[FrictionTerm, ...]]:
     """By joint, the list of terms that a description has for the set."""
     return {
-        joint.name: (*usual_terms(joint), *(term for term in TRIED if term in more))
+        joint.name: (*baseline_terms(joint), *(term for term in CANDIDATES if term in more))
         for joint, more in zip(robot.joints, terms, strict=True)
     }
 
@@ -79,16 +84,16 @@ def parameters_of(model: InverseModel, base: BaseParameters) -> dict[tuple[int, 
     found: dict[tuple[int, FrictionTerm], tuple[str, ...]] = {}
     for name, column in zip(base.names, base.columns, strict=True):
         source = model.sources[column]
-        for term in TRIED:
+        for term in CANDIDATES:
             if isinstance(source, JointTerm) and source.kind == term:
                 key = int("".join(filter(str.isdigit, name))) - 1, term
                 found[key] = (*found.get(key, ()), name)
     return found
 
 
-def everywhere(joints: Sequence[Joint], kinds: frozenset[FrictionTerm]) -> TermSet:
+def for_all_joints(joints: Sequence[Joint], kinds: frozenset[FrictionTerm]) -> TermSet:
     """These terms at all joints that may have them."""
-    return tuple(kinds & tried_terms(joint) for joint in joints)
+    return tuple(kinds & candidate_terms(joint) for joint in joints)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -191,7 +196,7 @@ class Trials:
         self.whole, self.plain, self.parts = whole, whole.regression, parts
         self.parameters = parameters_of(whole.problem.model, whole.problem.base)
         self._names = whole.parameters.names
-        usual = usual_estimate(whole)
+        usual = baseline_estimate(whole)
         self._usual, self._weights = usual.names, usual.weights
         self._moving = are_moving(self.plain.speed)
         self._starts: dict[int, Array] = {}  # the last solution of each part: where the next set's passes start
@@ -262,7 +267,7 @@ class Trials:
 
     def _residual(self, observed: Regression, estimate: Estimate) -> Array:
         """(T, n) of all rows."""
-        return np.asarray(observed.tau - observed.predicted(estimate.among(self._names)))
+        return np.asarray(observed.tau - observed.predicted(estimate.values_of(self._names)))
 
     def _less_own(self, observed: Regression, rho: Array, part: Part) -> Array:
         """Residuals (T, n) less what a part's own parameters, fitted to those of its rows, say of them."""
@@ -286,14 +291,14 @@ class Trials:
 
         beta = self._starts.get(start)
         if beta is None:
-            beta = solve(self.plain, np.setdiff1d(columns, whole.load_places(load))).among(self._names)
+            beta = solve(self.plain, np.setdiff1d(columns, whole.load_places(load))).values_of(self._names)
         without_others = np.where(np.isin(np.arange(len(beta)), columns), beta, 0.0)
         observed, estimate, unsettled = load_passes(whole, solve, without_others, load)
-        self._starts[start] = estimate.among(self._names)
+        self._starts[start] = estimate.values_of(self._names)
         return observed.regression, estimate, unsettled
 
 
-def usual_estimate(whole: StackedSystem) -> Estimate:
+def baseline_estimate(whole: StackedSystem) -> Estimate:
     """Weighted least squares of the usual terms, without those that are tried."""
     tried = parameters_of(whole.problem.model, whole.problem.base).values()
     usual = ~np.isin(whole.parameters.names, [name for names in tried for name in names])

@@ -230,18 +230,18 @@ class TimeBlocks:
 
     def sums(self, estimate: Estimate, T: Array) -> BlockSums:
         """Sums of the parameters estimated; W T, or Z T, are the estimate's orthonormal columns."""
-        among = np.array([self.names.index(name) for name in estimate.names])
-        plain = self.products.sum(axis=1)[:, among]
+        indices = np.array([self.names.index(name) for name in estimate.names])
+        plain = self.products.sum(axis=1)[:, indices]
         if self.along is None:
-            along = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, among]
-            of_W = among
+            along = np.tensordot(estimate.weights**2, self.products, axes=(0, 1))[:, indices]
+            of_W = indices
         else:
-            along, of_W = self.along[:, among], len(self.names) + among
+            along, of_W = self.along[:, indices], len(self.names) + indices
         return BlockSums(
-            QQ=T.T @ along[..., among] @ T,
+            QQ=T.T @ along[..., indices] @ T,
             QW=T.T @ along[..., of_W],
             QY=along[..., -1] @ T,
-            WW=plain[..., among],
+            WW=plain[..., indices],
             WY=plain[..., -1],
             # instant t is in block t K // T
             edges=np.asarray(-(-np.arange(len(plain) + 1) * self.instants // len(plain))),

@@ -75,7 +75,7 @@ class Estimate:
         """The same without Q, which is as large as W."""
         return replace(self, Q=self.Q[:0].copy())
 
-    def among(self, names: tuple[str, ...]) -> Array:
+    def values_of(self, names: tuple[str, ...]) -> Array:
         """Values of `names`, zero for those not estimated."""
         values = dict(zip(self.names, self.beta, strict=True))
         return np.array([values.get(name, 0.0) for name in names])

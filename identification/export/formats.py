@@ -88,7 +88,7 @@ def urdf_text(m: Mechanism) -> tuple[str, tuple[str, ...]]:
     Armatures and couplings have no place in it.
     """
     robot = m.model.robot
-    document = minidom.parseString((made_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
+    document = minidom.parseString((make_urdf(m.model) if robot.urdf is None else robot.urdf).encode())
     root = document.documentElement
     assert root is not None
     links, joints = ({e.getAttribute("name"): e for e in _children(root, tag)} for tag in ("link", "joint"))
@@ -195,7 +195,7 @@ def _inertia_of(inertial: Element, T: Array) -> Array:
     return link_parameters(T @ pseudo_inertia(np.array([*about, 0.0, 0.0, 0.0, mass])) @ T.T)
 
 
-def made_urdf(model: InverseModel) -> str:
+def make_urdf(model: InverseModel) -> str:
     """A URDF of a robot without one, or without shapes in it: joints with limits, links drawn as lines, no inertials."""
     robot = model.robot
     root, names = ET.Element("robot", name=robot.name), [_BASE, *link_names(robot, made=True)]

@@ -26,6 +26,6 @@ from .parameters import (
     true_parameters,
 )
 from .recording_report import Validated, recording_document, validation_document
-from .settled import alike, leave_out_untold, load_passes, settled_least_squares
-from .system import StackedSystem, observe_all
-from .timing import in_known_time
+from .settled import leave_out_collinear_terms, load_passes, most_collinear, solve_with_load_friction
+from .system import StackedSystem, stack_of
+from .timing import correct_known_lags

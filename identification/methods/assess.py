@@ -22,8 +22,8 @@ from ..estimation import (
 )
 from ..regression import Regression, base_name
 from ..report import Method, OwnTest, Status
-from ..simulation import DirectModelError, Instruments, Replica, told, worst
-from ..trust import Evidence, Lag, held_out_recordings, trust_in
+from ..simulation import DirectModelError, Instruments, Replica, join_reasons, max_or_none
+from ..trust import FitData, Lag, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .observation import position_noise_line
 from .recording_report import gain_warnings, recording_warnings, ripple_warnings
@@ -35,12 +35,12 @@ SATURATED_PERCENT = 1.0  # a share of saturated samples worth a warning
 WEAK_INSTRUMENTS_F = 10.0
 
 
-def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> Evidence:
+def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, lags: tuple[Lag, ...]) -> FitData:
     """What least squares has to show for itself: it has no instruments, and cannot find the lags of the torques."""
     first = observed.problems()[0].with_samples()
     lone, reduced = len(observed.observations) == 1, observed.regression.reduced
     long = observed.observations if reduced and not lone else ()
-    return Evidence(
+    return FitData(
         recordings=observed.observations,
         observed=observed.regression,
         method=method,
@@ -58,7 +58,7 @@ def evidence_of_ls(observed: StackedSystem, method: Method, ls: LeastSquares, la
     )
 
 
-def fit_of(observed: StackedSystem, evidence: Evidence, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
+def fit_of(observed: StackedSystem, evidence: FitData, solved: LeastSquares, replicas: Sequence[Replica] = ()) -> Fit:
     """A fit of the estimate that was `solved`, judged by its evidence; with the robot simulated in each recording, or none."""
     rows, predicted = observed.regression, solved.tau_predicted
     names = tuple(joint.name for joint in observed.problem.signals.robot.joints)
@@ -66,7 +66,7 @@ def fit_of(observed: StackedSystem, evidence: Evidence, solved: LeastSquares, re
     judged, of_model = observed, predicted
     # errors of the model, without the noise that the fit lets through
     if (behind := observed.behind_rule()) is not None:
-        judged = behind.at(solved.estimate.among(rows.system.names))
+        judged = behind.at(solved.estimate.values_of(rows.system.names))
         of_model = judged.predicted(solved.estimate)
     seen = judged.regression
     fitted = [
@@ -142,8 +142,8 @@ def sums_along(z: Instruments, estimate: Estimate) -> tuple[BlockSums, ...]:
     """Sums over the blocks of long recordings of an estimate by instruments; none where rows are held."""
     if z.system is None:
         return ()
-    among = np.array([z.system.names.index(name) for name in estimate.names])
-    R = estimate.Q.T @ (z.Z[:, among] * estimate.weights[z.system.joint_of_row, None])  # of the weighted Z = Q R
+    indices = np.array([z.system.names.index(name) for name in estimate.names])
+    R = estimate.Q.T @ (z.Z[:, indices] * estimate.weights[z.system.joint_of_row, None])  # of the weighted Z = Q R
     return sums_of_blocks(estimate, z.time_blocks, np.asarray(np.linalg.inv(R)))
 
 
@@ -173,7 +173,7 @@ def assess_iv(
     if reason is not None and best.number != len(passes):
         reason += f"; pass {best.number} is returned, which tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.nan_to_num(np.abs(ls.full.among(estimate.names) - estimate.beta) / evidence.intervals.half)
+        apart = np.nan_to_num(np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half)
     first = replicas[observed.order[0]]
     iv = InstrumentEvidence(
         start=start,
@@ -207,11 +207,11 @@ def assess_iv(
     return replace(fit, status=status, iv=iv, least_squares=ls, warnings=warnings)
 
 
-def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Evidence:
+def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> FitData:
     """What an estimate by instruments rests on, in its rows."""
     observed, z, estimate = observed.about(best.z), best.z, best.estimate
     within = counted(estimate, intervals_along(observed, z, estimate), observed.lags)
-    return Evidence(
+    return FitData(
         recordings=observed.simulated(best.replicas),
         observed=observed.regression,
         method="iv",
@@ -229,8 +229,8 @@ def _evidence_along(observed: StackedSystem, best: Pass, ls: LeastSquares) -> Ev
 
 def _tests(system: System, estimate: Estimate, rho: Array, used: Array) -> InstrumentTests:
     """Tests of instruments that gave an estimate from a system; it leaves rho (rows, n), of which some are `used` (r,)."""
-    among = np.array([system.names.index(name) for name in estimate.names])
-    W, Y = system.with_columns(among).weighted(estimate.weights)
+    indices = np.array([system.names.index(name) for name in estimate.names])
+    W, Y = system.with_columns(indices).weighted(estimate.weights)
     weighted = rho * estimate.weights * used.reshape(len(estimate.weights), -1).T
     return instrument_tests(estimate.Q, W, Y, estimate.rows, lag_one(weighted) or 0.0)
 
@@ -283,10 +283,10 @@ def _status(
 
 def _unconfirmed(replicas: Sequence[Replica], recordings: Sequence[str]) -> str | None:
     """Why the robot simulated with the final estimate does not vouch for it, or None where it does."""
-    reason = told([one.reason for one in replicas], recordings)
+    reason = join_reasons([one.reason for one in replicas], recordings)
     if reason is not None:
         return f"the final estimate cannot be simulated: {reason}"
-    tracking_percent = worst([one.tracking_percent for one in replicas])
+    tracking_percent = max_or_none([one.tracking_percent for one in replicas])
     if tracking_percent is None or not tracking_percent <= TRACKED_PERCENT:
         return "the simulated position does not follow the measured one"
     for d in _direct_errors(replicas):

@@ -283,7 +283,7 @@ class Fit:
     @property
     def beta(self) -> Array:
         """(b,) values of all base parameters, of the first recording; zero where one was left out."""
-        return self.estimate.among(self.recordings[0].parameters)
+        return self.estimate.values_of(self.recordings[0].parameters)
 
     @property
     def distrust(self) -> tuple[str, ...]:

@@ -14,13 +14,13 @@ from ..report import (
     ConsistentFile,
     Covariance,
     DirectModelErrorFile,
-    Doubt,
     EssentialSet,
     FitFile,
     KnownLagFile,
     LagFile,
     LeftOut,
     PassFile,
+    PhysicalWarning,
     Provenance,
     RecordingOfFit,
     StandardParameter,
@@ -47,7 +47,7 @@ def fit_file(fit: Fit) -> FitFile:
         method=fit.method,
         status=fit.status,
         doubts=[
-            Doubt(text=line.text, severe=line.level == "do not use")
+            PhysicalWarning(text=line.text, severe=line.level == "do not use")
             for line in lines
             if line.test == "physical" and line.level != "ok"
         ],

@@ -42,9 +42,9 @@ from .iteration import (
     start_values,
 )
 from .recording_report import Validated
-from .settled import settled_least_squares
-from .system import StackedSystem, observe_all
-from .timing import counted, in_known_time, lags_of_ls, over_all, timed
+from .settled import solve_with_load_friction
+from .system import StackedSystem, stack_of
+from .timing import correct_known_lags, counted, lags_of_ls, over_all, timed
 
 Say = Callable[[str], None]
 
@@ -85,7 +85,7 @@ def identify(
         the first pass gives no estimate; for an `iteration` that least squares does not have.
     """
     # (2): tau = IDM(q, dq, ddq) beta; (5), (6): Y(tau) = W(q, dq, ddq) beta + rho
-    observed = in_known_time(observe_all(signals, overrides, say))
+    observed = correct_known_lags(stack_of(signals, overrides, say))
     chosen, reason = (method, "asked for") if method is not None else observed.default_method
     if chosen == "iv":
         try:
@@ -130,11 +130,11 @@ def identify_iv(
 @one_thread
 def _by_least_squares(observed: StackedSystem, method: Literal["ols", "wls"], *, essential: bool) -> Fit:
     """IDIM-LS: W and Y from the measured torque and the filtered position."""
-    observed, full = settled_least_squares(observed, method)
+    observed, full = solve_with_load_friction(observed, method)
     ls = solve_least_squares(observed, full, essential=essential)
     beginning = None
     if observed.regression.reduced:  # what needs rows looks at the beginning
-        span, full = settled_least_squares(observed.on_span(), method)
+        span, full = solve_with_load_friction(observed.on_span(), method)
         of_span = solve_least_squares(span, full, essential=essential)
         beginning = evidence_of_ls(span, method, of_span, lags_of_ls(span, of_span.estimate))
     lags = lags_of_ls(observed, ls.estimate) if beginning is None else over_all(observed, ls.estimate, beginning.lags)
@@ -149,7 +149,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
     W and Y are those of IDIM-LS. Each pass simulates the closed loop with beta_k (same reference, same controller, gains
     updated by beta_k), evaluates Z = IDM of the simulated q, dq, ddq, decimated as W, and solves for beta_k+1.
     """
-    observed, full = settled_least_squares(observed)
+    observed, full = solve_with_load_friction(observed)
     ls = solve_least_squares(observed, full, essential=essential)
     names, weights = observed.regression.system.names, full.weights
     kept = ls.essential.kept if essential else np.arange(len(names))

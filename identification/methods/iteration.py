@@ -12,11 +12,11 @@ from ..estimation import Estimate, System
 from ..model import BaseParameters, InverseModel
 from ..options import IterationOptions
 from ..regression import Problem
-from ..simulation import Instruments, Lab
+from ..simulation import ClosedLoops, Instruments
 from ..trust import covariance_of_all
 from .assess import intervals_of
 from .fit import LeastSquares, Pass
-from .settled import settled_least_squares
+from .settled import solve_with_load_friction
 from .system import StackedSystem
 
 ROWS_FREE = 3  # passes that choose their own rows; later ones keep them, otherwise rows near the threshold toggle
@@ -48,7 +48,7 @@ def start_values(observed: StackedSystem, iteration: Iteration, ls: LeastSquares
 
 def next_values(passes: Sequence[Pass], names: tuple[str, ...]) -> Array:
     """Base parameters (b,) to simulate next: the estimate, later its mean with those asked for last."""
-    beta = passes[-1].estimate.among(names)
+    beta = passes[-1].estimate.values_of(names)
     return 0.5 * (beta + passes[-1].z.beta) if len(passes) >= RELAXED_AFTER else beta
 
 
@@ -117,7 +117,7 @@ def failed(passes: list[Pass], z: Instruments, recordings: Sequence[str], error:
     return [*passes[:-1], replace(passes[-1], failure=text)]
 
 
-def conclude(lab: Lab, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
+def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instruments], Estimate]) -> Pass:
     """The last pass where it settled; otherwise the one whose simulated robot tracks best at its worst joint.
 
     It has its rows, and the robot simulated with its estimate in each recording, or with the nearest consistent parameters.
@@ -128,14 +128,16 @@ def conclude(lab: Lab, passes: Sequence[Pass], solve: Callable[[Instruments], Es
     if best.number < len(passes):
         z = lab.instruments(best.z.beta, best.asked, best.estimate.weights, kept=best.z.fast, coarse=best.coarse)
         best = replace(best, z=z, estimate=solve(z))
-    return best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.among(names), best.covariance))
+    return (
+        best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.values_of(names), best.covariance))
+    )
 
 
-def _best_pass(lab: Lab, passes: Sequence[Pass]) -> Pass:
+def _best_pass(lab: ClosedLoops, passes: Sequence[Pass]) -> Pass:
     """The pass that tracks best, robots being simulated with the estimates themselves; the last if none can be."""
     found = []
     for one in passes:
-        replicas = lab.replicas(one.estimate.among(lab.parameters.names), None)
+        replicas = lab.replicas(one.estimate.values_of(lab.parameters.names), None)
         if all(replica.direct for replica in replicas):
             joints = [d.position_error_percent for replica in replicas for d in replica.direct]
             percent = max((x for x in joints if x is not None), default=0.0)
@@ -151,7 +153,9 @@ def inertia_prior(observed: StackedSystem, ls: LeastSquares) -> Array:
     try:
         behind = observed.behind_rule()
         return (
-            ls.full.beta if behind is None else settled_least_squares(behind)[1].among(observed.regression.system.names)
+            ls.full.beta
+            if behind is None
+            else solve_with_load_friction(behind)[1].values_of(observed.regression.system.names)
         )
     except IdentificationError:
         return ls.full.beta

@@ -102,9 +102,9 @@ def position_noise_line(problem: Problem, method: Method, ls: LeastSquares, *, a
     except IdentificationError as error:
         return TrustLine(NAME, "cannot tell", f"{error}: {ADVICE}")
     names = [name for name in ls.essential.estimate.names if name in plain.names and name in ls.estimate.names]
-    among = np.array([ls.estimate.names.index(name) for name in names])
-    beta, half = plain.among(tuple(names)), ls.intervals.half[among]
-    off = np.abs(0.5 * (both[0].among(tuple(names)) + both[1].among(tuple(names))) - beta)
+    indices = np.array([ls.estimate.names.index(name) for name in names])
+    beta, half = plain.values_of(tuple(names)), ls.intervals.half[indices]
+    off = np.abs(0.5 * (both[0].values_of(tuple(names)) + both[1].values_of(tuple(names))) - beta)
     with np.errstate(divide="ignore", invalid="ignore"):
         widths, percents = np.nan_to_num(off / half, posinf=np.inf), np.nan_to_num(100 * off / np.abs(beta))
     matters = (widths > BIASED) & (percents > BIASED_PERCENT)

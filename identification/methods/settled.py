@@ -16,12 +16,14 @@ from ..model import SHAPES, JointTerm
 from ..regression import LoadFriction, Problem, Regression
 from .system import StackedSystem
 
-TOLD_APART = 0.02  # share of a column's norm that the other columns must leave for its parameter to say anything
+MIN_INDEPENDENT_NORM = (
+    0.02  # share of a column's norm that the other columns must leave for its parameter to say anything
+)
 MOST_PASSES = 10
 ROUNDING = 1e-10  # of the largest change that counts, beside half a deviation: exact data have none
 
 
-def settled_least_squares(
+def solve_with_load_friction(
     observed: StackedSystem, method: Literal["ols", "wls"] = "wls"
 ) -> tuple[StackedSystem, Estimate]:
     """Least squares of all parameters that recordings tell together, and their W and Y about them without the other terms.
@@ -29,12 +31,12 @@ def settled_least_squares(
     Raises `IdentificationError`: as of the estimators.
     """
     solve = weighted_least_squares if method == "wls" else ordinary_least_squares
-    observed = leave_out_untold(observed)
+    observed = leave_out_collinear_terms(observed)
     while observed.load:
         names, places = observed.parameters.names, observed.load_places()
         others = np.setdiff1d(np.arange(len(names)), places)
-        about = solve(condensed(observed.regression.system.with_columns(others))).among(names)
-        left_out = alike(observed.problem, observed.at(about).regression.system, [names[i] for i in places])
+        about = solve(condensed(observed.regression.system.with_columns(others))).values_of(names)
+        left_out = most_collinear(observed.problem, observed.at(about).regression.system, [names[i] for i in places])
         if not left_out:
             settled, _, left_out = load_passes(observed, lambda x: solve(condensed(x.system)), about, observed.load)
         if not left_out:
@@ -63,7 +65,7 @@ def load_passes(
     for _ in range(MOST_PASSES):
         about, observed = beta, observed.at(beta, load)
         estimate = solve(observed.regression)
-        beta, sigma = estimate.among(names), np.zeros(len(names))
+        beta, sigma = estimate.values_of(names), np.zeros(len(names))
         sigma[[names.index(name) for name in estimate.names]] = estimate.sigma
         off = np.abs(beta - about) / np.maximum(sigma / 2, ROUNDING * np.abs(beta).max())
         values.append(beta)
@@ -78,31 +80,31 @@ def load_passes(
     return observed, estimate, unsettled
 
 
-def leave_out_untold(observed: StackedSystem) -> StackedSystem:
+def leave_out_collinear_terms(observed: StackedSystem) -> StackedSystem:
     """The recordings' W and Y without the friction terms, load friction apart, that are nearly a sum of other columns."""
     model, base = observed.problem.model, observed.problem.base
     kinds = {name: getattr(model.sources[c], "kind", None) for name, c in zip(base.names, base.columns, strict=True)}
     shapes = [name for name, kind in kinds.items() if kind in SHAPES and kind != "load"]
-    while left_out := alike(observed.problem, observed.regression.system, shapes):
+    while left_out := most_collinear(observed.problem, observed.regression.system, shapes):
         observed = observed.without(left_out)
         shapes = [name for name in shapes if name not in left_out]
     return observed
 
 
-def alike(problem: Problem, system: System, among: Collection[str]) -> dict[str, str]:
+def most_collinear(problem: Problem, system: System, indices: Collection[str]) -> dict[str, str]:
     """Of these parameters the one whose column is most like a sum of others, if too much so, and a line that says it."""
-    shares = told_apart(system, among)
+    shares = independent_norm(system, indices)
     lowest = min(shares, key=lambda name: shares[name], default=None)
-    if lowest is None or shares[lowest] >= TOLD_APART:
+    if lowest is None or shares[lowest] >= MIN_INDEPENDENT_NORM:
         return {}
     source = problem.model.sources[problem.base.columns[problem.base.names.index(lowest)]]
     assert isinstance(source, JointTerm)
     joint, left = problem.signals.robot.joints[int(source.rows[-1])].name, f"{100 * shares[lowest]:.1f} % of its column"
-    told = f"{source.kind} friction of joint {joint} left out: {lowest} cannot be told from the other parameters"
-    return {lowest: f"{told}, which leave {left}"}
+    finding = f"{source.kind} friction of joint {joint} left out: {lowest} cannot be told from the other parameters"
+    return {lowest: f"{finding}, which leave {left}"}
 
 
-def told_apart(system: System, names: Collection[str]) -> dict[str, float]:
+def independent_norm(system: System, names: Collection[str]) -> dict[str, float]:
     """By parameter the share of its column's norm that the other columns leave, in the rows that count."""
     if not names:
         return {}

@@ -30,7 +30,7 @@ from ..regression import (
     rule_cutoff_hz,
     torque_of_recording,
 )
-from ..simulation import Instruments, Lab, Replica, Simulation
+from ..simulation import ClosedLoops, Instruments, Replica, Simulation
 from ..trust import Lag, RecordingData
 from .observation import SPAN_S, Say, observation_of, observe, regression_at
 
@@ -86,9 +86,9 @@ class StackedSystem:
             found.append(problem if len(problem.signals.q) else replace(problem, source=source))
         return found
 
-    def lab(self, prior: Array, *, gain_update: bool) -> Lab:
+    def lab(self, prior: Array, *, gain_update: bool) -> ClosedLoops:
         """The recordings laid out for simulation, gains being those for the inertias of `prior`, values of all parameters."""
-        return Lab(
+        return ClosedLoops(
             simulations=tuple(
                 Simulation(
                     problem=problem,
@@ -146,7 +146,7 @@ class StackedSystem:
 
     def _of(self, observations: Sequence[RecordingData]) -> "StackedSystem":
         """That of the same recordings, observed otherwise; columns of load friction are zero."""
-        system = stack(self.recordings, self.overrides, observations, self.order)
+        system = stack_recordings(self.recordings, self.overrides, observations, self.order)
         return replace(system, left_out=self.left_out)
 
     def along(self, z: Instruments) -> System:
@@ -200,7 +200,7 @@ class StackedSystem:
         rows = min(SPAN_NUMBERS // (problem.signals.robot.n * problem.base.b), int(SPAN_S * fs / settings.decimation))
         stop = min(settings.stop, settings.start + rows * settings.decimation)
         one = observation_of(replace(problem, settings=replace(settings, stop=stop)), HELD)
-        span = stack(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,))
+        span = stack_recordings(Recordings(sources=(problem.signals,)), self.overrides, (one,), (0,))
         return replace(span, left_out=self.left_out)
 
     def corrected(self, lags_s: Sequence[float]) -> "StackedSystem":
@@ -216,12 +216,12 @@ class StackedSystem:
     def predicted(self, estimate: Estimate) -> Array:
         """Decimated torque (rows, n) that an estimate predicts."""
         if self.regression.reduced:
-            beta = estimate.among(self.problem.base.names)
+            beta = estimate.values_of(self.problem.base.names)
             tasks = [(problem, beta) for problem in self.problems()]
             return np.concatenate(
                 [predicted for _, predicted, _ in self.recordings.work.run(torque_of_recording, tasks)]
             )
-        return self.regression.predicted(estimate.among(self.parameters.names))
+        return self.regression.predicted(estimate.values_of(self.parameters.names))
 
     @property
     def default_method(self) -> tuple[Literal["iv", "wls"], str]:
@@ -233,7 +233,7 @@ class StackedSystem:
         return "wls", f"no reference{where}"
 
 
-def stack(
+def stack_recordings(
     recordings: Recordings, overrides: Overrides, observations: Sequence[RecordingData], order: tuple[int, ...]
 ) -> StackedSystem:
     """The system that recordings make together, columns of load friction zero."""
@@ -251,7 +251,7 @@ def stack(
     )
 
 
-def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> StackedSystem:
+def stack_of(given: Signals | Recordings, overrides: Overrides, say: Say) -> StackedSystem:
     """W and Y of one recording or several, filtered and decimated one by one, and stacked.
 
     Cut-off and decimation are common, the lowest cut-off and the lowest rate of rows that the rules give.
@@ -264,7 +264,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         (source,) = given.sources
         signals = source if isinstance(source, Signals) else source.load()
         one = observation_of(make_problem(signals, overrides), 1, say)
-        return stack(Recordings(sources=(signals,)), overrides, (one,), (0,))
+        return stack_recordings(Recordings(sources=(signals,)), overrides, (one,), (0,))
     say(f"reading {len(given.sources)} recordings")
     found = _observe(given, [overrides] * len(given.sources), len(given.sources))
     check_one_robot([one.problem.signals for one in found])
@@ -273,7 +273,7 @@ def observe_all(given: Signals | Recordings, overrides: Overrides, say: Say) -> 
         range(len(found)), key=lambda k: (found[k].problem.signals.sha256, found[k].problem.signals.recording)
     )
     found = [found[k] for k in by_digest]
-    observed = stack(
+    observed = stack_recordings(
         replace(given, sources=tuple(given.sources[k] for k in by_digest)),
         overrides,
         found,

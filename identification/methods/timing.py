@@ -9,7 +9,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, Intervals, System, intervals_from
 from ..regression import KnownLag
-from ..simulation import Instruments, Lab
+from ..simulation import ClosedLoops, Instruments
 from ..trust import Lag, combined_lag, lag_columns, lag_moves, lags_in
 from .fit import Pass
 from .system import StackedSystem
@@ -42,7 +42,7 @@ def known_lags(observed: StackedSystem) -> list[KnownLag]:
     return found
 
 
-def in_known_time(observed: StackedSystem) -> StackedSystem:
+def correct_known_lags(observed: StackedSystem) -> StackedSystem:
     """The recordings with their torques corrected by what is known of their lags."""
     return _with_lags(observed, [known.value_s for known in known_lags(observed)])
 
@@ -53,7 +53,7 @@ def _with_lags(observed: StackedSystem, values_s: Sequence[float]) -> StackedSys
 
 
 def timed(
-    observed: StackedSystem, best: Pass, solve: Solve, lab_of: Callable[[StackedSystem], Lab]
+    observed: StackedSystem, best: Pass, solve: Solve, lab_of: Callable[[StackedSystem], ClosedLoops]
 ) -> tuple[StackedSystem, Pass, tuple[StackedSystem, Pass] | None]:
     """The recordings corrected by the lags of their torques, which the instruments of a pass find, and the pass in that time.
 
@@ -62,7 +62,7 @@ def timed(
     if not observed.regression.reduced:
         return *_in_time(observed, best, solve), None
     span, weights = observed.on_span(), best.estimate.weights
-    lab, beta = lab_of(span), best.estimate.among(observed.parameters.names)
+    lab, beta = lab_of(span), best.estimate.values_of(observed.parameters.names)
     z = lab.instruments(beta, best.covariance, weights)
     own = replace(best, z=z, estimate=solve(z, span.along(z)), replicas=lab.replicas(beta, best.covariance))
     span, own = _in_time(span, own, solve)

@@ -5,12 +5,12 @@ from .direct import (
     DirectModel,
     direct_model,
     inertias,
-    not_positive,
     pose_step,
     poses_of,
     regressor_gradient,
-    sliding_apart,
     torque_of_links,
+    torque_without_sliding,
+    why_not_positive,
 )
 from .inverse import LINK, InverseModel
 from .joint_terms import SHAPES, SLIDING, JointTerm

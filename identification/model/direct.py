@@ -198,7 +198,7 @@ def inertias(model: DirectModel, poses: Array) -> Array:
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
-def not_positive(model: DirectModel, poses: Array) -> str | None:
+def why_not_positive(model: DirectModel, poses: Array) -> str | None:
     """None where M is positive definite at all poses (P, n), else a line that says so."""
     M = model.inertia(poses)
     if not np.isfinite(M).all():
@@ -271,7 +271,7 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
     return tau, slopes
 
 
-def sliding_apart(
+def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
     """Torque without friction that has the sign of a speed (N, n), and its derivatives (3, N, n, n) by q, dq, ddq.

@@ -6,13 +6,13 @@ from .motion import BLOCK_SAMPLES, SPLINE_REACH, FilteredMotion, Motion, differe
 from .problem import Problem, RowBlock, make_problem, row_blocks
 from .rows import (
     RowStates,
-    fast_rows,
     friction_states,
-    links_at_rows,
     lowest_nearby,
     measured_fast_rows,
+    moving_rows_of,
     recorded_power,
     refuse_slow_joints,
+    rigid_torque_at_rows,
     row_states,
 )
 from .settings import (

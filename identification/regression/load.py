@@ -24,7 +24,7 @@ from .problem import Problem, motion_blocks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class LinkSeries:
+class RigidBodyColumns:
     """The links' part of a block's regressor before decimation, in the rows of joints with load friction."""
 
     entries: NDArray[
@@ -48,12 +48,14 @@ class LoadFriction:
         own = np.isin(self.places, list(places))
         return replace(self, joints=self.joints[own], places=self.places[own]) if own.any() else None
 
-    def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> LinkSeries:
+    def series_of_links(self, entries: NDArray[np.intp], series: Array, dq: Array, inside: slice) -> RigidBodyColumns:
         """The links' part, of these joints, of a block's regressor: its entries (E, 2) and their series (E, N)."""
         own = self.links[entries[:, 1]] & np.isin(entries[:, 0], self.joints)
         if own.mean() > 0.5:  # to copy most of it takes longer than to keep all
-            return LinkSeries(entries=np.where(own[:, None], entries, (-1, 0)), series=series, dq=dq, inside=inside)
-        return LinkSeries(entries=entries[own], series=series[own], dq=dq, inside=inside)
+            return RigidBodyColumns(
+                entries=np.where(own[:, None], entries, (-1, 0)), series=series, dq=dq, inside=inside
+            )
+        return RigidBodyColumns(entries=entries[own], series=series[own], dq=dq, inside=inside)
 
     def torque_of_links(self, entries: NDArray[np.intp], series: Array, beta: Array) -> Array:
         """tau_rigid (k, N) of these joints, from the series (E, N) of the regressor's entries (E, 2) and beta (b,)."""
@@ -66,7 +68,7 @@ class LoadFriction:
             rigid[i] = np.einsum("e,en->n", values, series[together])  # term by term: zeros in between change no bit
         return rigid
 
-    def columns(self, block: LinkSeries, beta: Array, decimation: Decimation) -> Array:
+    def columns(self, block: RigidBodyColumns, beta: Array, decimation: Decimation) -> Array:
         """abs(tau_rigid) sign(dq) about beta (b,), decimated, then s at its rows: (2, k, rows) of those that count."""
         rigid, sign = self.torque_of_links(block.entries, block.series, beta), np.sign(block.dq[:, self.joints].T)
         # s serves as a derivative only: what it lacks of the filter does not move the solution.
@@ -97,14 +99,14 @@ def load_friction(model: InverseModel, base: BaseParameters) -> LoadFriction | N
 
 
 @one_thread
-def load_columns(problem: Problem, links: tuple[LinkSeries, ...], load: LoadFriction, beta: Array) -> Array:
+def load_columns(problem: Problem, links: tuple[RigidBodyColumns, ...], load: LoadFriction, beta: Array) -> Array:
     """`LoadFriction.columns` of a recording, from its `links` or, where these are not at hand, made anew."""
     problem = problem.with_samples()
     decimation, blocks = problem.settings.decimator, links or _link_blocks(problem, load)
     return np.concatenate([load.columns(block, beta, decimation) for block in blocks], axis=-1)
 
 
-def _link_blocks(problem: Problem, load: LoadFriction) -> Iterator[LinkSeries]:
+def _link_blocks(problem: Problem, load: LoadFriction) -> Iterator[RigidBodyColumns]:
     """The links' part of the regressor before decimation, in the blocks in which the problem's regressor was made."""
     model, base, links = problem.model, problem.base, np.flatnonzero(problem.base.links)
     entries = model.entries(base.columns[links])

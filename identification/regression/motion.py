@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from acquisition.files import let_go, room
+from acquisition.files import allocate, release_pages
 
 from ..arrays import Array
 from ..data import Signals
@@ -58,8 +58,8 @@ class FilteredMotion:
             q, s.torque, cutoff_hz=cutoff_hz, sample_rate_hz=s.sample_rate_hz, start=start, stop=stop
         )
         if q is s.q:
-            let_go(s.q)
-            let_go(s.torque)
+            release_pages(s.q)
+            release_pages(s.torque)
         return motion
 
 
@@ -102,13 +102,13 @@ def _spline_coefficients(x: Array) -> Array:
 
 def later(x: Array, by: float) -> Array:
     """Samples x (N, n) `by` samples later, as of `sampled_at`; block by block, those of a long recording on disk."""
-    moved = room(x.shape)
+    moved = allocate(x.shape)
     for first in range(0, len(x), BLOCK_SAMPLES):
         last = min(len(x), first + BLOCK_SAMPLES)
         low, high = max(0, math.floor(first + by) - SPLINE_REACH), min(len(x), math.ceil(last + by) + SPLINE_REACH)
         moved[first:last] = sampled_at(np.arange(first - low, last - low, dtype=np.float64) + by, x[low:high])
-        let_go(x)
-        let_go(moved)
+        release_pages(x)
+        release_pages(moved)
     return moved
 
 

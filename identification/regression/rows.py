@@ -23,7 +23,7 @@ LOW_SPEED_DEVIATIONS = 4.0  # of the speed's noise: rows slower than this are le
 STATES = 300  # of a recording at which its friction is looked at
 
 
-def fast_rows(
+def moving_rows_of(
     slip: Array, noise: Array, directions: Array, percent: float | None, peak: Array | None = None
 ) -> NDArray[np.bool_]:
     """Which rows (rows, n) of each joint count, from the speeds `slip` (rows, c) of the directions (c, n) of Coulomb friction.
@@ -80,7 +80,7 @@ def measured_fast_rows(problem: Problem) -> tuple[NDArray[np.bool_], Array]:
     directions = problem.model.coulomb_directions
     slip, noise = measured_slip(problem, directions)
     slip_noise = noise @ np.abs(directions.T)
-    fast = fast_rows(slip, slip_noise, directions, problem.settings.low_speed.ls)
+    fast = moving_rows_of(slip, slip_noise, directions, problem.settings.low_speed.ls)
     return fast, slip_noise
 
 
@@ -142,7 +142,7 @@ def recorded_power(moved: Sequence[tuple[Problem, RowStates | None]], beta: Arra
     return np.concatenate(found) if found else None
 
 
-def links_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
+def rigid_torque_at_rows(problem: Problem, beta: Array) -> tuple[Array, Array]:
     """Speeds and tau_rigid (rows, n) at the instants of the rows; of a long recording the first."""
     motion, inside, _ = next(motion_blocks(problem))
     q, dq, ddq = (problem.settings.decimator.kept(x)[inside] for x in (motion.q, motion.dq, motion.ddq))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from acquisition.errors import AcquisitionError
-from acquisition.files import let_go
+from acquisition.files import release_pages
 from acquisition.robot import Edges, Joint, LowSpeed, check_recorded_positions, low_speed_by_method
 
 from ..arrays import Array
@@ -21,7 +21,7 @@ from .motion import BLOCK_SAMPLES, FilteredMotion
 CUTOFF_PER_BANDWIDTH = 5.0  # w_fq >= 5 w_dyn, section 2.3 of Janot2014
 DECIMATED_PER_BANDWIDTH = 2.0  # w_fp >= 2 w_dyn
 CUT_PERIODS = 5.0  # border of 5 periods of the cut-off: 50 samples at 1 kHz and 100 Hz
-STANDS = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
+STANDSTILL_SPEED = 0.01  # of the fastest joint's peak speed: a joint that never exceeds it has only its noise
 LAG_REACH = 3.0  # deviations that a lag may be off what is known of it
 NOTHING, UNKNOWN_LAG_S = "nothing", 0.002  # deviation of the lag of an effort of which nothing is known
 
@@ -58,7 +58,7 @@ class Settings:
         decimation: samples per decimated row, n_d.
         filtered: whether the position's low-pass is that of the rule, or a lower one.
         edges: how the decimation treats the two ends (`filtering.decimate`).
-        low_speed: rows slower than this are left out, by method (`fast_rows`).
+        low_speed: rows slower than this are left out, by method (`moving_rows_of`).
         torque_lag_s: lag of the recorded torque in s, positive where it is late, that is corrected; 0 where none is.
         known_lag: what is known of it without a fit, by what the user states and the recording says.
         span: what the samples `start` to `stop` are, in words; `span_rule` the setting it follows from.
@@ -96,7 +96,7 @@ def make_settings(signals: Signals, overrides: Overrides, motion: FilteredMotion
         warnings = list(check_recorded_positions(signals.robot, signals.t_s, signals.q, signals.recording))
     except AcquisitionError as error:
         raise IdentificationError(str(error)) from error
-    let_go(signals.q)
+    release_pages(signals.q)
     bandwidth_hz = signals.robot.bandwidth_hz
     cutoff_hz: float | None = CUTOFF_PER_BANDWIDTH * bandwidth_hz
     for choice in (stored.cutoff_hz, overrides.cutoff_hz):
@@ -204,7 +204,7 @@ def largest_of_type(values: Array, joints: Sequence[Joint]) -> Array:
 
 def standing_joints(peak: Array, joints: Sequence[Joint]) -> tuple[str, ...]:
     """Names of the joints whose `peak` speeds (n,) are small beside that of the fastest joint of the same type."""
-    limits = STANDS * largest_of_type(peak, joints)
+    limits = STANDSTILL_SPEED * largest_of_type(peak, joints)
     return tuple(joint.name for joint, speed, limit in zip(joints, peak, limits, strict=True) if not speed > limit)
 
 

@@ -126,7 +126,7 @@ def _stacked(regressions: Sequence[Regression]) -> Regression:
 
         def by_joint(name: str) -> Array:
             values = [getattr(s, name) for s in systems]
-            return np.concatenate([x[own] for among in rows for x, own in zip(values, among, strict=True)])
+            return np.concatenate([x[own] for indices in rows for x, own in zip(values, indices, strict=True)])
 
         system = replace(
             systems[0],

@@ -11,7 +11,7 @@ from ..arrays import Array
 from ..estimation import Factors, System, TimeBlocks, one_thread
 from ..model import BaseParameters, InverseModel, direct_model
 from .filtering import Decimation
-from .load import LinkSeries, LoadFriction, load_friction
+from .load import LoadFriction, RigidBodyColumns, load_friction
 from .motion import Motion, differentiate
 from .problem import Problem, RowBlock, motion_blocks, motion_of_block, row_blocks
 from .rows import measured_fast_rows, refuse_slow_joints
@@ -48,7 +48,7 @@ class Regression:
     speed: Array
     slip_noise: Array
     parts: tuple[int, ...]
-    links: tuple[LinkSeries, ...] = ()
+    links: tuple[RigidBodyColumns, ...] = ()
     time_blocks: tuple[TimeBlocks, ...] = ()
 
     def __getstate__(self) -> dict[str, object]:
@@ -87,7 +87,7 @@ def regression_of_recording(
     `share` is the number of recordings that share the memory for rows that are not reduced. Columns of load friction are
     zero, or W and Y are those about the parameters `beta` (b,), as of `load`.
     """
-    blocks, kept, numbers = list[tuple[Array, ...]](), list[LinkSeries](), 0
+    blocks, kept, numbers = list[tuple[Array, ...]](), list[RigidBodyColumns](), 0
     fast, slip_noise = measured_fast_rows(problem)
     if share == 1:  # another recording may move a joint that stands in this one
         names = tuple(joint.name for joint in problem.signals.robot.joints)
@@ -251,7 +251,7 @@ def _series(
 
 def _block(
     problem: Problem, at: RowBlock, beta: Array | None
-) -> tuple[tuple[Array, Array, Array, Array], LinkSeries | None]:
+) -> tuple[tuple[Array, Array, Array, Array], RigidBodyColumns | None]:
     """W (n, b, rows), Y and torque tau (n, rows), speed (n, rows) of a block; and what load friction depends on.
 
     They are about the parameters `beta` (b,), or columns of load friction are zero.

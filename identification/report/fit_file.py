@@ -76,7 +76,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         return self.half / PER_INTERVAL
 
 
-class Doubt(msgspec.Struct, frozen=True):
+class PhysicalWarning(msgspec.Struct, frozen=True):
     """What of a fit no robot has, as files of every version have it; `severe` where chance does not explain it."""
 
     text: str
@@ -263,7 +263,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     parameters: list[Parameter]
     method: Method | UnsetType = UNSET
     status: Status | UnsetType = UNSET
-    doubts: list[Doubt] = msgspec.field(default_factory=list)
+    doubts: list[PhysicalWarning] = msgspec.field(default_factory=list)
     condition_number: float | UnsetType | None = UNSET
     condition_number_scaled: float | UnsetType | None = UNSET
     rows: int | UnsetType = UNSET

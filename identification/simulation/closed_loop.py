@@ -13,7 +13,7 @@ from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, not_positive, truth
+from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, truth, why_not_positive
 from .control_law import Control, ControlLaw, Disturbances, Reference, recorded_loop
 
 STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
@@ -251,7 +251,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
-    reason = not_positive(model, poses)
+    reason = why_not_positive(model, poses)
     if reason is not None:
         raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * PLANT_STEP_S

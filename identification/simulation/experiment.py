@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from acquisition.files import let_go
+from acquisition.files import release_pages
 from acquisition.robot import Joint
 
 from ..arrays import Array
@@ -35,7 +35,7 @@ from .control_law import Reference, recorded_loop
 
 RATE_PER_BANDWIDTH = 100.0  # instrument samples per period of the bandwidth, at least
 EARLY_RATE_PER_BANDWIDTH = 25.0  # the same in passes whose estimate is only where the next ones start
-LOST = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
+MAX_DEVIATION = 0.5  # of a joint's travel: a simulation, or a reference, this far off does not belong to the recording
 MIN_TRAVEL = (
     0.01  # of the reference, in that of the joint of the same type which travels most: a joint with less is held
 )
@@ -147,7 +147,7 @@ class Experiment:
         travel = np.ptp(ends, axis=0)
         scale, self.held = _scales(travel, joints)
         self.start, self.poses = (start.q[0], start.dq[0]), np.concatenate(poses)
-        self.bound = LOST * np.maximum(scale, 0.1 * travel.max())
+        self.bound = MAX_DEVIATION * np.maximum(scale, 0.1 * travel.max())
         self.scatter = np.maximum(squares - total**2 / self.N, 0.0)
 
     def model(self, beta: Array) -> DirectModel:
@@ -211,7 +211,7 @@ def _reference(e: Experiment, at: Array) -> Reference:
         measured = e.filtered(low, high)
         return Reference(*(sampled_at(at, x) for x in (measured.q, measured.dq, measured.ddq)), known_torque=known)
     q_ref = np.array(signals.q_ref[near])
-    let_go(signals.q_ref)
+    release_pages(signals.q_ref)
     dq_ref = differentiate(q_ref, signals.sample_rate_hz)
     paths = (sampled_at(at, x) for x in (q_ref, dq_ref, differentiate(dq_ref, signals.sample_rate_hz)))
     ahead = None
@@ -242,11 +242,11 @@ def _refuse_foreign_reference(problem: Problem) -> None:
         x = signals.q_ref[some] - first
         total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
         off = off + ((signals.q_ref[some] - signals.q[some]) ** 2).sum(axis=0)
-        let_go(signals.q)
-        let_go(signals.q_ref)
+        release_pages(signals.q)
+        release_pages(signals.q_ref)
     spreads, errors = np.sqrt(np.maximum(squares / N - (total / N) ** 2, 0.0)), np.sqrt(off / N)
     for joint, scale, error in zip(joints, _scales(spreads, joints)[0], errors, strict=True):
-        if error <= LOST * scale:
+        if error <= MAX_DEVIATION * scale:
             continue
         what = f"{error:.3g} {joint.position_unit} rms off the measured position"
         saturated = saturated_percent(problem)
@@ -270,5 +270,5 @@ def saturated_percent(problem: Problem) -> float | None:
     for a in range(settings.start, settings.stop, BLOCK_SAMPLES):
         effort = signals.robot.motor_effort(signals.effort[a : min(settings.stop, a + BLOCK_SAMPLES)])
         saturated += int((np.abs(effort) >= 0.995 * limits).any(axis=1).sum())
-        let_go(signals.effort)
+        release_pages(signals.effort)
     return 100.0 * saturated / (settings.stop - settings.start)

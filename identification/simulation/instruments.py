@@ -11,19 +11,19 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..data import Work
 from ..estimation import Factors, System, TimeBlocks, combined, one_thread
-from ..model import not_positive
-from ..regression import OwnParameters, Problem, decimated_regressor, fast_rows, lowest_nearby, rows_of_block
+from ..model import why_not_positive
+from ..regression import OwnParameters, Problem, decimated_regressor, lowest_nearby, moving_rows_of, rows_of_block
 from .experiment import EARLY_RATE_PER_BANDWIDTH, RATE_PER_BANDWIDTH, Experiment
 from .motion import (
     MotionBlocks,
     NotSimulatedError,
     Replica,
     TrackingError,
-    gains_for,
     nearest,
     reference_blocks,
     simulate_replica,
     simulated_blocks,
+    with_gains_for,
 )
 
 InstrumentKind = Literal["simulated", "consistent", "reference"]
@@ -89,12 +89,12 @@ def simulate_instruments(
     kept : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
-    model, gains, reason = gains_for(e, near)
+    model, gains, reason = with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
     tracking_percent = None
     try:
         found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, kept)
-        if covariance is not None and (reason := not_positive(e.model(beta), e.poses)) is not None:
+        if covariance is not None and (reason := why_not_positive(e.model(beta), e.poses)) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
@@ -137,20 +137,20 @@ def stack_instruments(
         time_blocks=tuple(blocks for one in each for blocks in one.time_blocks),
         fast=tuple(fast for one in each for fast in one.fast),
         kind=min((one.kind for one in each), key=WORST_FIRST.index),
-        reason=told([one.reason for one in each], names),
+        reason=join_reasons([one.reason for one in each], names),
         gains=np.concatenate([one.gains for one in each]),
-        tracking_percent=worst([one.tracking_percent for one in each]),
+        tracking_percent=max_or_none([one.tracking_percent for one in each]),
         load_unknown=any(one.load_unknown for one in each),
     )
 
 
-def worst(figures: Sequence[float | None]) -> float | None:
+def max_or_none(figures: Sequence[float | None]) -> float | None:
     """The largest, None where one of them is."""
     known = [x for x in figures if x is not None]
     return max(known) if len(known) == len(figures) else None
 
 
-def told(reasons: Sequence[str | None], names: Sequence[str]) -> str | None:
+def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | None:
     """Reasons of recordings in one line, with the recordings' names where they are several."""
     if len(reasons) == 1:
         return reasons[0]
@@ -181,7 +181,7 @@ def _along(
             continue
         known = None if kept is None else kept[at.first : at.last]
         # The peak of the whole is known beforehand.
-        counts = fast_rows(slow, e.slip_noise, directions, percent, peak=e.fastest) if known is None else known
+        counts = moving_rows_of(slow, e.slip_noise, directions, percent, peak=e.fastest) if known is None else known
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
@@ -192,7 +192,7 @@ def _along(
         assert of_system is not None
         return (of_system, np.concatenate(fast), system, time_blocks), error.percent
     Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    counts = fast_rows(np.concatenate(slip), e.slip_noise, directions, percent) if kept is None else kept
+    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if kept is None else kept
     return (Z, counts, None, None), error.percent
 
 
@@ -251,7 +251,7 @@ class Simulation:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Lab:
+class ClosedLoops:
     """The recordings of a fit in the order of the rows, and where the tasks run.
 
     `names` are the recordings'; `parameters` those that they share and those of each, in whose order values stand.

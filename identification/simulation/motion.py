@@ -6,11 +6,11 @@ from typing import Literal
 
 import numpy as np
 
-from acquisition.files import let_go
+from acquisition.files import release_pages
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, inertias, nearest_consistent, not_positive
+from ..model import DirectModel, inertias, nearest_consistent, why_not_positive
 from ..regression import Decimation, Motion, RowBlock
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
@@ -64,17 +64,17 @@ class Replica:
     saturated_percent: float | None
 
 
-def gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
+def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
     """The robot with beta (b,), factors (n,) on the controller's gains for its inertias; why it cannot be simulated, if so."""
     model = e.model(beta)
-    J, reason = inertias(model, e.poses), not_positive(model, e.poses)
+    J, reason = inertias(model, e.poses), why_not_positive(model, e.poses)
     # Where nothing tells what its saturation was set for, computed torque keeps it.
     known = e.J_known or e.loop is None or not e.loop.computed_torque
     return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
 
 
 def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: str | None) -> MotionBlocks:
-    """The closed loop simulated with what `gains_for` gives. Raises `NotSimulatedError`, maybe after some blocks."""
+    """The closed loop simulated with what `with_gains_for` gives. Raises `NotSimulatedError`, maybe after some blocks."""
     if reason is not None:
         raise NotSimulatedError(reason)
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / e.period_s)
@@ -120,7 +120,7 @@ class TrackingError:
         settings, effort = e.problem.settings, e.problem.signals.effort
         used = block.samples(settings.stop - settings.start, settings.decimation)
         measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.inside]
-        let_go(effort)
+        release_pages(effort)
         tau = e.decimation.filtered(motion.tau.T)[:, block.inside]
         self._rho, self._tau = self._rho + ((measured - tau) ** 2).sum(axis=1), self._tau + (measured**2).sum(axis=1)
         return inside, q
@@ -152,7 +152,7 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
     """
     error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
     try:
-        for block, x in simulated_blocks(e, *gains_for(e, beta)):
+        for block, x in simulated_blocks(e, *with_gains_for(e, beta)):
             inside, q = error.add(block, x)
             own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
             # Of a long recording no more is kept than the instants of the rows.

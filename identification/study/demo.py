@@ -12,7 +12,7 @@ import numpy as np
 from acquisition.bus import Master
 from acquisition.robot import Robot, resolve
 from acquisition.session import InlineLog, Recorder, Stop, Task, run_active
-from acquisition.simulated import SUBSTEPS, LockStepLink, Mechanism, SimulatedDrives, describe_loops
+from acquisition.simulated import SUBSTEPS, DrivenPlant, LockStepLink, SimulatedDrives, describe_loops
 
 from ..arrays import Array
 from ..errors import IdentificationError
@@ -23,7 +23,9 @@ from .simulated_cell import periodic_reference, true_model
 DURATION_S, SEED = 12.0, 1  # of the session; of its reference and noise
 
 
-def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *, noise_percent: float = 3.0) -> None:
+def record_simulated_session(
+    robot: Robot, place: str, out: Path, say: Callable[[str], None], *, noise_percent: float = 3.0
+) -> None:
     """Record a session: simulated drives track a random exciting reference with the robot of `[parameters]`.
 
     `noise_percent` is the noise of the torque, of each joint's rms.
@@ -46,7 +48,7 @@ def rehearse(robot: Robot, place: str, out: Path, say: Callable[[str], None], *,
         disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
         seed=SEED,
     )
-    mechanism = Mechanism(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
+    mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
     bus = resolve(robot, place)
     source = "simulated drives before the rigid robot of [parameters]"
     log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from acquisition.files import atomic_write, let_go, room
+from acquisition.files import allocate, atomic_write, release_pages
 from acquisition.recording import OPTIONAL, Header, RecordingWriter, sample_dtype
 from acquisition.robot import FourierReference, Robot, fourier_reference
 
@@ -61,10 +61,10 @@ class Noise(CellOptions):
         def series(size: float | Array, stream: int, ar: float) -> Array:
             if not np.any(size):
                 return np.zeros(shape)
-            x = room(shape, LONG)
+            x = allocate(shape, LONG)
             for here, noise in noise_parts(np.random.default_rng([seed, stream]), shape, ar):
                 x[here] = size * noise
-                let_go(x)
+                release_pages(x)
             return x
 
         return Disturbances(
@@ -78,7 +78,7 @@ class Noise(CellOptions):
     def on_effort(self, held: Array, seed: int) -> Array:
         """Torques as they are recorded (N, n), of those that the controller gives and holds from sample to sample."""
         N, late = len(held), min(self.lag_samples, len(held))
-        tau, squares = room(held.shape, LONG), np.zeros(held.shape[1])
+        tau, squares = allocate(held.shape, LONG), np.zeros(held.shape[1])
         for first in range(0, N, SPAN):
             at = np.maximum(np.arange(first, min(first + SPAN, N)) - late, 0)
             part = held[at]
@@ -86,13 +86,13 @@ class Noise(CellOptions):
                 part = np.where(at[:, None] > 0, 0.5 * (part + held[np.maximum(at - 1, 0)]), part)
             tau[first : first + len(part)] = part
             squares += np.sum(part**2, axis=0)
-            let_go(held)
+            release_pages(held)
         level = 0.01 * np.sqrt(squares / max(N, 1))
         for percent, stream, ar in ((self.effort_percent, _EFFORT, 0.0), (self.coloured_percent, _COLOURED, AR)):
             if percent:
                 for here, noise in noise_parts(np.random.default_rng([seed, stream]), tau.shape, ar):
                     tau[here] += percent * level * noise
-                    let_go(tau)
+                    release_pages(tau)
         return tau
 
 
@@ -155,10 +155,10 @@ def random_reference(
             f"{duration_s:g} s at {sample_rate_hz:g} Hz: {samples:g} samples; expected {LEAST_SAMPLES} to {MOST_SAMPLES}"
         )
     reference = periodic_reference(robot, duration_s=duration_s, seed=seed, period_s=period_s)
-    q = room((round(samples) + 1, robot.n), LONG)
+    q = allocate((round(samples) + 1, robot.n), LONG)
     for first in range(0, len(q), SPAN):
         q[first : first + SPAN] = reference.at(np.arange(first, min(first + SPAN, len(q))) / sample_rate_hz)[0]
-        let_go(q)
+        release_pages(q)
     return q
 
 
@@ -195,7 +195,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
     bound = np.full(robot.n, 10 * np.ptp(q_ref, axis=0).max())
     start = (q_ref[0].copy(), _span(q_ref[:3], 0, sample_rate_hz).dq[0])
     follower = ClosedLoop(model, loop, start, fastest=fastest, substeps=SUBSTEPS, cell=cell)
-    q, tau = room(q_ref.shape, LONG), room(q_ref.shape, LONG)
+    q, tau = allocate(q_ref.shape, LONG), allocate(q_ref.shape, LONG)
     for first in range(0, N, SPAN):
         here = slice(first, first + SPAN)
         part = replace(cell, position=cell.position[here], torque=cell.torque[here])
@@ -204,7 +204,7 @@ def closed_loop(robot: Robot, q_ref: Array, sample_rate_hz: float, *, noise: Noi
             raise IdentificationError(f"robot {robot.name}: cannot be simulated: {reason}")
         q[here], tau[here] = part.seen(done[0, ::SUBSTEPS]), done[3, ::SUBSTEPS]
         for x in (q, tau, q_ref, cell.position, cell.torque):
-            let_go(x)
+            release_pages(x)
     return Signals(
         t_s=np.arange(N) / sample_rate_hz,
         q=q,
@@ -275,4 +275,4 @@ def write_signals(
                 samples[name] = values[here]
             writer.samples(samples)
             for values in columns.values():
-                let_go(values)
+                release_pages(values)

@@ -18,7 +18,7 @@ from ..data import Work
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
-from ..model import InverseModel, base_parameters, direct_model, inertias, not_positive, poses_of, truth
+from ..model import InverseModel, base_parameters, direct_model, inertias, poses_of, truth, why_not_positive
 from ..options import Controllers, StudyOptions
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth
@@ -208,7 +208,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
             low=fit.intervals.low,
             high=fit.intervals.high,
             essential=np.isin(np.arange(base.b), fit.essential.kept),
-            positive=not_positive(direct_model(idm, base.standard_parameters(fit.beta)), poses) is None,
+            positive=why_not_positive(direct_model(idm, base.standard_parameters(fit.beta)), poses) is None,
         )
 
     try:

@@ -18,7 +18,7 @@ from ..estimation import deviations_of_sums
 from ..model import DirectModel, JointTerm, direct_model
 from ..regression import Decimation, Motion, known_torque_rows
 from ..report import Method
-from .evidence import Evidence, RecordingData, TrustLine
+from .evidence import FitData, RecordingData, TrustLine
 from .lag import simulated_rates
 
 MIN_T = 5.0  # deviations that chance does not explain
@@ -65,7 +65,7 @@ class MissingTerm:
         return abs(self.t) > MIN_T and self.taken_percent > least
 
 
-def added_columns_test(evidence: Evidence) -> TrustLine:
+def added_columns_test(evidence: FitData) -> TrustLine:
     """Whether the model lacks something: a friction, an offset, drift, a spring, tilt of gravity, a gain."""
     name = "added columns"
     evidence = evidence.with_rows
@@ -97,7 +97,7 @@ def _rank(term: MissingTerm) -> tuple[float, float]:
     return behind * term.together_percent + ahead, term.taken_percent
 
 
-def missing_terms(evidence: Evidence) -> tuple[MissingTerm, ...]:
+def missing_terms(evidence: FitData) -> tuple[MissingTerm, ...]:
     """All columns that can be told apart from W, not of reduced rows.
 
     Stribeck friction below zero is none: near standstill filters and elasticity round off the sign of the speed.
@@ -147,10 +147,10 @@ def motion_of(part: RecordingData, method: Method) -> tuple[Motion, Decimation]:
     return part.problem.motion.between(settings.start, settings.stop, settings.cutoff_hz), settings.decimator
 
 
-def _columns(evidence: Evidence) -> Iterator[MissingTerm]:
+def _columns(evidence: FitData) -> Iterator[MissingTerm]:
     problem, robot, idm = evidence.problem, evidence.problem.signals.robot, evidence.problem.model
     chi, joints, n, efforts = np.zeros(idm.p), robot.joints, len(robot.joints), robot.effort_units
-    chi[problem.base.columns] = evidence.estimate.among(evidence.recordings[0].parameters)
+    chi[problem.base.columns] = evidence.estimate.values_of(evidence.recordings[0].parameters)
     links = direct_model(idm, np.where(idm.of_links, chi, 0.0))
     time = np.concatenate([np.linspace(0.0, 1.0, rows) for rows in evidence.observed.parts])
     speed, slow, position, root, load = (np.concatenate(x) for x in zip(*_series(evidence, links), strict=True))
@@ -198,13 +198,13 @@ def _columns(evidence: Evidence) -> Iterator[MissingTerm]:
         yield from (of_joint(j, LAG, late[:, j], "ms", advice) for j in range(n))
     if n > 1 and robot.gain_known:
         # What the estimate predicts of a drive's torque: the coefficient is its gain over that of the others, less 1.
-        drives = evidence.observed.predicted(evidence.estimate.among(evidence.observed.system.names))
+        drives = evidence.observed.predicted(evidence.estimate.values_of(evidence.observed.system.names))
         drives = drives - np.concatenate([known_torque_rows(part.problem) for part in evidence.recordings])
         advice = "check its drive_gain and ratio against those of the other joints"
         yield from (of_joint(j, "relative gain", 0.01 * drives[:, j], "%", advice) for j in range(n))
 
 
-def _series(evidence: Evidence, links: DirectModel) -> Iterator[tuple[Array, ...]]:
+def _series(evidence: FitData, links: DirectModel) -> Iterator[tuple[Array, ...]]:
     """Of each recording, decimated (rows, n): |dq|, what Stribeck friction has more at low speed, positions, the root of speed
     along each direction of Coulomb friction, and friction by load.
     """

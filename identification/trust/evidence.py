@@ -151,7 +151,7 @@ class Lag:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Evidence:
+class FitData:
     """An estimate and what it rests on.
 
     Attributes:
@@ -187,7 +187,7 @@ class Evidence:
     factors: tuple[tuple[System, Array], ...] = ()
     blocks: tuple[BlockSums, ...] = ()
     position_noise: TrustLine | None = None
-    looked_at: "Evidence | None" = None
+    looked_at: "FitData | None" = None
     lags: tuple[Lag, ...] = ()
     essential: tuple[str, ...] = ()
 
@@ -197,7 +197,7 @@ class Evidence:
         return self.recordings[0].problem
 
     @property
-    def with_rows(self) -> "Evidence":
+    def with_rows(self) -> "FitData":
         """The evidence whose rows are held: that of a long recording's beginning."""
         return self.looked_at or self
 
@@ -313,6 +313,6 @@ def covariance_of_all(names: tuple[str, ...], estimate: Estimate, intervals: Int
     Parameters that the estimate has not count as zero with the deviations of `full`, the least squares of all of them.
     """
     covariance = np.diag(np.diag(full.covariance))
-    among = np.array([names.index(name) for name in estimate.names])
-    covariance[np.ix_(among, among)] = intervals.covariance
+    indices = np.array([names.index(name) for name in estimate.names])
+    covariance[np.ix_(indices, indices)] = intervals.covariance
     return covariance

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ..arrays import Array
 from ..estimation import slices, undetermined_parameters
-from .evidence import ILL_CONDITIONED, Evidence, Figure, TrustLine, part_of
+from .evidence import ILL_CONDITIONED, Figure, FitData, TrustLine, part_of
 
 BLOCKS = 5
 FAR_FACTOR = 3.0  # the same that, with M not positive, says not to use it
@@ -37,7 +37,7 @@ class HeldOut:
     torque: float
 
 
-def held_out_test(evidence: Evidence) -> TrustLine:
+def held_out_test(evidence: FitData) -> TrustLine:
     """Five blocks of time, each predicted by the fit of the others, beside the error of the fit itself; in percent.
 
     Several recordings are themselves the blocks.
@@ -69,7 +69,7 @@ def held_out_test(evidence: Evidence) -> TrustLine:
     return _line(evidence, text, (error, training), "record longer", figures)
 
 
-def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
+def held_out_recordings(evidence: FitData) -> tuple[HeldOut | None, ...]:
     """Each of several recordings predicted by the fit of the others; None of a single one.
 
     Parameters that it has for itself are fitted to the recording: the others know nothing of them.
@@ -107,18 +107,18 @@ def held_out_recordings(evidence: Evidence) -> tuple[HeldOut | None, ...]:
     return tuple(found)
 
 
-def _rows_of(evidence: Evidence, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+def _rows_of(evidence: FitData, k: int) -> tuple[Array, Array, Array, NDArray[np.intp]]:
     """Z, W (r, b), Y (r,) and joints (r,) of recording k, of the parameters estimated; zero where rows do not count."""
     observed, n = evidence.observed, evidence.observed.tau.shape[1]
-    among = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
+    indices = np.array([observed.system.names.index(name) for name in evidence.estimate.names])
     if observed.reduced:
         system, Z = evidence.factors[k]
-        return Z[:, among], system.W[:, among], system.Y, system.joint_of_row
+        return Z[:, indices], system.W[:, indices], system.Y, system.joint_of_row
     part, system = slices(observed.parts)[k], observed.system
     instruments = system.W if evidence.Z is None else evidence.Z
     W, Y, Z, used = (part_of(x, n, part) for x in (system.W, system.Y, instruments, evidence.used))
     joints = np.repeat(np.arange(n), part.stop - part.start)
-    return Z[:, among] * used[:, None], W[:, among] * used[:, None], Y * used, joints
+    return Z[:, indices] * used[:, None], W[:, indices] * used[:, None], Y * used, joints
 
 
 def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
@@ -136,7 +136,7 @@ def _solved(R: Array, names: tuple[str, ...]) -> tuple[Array | None, list[str]]:
     return np.linalg.solve(A / d, Q.T @ Y) / d, []
 
 
-def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> TrustLine:
+def _recordings_line(evidence: FitData, found: tuple[HeldOut | None, ...]) -> TrustLine:
     """The line of several recordings: their errors held out, and those that the others cannot predict."""
     squares, figures, without = np.zeros(3), [], []
     for part, one in zip(evidence.recordings, found, strict=True):
@@ -155,7 +155,7 @@ def _recordings_line(evidence: Evidence, found: tuple[HeldOut | None, ...]) -> T
     return _line(evidence, text, (error, training), "record more", figures)
 
 
-def _line(evidence: Evidence, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
+def _line(evidence: FitData, text: str, errors: tuple[float, float], cure: str, figures: list[Figure]) -> TrustLine:
     """The line of errors in percent, held out and trained."""
     shown = tuple(figures)
     if errors[0] <= HELD_OUT_FACTOR * errors[1]:

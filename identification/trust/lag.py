@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..estimation import Estimate, System, instrumental_variables, intervals, whitened
-from ..regression import KnownLag, Regression, differentiate, fast_rows, torque_rate
+from ..regression import KnownLag, Regression, differentiate, moving_rows_of, torque_rate
 from ..report import Level
-from .evidence import Evidence, Figure, Lag, RecordingData, TrustLine
+from .evidence import Figure, FitData, Lag, RecordingData, TrustLine
 
 APART = 3.0  # joint deviations between data and what is known: beyond, the data alone count
 CONTRADICTED = 4.0  # deviations of the data off a lag that the user states
@@ -32,7 +32,7 @@ Groups = Sequence[Sequence[int]]  # places of recordings whose torques have one 
 
 def lag_columns(parts: Sequence[RecordingData], groups: Groups, estimate: Estimate) -> Array:
     """-d/dt(W beta) (r, K): torque per second of lag of each group of recordings, rows as those of the system."""
-    rates = [torque_rate(part.problem, estimate.among(part.parameters)).T for part in parts]
+    rates = [torque_rate(part.problem, estimate.values_of(part.parameters)).T for part in parts]
     return _by_group(rates, groups)
 
 
@@ -77,7 +77,7 @@ def simulated_rates(part: RecordingData) -> tuple[Array, NDArray[np.bool_]]:
     directions = problem.model.coulomb_directions
     percent = max(SLOW_PERCENT, problem.settings.low_speed.iv or 0.0)
     slip = decimation.kept(simulated.dq) @ directions.T
-    return rate, _well_before_slow(fast_rows(slip, part.regression.slip_noise, directions, percent).T)
+    return rate, _well_before_slow(moving_rows_of(slip, part.regression.slip_noise, directions, percent).T)
 
 
 def _well_before_slow(fast: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -108,13 +108,13 @@ def lag_moves(observed: Regression, used: Array, columns: Array, estimate: Estim
     return np.asarray(estimate.bread @ (estimate.Q.T @ (columns * weight[:, None])))
 
 
-def lag_test(evidence: Evidence) -> TrustLine:
+def lag_test(evidence: FitData) -> TrustLine:
     """Whether torque and motion belong to the same instants, and what it costs where that is not known; the worst group's."""
     lines = [_line(evidence, lag) for lag in evidence.lags]
     return max(lines, key=lambda line: (line.level == "caution", abs(line.value or 0.0)))
 
 
-def _line(evidence: Evidence, lag: Lag) -> TrustLine:
+def _line(evidence: FitData, lag: Lag) -> TrustLine:
     fs = evidence.problem.signals.sample_rate_hz
     late, half = lag.value_s * fs, lag.half_width_s * fs
     figures = (Figure(name="lag", value=late, half_width=half, expected=lag.prior.value_s * fs),)

@@ -29,7 +29,7 @@ from ..model import InverseModel, friction_power, nearest_consistent, requiremen
 from ..regression import base_name, friction_states, recorded_power
 from ..report import Level
 from .columns import motion_of
-from .evidence import LEVELS, Evidence, TrustLine, covariance_of_all
+from .evidence import LEVELS, FitData, TrustLine, covariance_of_all
 
 SEVERE = 2.0  # half-widths below zero that chance does not explain
 TINY = 1e-300  # in place of an interval of no width
@@ -41,7 +41,7 @@ FAR_LEVEL = 0.001  # of the chi-squared test: how rarely a physical robot gives 
 Finding = tuple[Level, str]
 
 
-def physical_test(evidence: Evidence) -> TrustLine:
+def physical_test(evidence: FitData) -> TrustLine:
     """Whether a robot can have the parameters; each finding names the joint to look at.
 
     Ordinary least squares weighs all rows alike, so its deviations hide what a joint of small torques says of its signs:
@@ -60,7 +60,7 @@ def physical_test(evidence: Evidence) -> TrustLine:
     return TrustLine("physical", found[0][0], "; ".join(text for _, text in found), lowest)
 
 
-def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
+def _intervals(evidence: FitData, estimate: Estimate) -> Intervals:
     """Intervals of another least squares estimate of the same rows."""
     observed = evidence.observed
     if observed.time_blocks:
@@ -69,13 +69,13 @@ def _intervals(evidence: Evidence, estimate: Estimate) -> Intervals:
     return intervals(estimate, Y - W @ estimate.beta, observed.tau.shape[1], observed.parts)
 
 
-def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
+def _findings(evidence: FitData, estimate: Estimate, found: Intervals) -> tuple[list[Finding], float]:
     """What of an estimate no robot has; and the lowest eigenvalue of M on the trajectory."""
     idm, base = evidence.problem.model, evidence.problem.base
-    among = np.array([base.names.index(base_name(name)) for name in estimate.names])
+    indices = np.array([base.names.index(base_name(name)) for name in estimate.names])
     poses = np.concatenate([part.poses for part in evidence.recordings])
-    findings, lowest = _inertia_findings(idm, base.columns[among], estimate.beta, found, poses)
-    findings += _driving_findings(evidence, base.columns[among], estimate, found)
+    findings, lowest = _inertia_findings(idm, base.columns[indices], estimate.beta, found, poses)
+    findings += _driving_findings(evidence, base.columns[indices], estimate, found)
     own = any("@" in name for name in estimate.names)
     beyond: dict[int, dict[str, tuple[float, str]]] = {}  # by joint and kind: half-widths, and a text
     by_base = np.linalg.pinv(base.K)
@@ -83,7 +83,7 @@ def _findings(evidence: Evidence, estimate: Estimate, found: Intervals) -> tuple
         of_part = np.array([name in part.parameters for name in estimate.names])
         for matrix, first, of in requirements(idm, shaped=False):
             G = matrix @ by_base  # of base parameters; these do not tell rotors that are regrouped with links
-            if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., among] * of_part).any():
+            if not np.allclose(G @ base.K, matrix, atol=1e-9) or not (G := G[..., indices] * of_part).any():
                 continue
             _, value, half = _along_directions(G, estimate.beta, found)
             worst = int(np.argmin(value / np.maximum(half, TINY)))
@@ -117,7 +117,7 @@ def _along_directions(G: Array, beta: Array, found: Intervals) -> tuple[Array, A
 
 
 def _driving_findings(
-    evidence: Evidence, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
+    evidence: FitData, columns: NDArray[np.intp], estimate: Estimate, found: Intervals
 ) -> list[Finding]:
     """Whether friction of further terms would drive a joint moving alone, or joints that share motors, at recorded speeds.
 
@@ -130,7 +130,7 @@ def _driving_findings(
         of_part = np.array([name in part.parameters for name in estimate.names])
         if part.states is None:
             continue
-        dq, load = friction_states(part.problem, estimate.among(part.parameters), part.states)
+        dq, load = friction_states(part.problem, estimate.values_of(part.parameters), part.states)
         G = friction_power(idm, columns, dq, load) * of_part
         for g, v in zip(G, dq, strict=True):
             j, power, half = int(np.abs(v).argmax()), float(g @ estimate.beta), float(_half(g, found))
@@ -165,14 +165,14 @@ def _inertia_findings(
     with np.errstate(divide="ignore", invalid="ignore"):
         worst = np.unravel_index(int(np.nanargmin(np.where(lowest < 0, lowest / half, 0.0))), lowest.shape)
     joint = idm.robot.joints[int(np.abs(directions[worst]).argmax())].name
-    told = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
-    told += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
+    finding = f"the inertia matrix is not positive on the trajectory (lowest eigenvalue {least:.3g}"
+    finding += f"; {lowest[worst]:.3g} ± {half[worst]:.2g} about joint {joint})"
     if (lowest < -SEVERE * half).any():
-        return [("do not use", f"{told}: {_question(joint)}")], least
-    return [("caution", f"{told}, which chance may explain: a consistent set is needed to simulate it")], least
+        return [("do not use", f"{finding}: {_question(joint)}")], least
+    return [("caution", f"{finding}, which chance may explain: a consistent set is needed to simulate it")], least
 
 
-def _gravity_findings(evidence: Evidence) -> list[Finding]:
+def _gravity_findings(evidence: FitData) -> list[Finding]:
     """Whether torques of a robot whose axes are not all vertical are fitted better by a model without gravity.
 
     Torques from which the controller has taken the robot's weight do that. Not made of reduced rows.
@@ -206,7 +206,7 @@ def _gravity_findings(evidence: Evidence) -> list[Finding]:
     return [("caution", text)]
 
 
-def consistent_test(evidence: Evidence) -> TrustLine:
+def consistent_test(evidence: FitData) -> TrustLine:
     """How far the nearest consistent parameters are: in chi-squared, and the largest move in half-widths of the intervals."""
     problem, estimate = evidence.problem, evidence.estimate
     if not problem.signals.robot.gain_known:
@@ -216,7 +216,7 @@ def consistent_test(evidence: Evidence) -> TrustLine:
     covariance = covariance_of_all(all_names, estimate, evidence.intervals, evidence.least_squares)
     first = np.array([all_names.index(name) for name in names])  # of own parameters those of one recording
     moved = [(part.problem, part.states) for part in evidence.recordings if part.parameters == names]
-    beta = estimate.among(names)
+    beta = estimate.values_of(names)
     try:
         power = recorded_power(moved, beta)
         nearest = nearest_consistent(problem.model, problem.base, beta, covariance[np.ix_(first, first)], power)

@@ -10,14 +10,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from acquisition.files import let_go
+from acquisition.files import release_pages
 
 from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import direct_model
 from ..regression import KnownLag, Problem, differentiate, sampled_at
 from ..simulation import Control, ControlLaw, Reference, recorded_loop
-from .evidence import LEVELS, Evidence, Figure, TrustLine
+from .evidence import LEVELS, Figure, FitData, TrustLine
 
 DRIVE_DELAY_S = 0.0005  # deviation of the time from a command to its torque
 GAIN_OFF, ERROR_PERCENT = 0.02, 5.0  # beyond these: caution
@@ -30,7 +30,7 @@ MIRRORED_PERCENT = 50.0  # left by a negative gain: less, and the effort is the 
 STILL = 1e-9  # of the largest: a joint whose law gives less than this is not compared
 
 
-def replay_test(evidence: Evidence) -> TrustLine:
+def replay_test(evidence: FitData) -> TrustLine:
     """Whether the recorded efforts are what the described controllers give: the line of the worst recording."""
     worst = min(evidence.recordings, key=lambda part: _rank(part.replay))
     if len(evidence.recordings) == 1:
@@ -139,8 +139,8 @@ def _efforts(problem: Problem, loop: ControlLaw) -> tuple[Array, Array]:
     dq_ref = differentiate(q_ref, 1 / loop.period_s)
     ahead = None if signals.feedforward is None else signals.feedforward[np.rint(ticks).astype(np.intp)]
     reference = Reference(q_ref, dq_ref, differentiate(dq_ref, 1 / loop.period_s), feedforward=ahead)
-    let_go(signals.q)
-    let_go(signals.q_ref)
+    release_pages(signals.q)
+    release_pages(signals.q_ref)
     model = direct_model(problem.model, np.zeros(problem.model.p))  # of no use here: these laws have none in them
     control = Control(model, loop, q[0], (q[1] - q[0]) / loop.period_s)
     control.take(reference)

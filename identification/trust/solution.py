@@ -15,7 +15,7 @@ from ..model import JointTerm
 from ..regression import base_name, standing_joints
 from ..report import Assumed
 from .columns import added_columns_test
-from .evidence import ILL_CONDITIONED, LEVELS, Evidence, RecordingData, Trust, TrustLine
+from .evidence import ILL_CONDITIONED, LEVELS, FitData, RecordingData, Trust, TrustLine
 from .held_out import held_out_test
 from .lag import lag_test
 from .physical import consistent_test, physical_test
@@ -37,7 +37,7 @@ LONG_S = 100.0  # of motion: beyond, noise is averaged down to what the filters 
 PREWHITENED = 15.0  # deviations between plain and prewhitened IV; coloured noise alone gives up to 11
 
 
-def fixed_point_test(evidence: Evidence) -> TrustLine:
+def fixed_point_test(evidence: FitData) -> TrustLine:
     """Whether the method ended in a fixed point that the simulated robot confirms."""
     name, why = "fixed point", evidence.unconfirmed
     if not evidence.fixed_point:
@@ -50,7 +50,7 @@ def fixed_point_test(evidence: Evidence) -> TrustLine:
     return TrustLine(name, "ok", "settled, and the simulated robot confirms it")
 
 
-def instruments_test(evidence: Evidence) -> TrustLine | None:
+def instruments_test(evidence: FitData) -> TrustLine | None:
     """Whether the instruments explain the regressor, and are more than the regressor itself."""
     F = evidence.first_stage_F
     if F is None:
@@ -64,7 +64,7 @@ def instruments_test(evidence: Evidence) -> TrustLine | None:
     return TrustLine("instruments", "ok", f"strong: first-stage F = {F:.3g}", F)
 
 
-def units_test(evidence: Evidence) -> TrustLine:
+def units_test(evidence: FitData) -> TrustLine:
     """Whether joints share parameters although their drive gains are not known: then the torques are in different units."""
     name, robot = "units", evidence.problem.signals.robot
     if robot.gain_known or robot.n == 1:
@@ -79,7 +79,7 @@ def units_test(evidence: Evidence) -> TrustLine:
     return TrustLine(name, "do not use", text, finding="drive gains not known")
 
 
-def essential_test(evidence: Evidence) -> TrustLine:
+def essential_test(evidence: FitData) -> TrustLine:
     """Whether some inertia is known to better than its own size."""
     name, base, idm = "essential", evidence.problem.base, evidence.problem.model
     rows = [base.names.index(base_name(one)) for one in evidence.essential]
@@ -90,7 +90,7 @@ def essential_test(evidence: Evidence) -> TrustLine:
     return TrustLine(name, "caution", text, finding="no inertia is determined")
 
 
-def ends_test(evidence: Evidence) -> TrustLine:
+def ends_test(evidence: FitData) -> TrustLine:
     """Rows that move and do not belong to the others: beyond 6 robust deviations of their joint, above all at the ends."""
     rho = (evidence.observed.tau - evidence.predicted).T
     n, used = len(rho), (evidence.used.reshape(rho.shape) > 0) & are_moving(evidence.observed.speed).T
@@ -100,18 +100,18 @@ def ends_test(evidence: Evidence) -> TrustLine:
     for part in slices(evidence.observed.parts):
         at_end[part.start : part.start + END_ROWS] = at_end[part.stop - END_ROWS : part.stop] = True
     ends, middle = size[:, at_end].max(axis=1), size[:, ~at_end].max(axis=1)
-    told = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
+    finding = f"{int((size > ROBUST).sum())} of {int(used.sum())} moving rows beyond {ROBUST:g} robust deviations"
     worst = int((ends / np.maximum(middle, ROBUST)).argmax())
-    told += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
+    finding += f", the largest {middle[worst]:.3g}, and {ends[worst]:.3g} at the ends"
     value = float(ends[worst])
     if value > max(BAD_END, OUTSTANDING * middle[worst]):
-        told += f" of joint {evidence.problem.signals.robot.joints[worst].name}"
-        text = f'{told}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
+        finding += f" of joint {evidence.problem.signals.robot.joints[worst].name}"
+        text = f'{finding}: take edges = "smooth", or cut the ends off (cut_start_samples, cut_end_samples)'
         return TrustLine("ends", "caution", text, value)
-    return TrustLine("ends", "ok", told, value)
+    return TrustLine("ends", "ok", finding, value)
 
 
-def halves_test(evidence: Evidence) -> TrustLine:
+def halves_test(evidence: FitData) -> TrustLine:
     """Whether the two halves of the recording give the same parameters, by a Wald test.
 
     The deviations in it are uncertain themselves: its F distribution has their degrees of freedom, two times the cosines.
@@ -133,15 +133,15 @@ def halves_test(evidence: Evidence) -> TrustLine:
     values, vectors = np.linalg.eigh((C_1 + C_2) / np.outer(sigma, sigma))
     wald = float((((vectors.T @ u) ** 2) / np.maximum(values, 1e-12)).sum())
     p, worst = f_tail(wald / b, b, B_1 + B_2), int(np.abs(u).argmax())
-    told = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
-    told += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
+    finding = f"Wald {wald:.3g} for {b} parameters, p = {p:.2g}"
+    finding += f"; {evidence.estimate.names[worst]} differs most, by {abs(u[worst]):.2g} sigma"
     if p < HALVES_LEVEL:
-        text = f"{told}: something changes in time: warm up, look at drift, fit the halves one by one"
+        text = f"{finding}: something changes in time: warm up, look at drift, fit the halves one by one"
         return TrustLine(name, "caution", text, wald)
-    return TrustLine(name, "ok", told, wald)
+    return TrustLine(name, "ok", finding, wald)
 
 
-def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | None:
+def _part_solved(evidence: FitData, part: slice) -> tuple[Array, Array, int] | None:
     """Parameters (b,) of a part of the time, their covariance D R D (b, b) and its degrees of freedom; None where the part does
     not determine them.
     """
@@ -162,7 +162,7 @@ def _part_solved(evidence: Evidence, part: slice) -> tuple[Array, Array, int] | 
     return beta, C * np.outer(sigma / formula, sigma / formula), freedom
 
 
-def prewhitened_test(evidence: Evidence) -> TrustLine | None:
+def prewhitened_test(evidence: FitData) -> TrustLine | None:
     """How far the estimate moves where each joint's residual is whitened: model error shows in it, white noise does not."""
     name, evidence = "prewhitened", evidence.with_rows
     if evidence.Z is None:
@@ -173,14 +173,14 @@ def prewhitened_test(evidence: Evidence) -> TrustLine | None:
     with np.errstate(divide="ignore", invalid="ignore"):
         apart = np.nan_to_num(np.abs(estimate.beta - evidence.estimate.beta) / evidence.intervals.sigma, nan=0.0)
     worst = int(apart.argmax())
-    value, told = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
+    value, finding = float(apart[worst]), f"{apart[worst]:.2g} sigma off, at {estimate.names[worst]}"
     if value > PREWHITENED:
-        text = f"{told}: the model lacks something: see added columns"
+        text = f"{finding}: the model lacks something: see added columns"
         return TrustLine(name, "caution", text, value)
-    return TrustLine(name, "ok", told, value)
+    return TrustLine(name, "ok", finding, value)
 
 
-def _whitened(evidence: Evidence) -> Estimate | str:
+def _whitened(evidence: FitData) -> Estimate | str:
     """Instrumental variables of W, Y, Z filtered by each joint's own autoregression; or why there are none."""
     assert evidence.Z is not None
     names = evidence.estimate.names
@@ -196,12 +196,12 @@ def _whitened(evidence: Evidence) -> Estimate | str:
         return f"not made: {error}"
 
 
-def position_noise_test(evidence: Evidence) -> TrustLine | None:
+def position_noise_test(evidence: FitData) -> TrustLine | None:
     """Whether noise of the position biases least squares, found where the recording is at hand."""
     return evidence.position_noise
 
 
-def motion_test(evidence: Evidence) -> TrustLine | None:
+def motion_test(evidence: FitData) -> TrustLine | None:
     """Joints that stand in all recordings: they creep at most, where friction is not what it is in motion."""
     speed, joints = np.abs(evidence.observed.speed).max(axis=0), evidence.problem.signals.robot.joints
     if not (names := standing_joints(speed, joints)):
@@ -210,7 +210,7 @@ def motion_test(evidence: Evidence) -> TrustLine | None:
     return TrustLine("motion", "caution", text, finding=f"{', '.join(names)} does not move")
 
 
-def rows_test(e: Evidence) -> TrustLine | None:
+def rows_test(e: FitData) -> TrustLine | None:
     """The recording that misses or repeats most rows; else one of encoders that are slower than the log."""
     several, every = len(e.recordings) > 1, [part.steps for part in e.recordings]
     places = [f"{part.problem.signals.recording}: " if several else "" for part in e.recordings]
@@ -245,14 +245,14 @@ def _judge_together(lines: list[TrustLine]) -> list[TrustLine]:
     """Held-out blocks that are far off, of a robot whose M is not positive, are worse than either."""
     by_test = {line.test: line for line in lines}
     held, physical = by_test["held-out blocks"], by_test["physical"]
-    not_positive = physical.value is not None and physical.value <= 0
-    if not (not_positive and held.far_off):
+    why_not_positive = physical.value is not None and physical.value <= 0
+    if not (why_not_positive and held.far_off):
         return lines
     text = f"{held.text}; and the inertia matrix is not positive: fit with --consistent"
     return [replace(held, level="do not use", text=text) if line is held else line for line in lines]
 
 
-def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
+def assumed(evidence: FitData, lines: Mapping[str, TrustLine]) -> Iterator[Assumed]:
     """What was given and what no test of `lines` sees: taken as it is."""
     signals, settings = evidence.problem.signals, evidence.problem.settings
     robot, motors, several = signals.robot, signals.robot.motors, len(signals.robot.joints) > 1
@@ -283,14 +283,14 @@ def assumed(evidence: Evidence, lines: Mapping[str, TrustLine]) -> Iterator[Assu
 
 
 # A test of a fit is a function of the evidence, None where it is not for this method or says nothing. A new one is a line here.
-TESTS: tuple[Callable[[Evidence], TrustLine | None], ...] = (
+TESTS: tuple[Callable[[FitData], TrustLine | None], ...] = (
     *(fixed_point_test, physical_test, units_test, replay_test, added_columns_test, lag_test),
     *(held_out_test, halves_test, consistent_test, ends_test, essential_test, instruments_test),
     *(prewhitened_test, position_noise_test, motion_test, rows_test),
 )
 
 
-def trust_in(evidence: Evidence) -> Trust:
+def trust_in(evidence: FitData) -> Trust:
     """All tests of an estimate, worst first, and what is assumed."""
     lines = [line for test in TESTS if (line := test(evidence)) is not None]
     assumptions = assumed(evidence, {line.test: line for line in lines})

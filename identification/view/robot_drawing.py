@@ -14,7 +14,7 @@ from acquisition.robot import Robot
 from ..arrays import Array
 from ..data import Signals
 from ..design import Excitation
-from ..export import made_urdf
+from ..export import make_urdf
 from ..methods import Fit
 from ..model import InverseModel
 from .panels import Moving, Scene
@@ -63,7 +63,7 @@ def _scene(dynamics: InverseModel, robots: list[Moving], q: Array, title: str) -
         path=("robot",),
         title=title,
         robots=tuple(robots),
-        urdf=_drawable(dynamics.robot) or made_urdf(dynamics),
+        urdf=_drawable(dynamics.robot) or make_urdf(dynamics),
         joints=tuple(joint.name for joint in dynamics.robot.joints),
         up=up,
         floor=float((points @ up).min()),
