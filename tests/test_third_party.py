@@ -150,7 +150,9 @@ def test_a_third_party_master_is_recorded_passively(folder, npm):
         assert from_drive.tolist() == spoken["received"][str(number)]
         assert len(to_drive) == len(from_drive) == syncs
     samples = recording.samples
-    assert len(samples) == syncs
+    # A SYNC that this master sends a whole period late, on a busy machine, looks like two with one lost between them.
+    late = int((np.diff(frames["time_ns"][frames["can_id"] == 0x80]) > 1.5e9 * SYNC_S).sum())
+    assert syncs - 2 * late <= len(samples) <= syncs
     motor = recording.robot.motor_position(samples["reference"]) * 65536 / (2 * np.pi)
     assert np.abs(motor[30:, 0] - np.rint(motor[30:, 0])).max() < 1e-6
     assert motor[:, 0].max() == pytest.approx(100_000, abs=50)
