@@ -18,7 +18,7 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
 from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
@@ -36,7 +36,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     robot = description(toml)
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
-    true = truth(dynamics, base_parameters(dynamics))
+    true = described_parameters(dynamics, base_parameters(dynamics))
     e = Experiment(make_problem(signals, Overrides()), true, np.zeros(robot.n))
     places, followed = e.places(0, e.instants), e.reference(0, e.instants)
     at = np.rint(places).astype(int)

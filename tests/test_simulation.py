@@ -15,9 +15,9 @@ from identification.model import (
     DirectModel,
     InverseModel,
     base_parameters,
+    described_parameters,
     direct_model,
     inertias,
-    truth,
     why_not_positive,
 )
 from identification.model.base import known_parameters
@@ -112,7 +112,7 @@ def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
-    beta = truth(dynamics, base)
+    beta = described_parameters(dynamics, base)
     model = direct_model(dynamics, base.standard_parameters(beta))
     q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
     dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
@@ -165,7 +165,7 @@ def test_every_control_law_holds_against_a_push(structure, gains, settles, estim
     robot = controller_robot(structure, **gains, velocity_estimate=f'"{estimate}"')
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     loop = recorded_loop(robot)
     zero = still(1, 6.0)
     pushed = dataclasses.replace(model, offset=np.array([8.0]))
@@ -183,7 +183,7 @@ def test_saturation_limits_the_torque():
     robot = controller_robot("pd", position_gain=[50_000.0], velocity_gain=[2000.0])
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     zero = still(1, 0.3)
     done = simulate(
         model, recorded_loop(robot), Reference(zero, zero, zero), start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
@@ -197,7 +197,7 @@ def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
     robot = controller_robot("computed_torque", position_gain=[900.0], velocity_gain=[60.0])
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     zero, t = still(1, 0.3), np.arange(300) / RATE
     for substeps in (1, 4):
         start = (np.array([1e-3]), np.zeros(1))
@@ -407,7 +407,7 @@ def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
 def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
     dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
-    beta = truth(dynamics, base)
+    beta = described_parameters(dynamics, base)
     for name, value in (("ZZ2", -0.01), ("Fc1", 0.0), ("Fc2", 0.0)):
         beta[base.names.index(name)] = value
     model = direct_model(dynamics, base.standard_parameters(beta))

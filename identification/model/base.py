@@ -151,6 +151,6 @@ def known_parameters(dynamics: InverseModel) -> Array:
     return np.array([values.get(name, 0.0) for name in names])
 
 
-def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
+def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
     """Base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))

@@ -13,7 +13,15 @@ from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, truth, why_not_positive
+from ..model import (
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    inertias,
+    why_not_positive,
+)
 from .control_law import Control, ControlLaw, Disturbances, Reference, recorded_loop
 
 STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
@@ -246,7 +254,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
     try:
         dynamics = InverseModel(robot)
         base = base_parameters(dynamics)
-        model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+        model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     except IdentificationError as error:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
