@@ -269,4 +269,4 @@ def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     base = base_parameters(dynamics)
     model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
-    np.testing.assert_allclose(inertias(model, poses), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)
+    np.testing.assert_allclose(inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)

@@ -84,7 +84,7 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     assert next(errors) == pytest.approx(next(errors), rel=1e-6)
     np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
     e = Experiment(problem, full.beta, whole.slip_noise, long=True)
-    long = simulate_instruments(e, full.beta, spread, full.weights, one.fast[0])
+    long = simulate_instruments(e, full.beta, spread, full.weights, one.moving_rows[0])
     assert len(long.Z) < len(one.Z)
     found = instrumental_variables(long.system, long.Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6

@@ -198,7 +198,7 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = InverseModel(signals.robot)
     assert fit.status == "converged"
-    assert why_not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)), signals.q[::500]) is None
+    assert why_not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)).inertia(signals.q[::500])) is None
     # A torque of the wrong sign gives inertias below zero: nothing may be called converged.
     wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "not_confirmed"

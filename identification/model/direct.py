@@ -192,15 +192,13 @@ def pose_step(N: int) -> int:
     return max(1, N // _POSES)
 
 
-def inertias(model: DirectModel, poses: Array) -> Array:
-    """J_j (n,) in kg m² or kg: the largest diagonal entry of M for each joint over the poses (P, n)."""
-    M = model.inertia(poses)
+def inertias(M: Array) -> Array:
+    """J (n,) in kg m² or kg: each joint's largest diagonal entry of the inertia matrices M (P, n, n)."""
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
-def why_not_positive(model: DirectModel, poses: Array) -> str | None:
-    """None where M is positive definite at all poses (P, n), else a line that says so."""
-    M = model.inertia(poses)
+def why_not_positive(M: Array) -> str | None:
+    """Why not all inertia matrices M (P, n, n) of a trajectory are positive definite; None if they are."""
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
     lowest = float(np.linalg.eigvalsh(M).min())

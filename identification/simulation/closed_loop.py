@@ -58,18 +58,18 @@ class Friction:
         self._shaped = bool(model.shapes)
         self._rigid: Array | None = None  # of the links in the step before
         self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
-        self._hold(self._coulomb)
+        self.set_static_level(self._coulomb)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
         self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
-        self._turn(np.sign(self._S @ v))
+        self.set_modes(np.sign(self._S @ v))
 
-    def _hold(self, level: Array) -> None:
-        """Take up the friction at rest `level` (c,), half of the distance between its two directions."""
+    def set_static_level(self, level: Array) -> None:
+        """Set the friction at rest, `level` (c,): half of the distance between its two directions."""
         self._resists = level > 0
         self._slope = np.where(self._resists, level / self._v_s, 0.0)
 
-    def _turn(self, mode: Array) -> None:
-        """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
+    def set_modes(self, mode: Array) -> None:
+        """Set the modes (c,): +1 and -1 slip that way, 0 sticks."""
         model, S = self._model, self._S
         self._mode, self._forward = mode, mode[:, None] * S
         stuck = mode == 0
@@ -115,7 +115,7 @@ class Friction:
             found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
             if (found == mode).all():
                 break
-            self._turn(found)
+            self.set_modes(found)
         if self._shaped:
             self._rigid = self._model.of_links(q, v, dv / h)
         return np.asarray(w)
@@ -125,7 +125,7 @@ class Friction:
         model, v_s = self._model, self._v_s
         along = self._S.dot(rigid)
         # What sticks is held by as much as slips at the creep speed.
-        self._hold(self._coulomb + model.shape(v_s, along))
+        self.set_static_level(self._coulomb + model.shape(v_s, along))
         if self._stuck:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
@@ -259,7 +259,8 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
-    reason = why_not_positive(model, poses)
+    M = model.inertia(poses)
+    reason = why_not_positive(M)
     if reason is not None:
         raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
     period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * PLANT_STEP_S
@@ -271,7 +272,7 @@ def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
         disturbance=np.zeros(robot.n),
         seed=0,
     )
-    return plant, drive_loops(robot, inertias(model, poses))
+    return plant, drive_loops(robot, inertias(M))
 
 
 def drive_loops(robot: Robot, J: Array) -> LoopGains:

@@ -94,7 +94,7 @@ class Experiment:
         self.blocks = tuple(row_blocks(problem))
         self.decimation = replace(problem.settings.decimator, factor=problem.settings.decimation // self.stride)
         self._look_along()
-        self.J_prior = inertias(self.model(beta_ls), self.poses)
+        self.J_prior = inertias(self.model(beta_ls).inertia(self.poses))
         self.J_known = bool((self.J_prior > 0).all())
         if not self.J_known:  # a PD of the bandwidth takes any; of described gains one knows what inertia they suit
             self.J_prior = self.loop.inertias(self.bandwidth_hz) if self.loop else np.ones(len(self.held))

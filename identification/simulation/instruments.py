@@ -39,7 +39,7 @@ class Instruments:
         Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
         system: of a long recording W and Y about beta, as QR factors of the rows [Z W Y] that count; else None.
         factors, time_blocks: by long recording, `system` and Z, and sums over its blocks of time.
-        fast: by recording, which rows (rows, n) count.
+        moving_rows: by recording, which rows (rows, n) count.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
         tracking_percent: simulated against measured position, None where nothing was simulated.
@@ -51,7 +51,7 @@ class Instruments:
     system: System | None = None
     factors: tuple[tuple[System, Array], ...] = ()
     time_blocks: tuple[TimeBlocks, ...] = ()
-    fast: tuple[NDArray[np.bool_], ...]
+    moving_rows: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
@@ -61,7 +61,7 @@ class Instruments:
     @cached_property
     def used(self) -> Array:
         """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
-        return np.concatenate(self.fast).T.reshape(-1).astype(float)
+        return np.concatenate(self.moving_rows).T.reshape(-1).astype(float)
 
     def without_rows(self) -> "Instruments":
         """The same without what is as long as a recording, but which rows count."""
@@ -73,7 +73,7 @@ def simulate_instruments(
     beta: Array,
     covariance: Array | None,
     weights: Array,
-    kept: NDArray[np.bool_] | None = None,
+    rows: NDArray[np.bool_] | None = None,
 ) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
@@ -86,27 +86,27 @@ def simulate_instruments(
     e : the recorded experiment.
     beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta is taken as it is.
     weights : (n,) of the joints' rows.
-    kept : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
+    rows : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
     model, gains, reason = with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
     tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, kept)
-        if covariance is not None and (reason := why_not_positive(e.model(beta), e.poses)) is not None:
+        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, rows)
+        if covariance is not None and (reason := why_not_positive(e.model(beta).inertia(e.poses))) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found, _ = _along(e, reference_blocks(e), near, beta, weights, kept)
-    Z, fast, system, time_blocks = found
+        found, _ = _along(e, reference_blocks(e), near, beta, weights, rows)
+    Z, moving_rows, system, time_blocks = found
     return Instruments(
         beta=beta,
         Z=Z,
         system=system,
         factors=() if system is None else ((system, Z),),
         time_blocks=() if time_blocks is None else (time_blocks,),
-        fast=(fast,),
+        moving_rows=(moving_rows,),
         kind=kind,
         reason=reason,
         gains=gains,
@@ -121,7 +121,7 @@ def stack_instruments(
     """Those of recordings of these names, in the columns of all parameters, of which beta (b,) are the values."""
     if len(each) == 1:
         return replace(each[0], beta=beta)
-    n = each[0].fast[0].shape[1]
+    n = each[0].moving_rows[0].shape[1]
     factors = tuple(pair for one in each for pair in one.factors)
     if factors:
         system, Z = combined(factors)
@@ -135,7 +135,7 @@ def stack_instruments(
         system=system,
         factors=factors,
         time_blocks=tuple(blocks for one in each for blocks in one.time_blocks),
-        fast=tuple(fast for one in each for fast in one.fast),
+        moving_rows=tuple(rows for one in each for rows in one.moving_rows),
         kind=min((one.kind for one in each), key=WORST_FIRST.index),
         reason=join_reasons([one.reason for one in each], names),
         gains=np.concatenate([one.gains for one in each]),
@@ -163,36 +163,38 @@ def _along(
     near: Array,
     beta: Array,
     weights: Array,
-    kept: NDArray[np.bool_] | None,
+    rows: NDArray[np.bool_] | None,
 ) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
     """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
     problem, base = e.problem, e.problem.base
-    directions, percent, rows = e.directions, problem.settings.low_speed.iv, e.blocks[0].rows
+    directions, percent = e.directions, problem.settings.low_speed.iv
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
-    time_blocks = TimeBlocks.none_yet(rows, len(weights), base.names, instruments=True) if e.long else None
-    error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
+    time_blocks = TimeBlocks.none_yet(e.blocks[0].rows, len(weights), base.names, instruments=True) if e.long else None
+    error, parts, slip, moving = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
         own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
-        slow = _slip(e, motion.dq @ directions.T)[at.inside]
+        speeds = _slip(e, motion.dq @ directions.T)[at.inside]
         if factors is None or time_blocks is None:
             parts.append(own)
-            slip.append(slow)
+            slip.append(speeds)
             continue
-        known = None if kept is None else kept[at.first : at.last]
-        # The peak of the whole is known beforehand.
-        counts = moving_rows_of(slow, e.slip_noise, directions, percent, peak=e.fastest) if known is None else known
+        # The peak of the whole recording is known from its reference.
+        if rows is None:
+            counts = moving_rows_of(speeds, e.slip_noise, directions, percent, peak=e.fastest)
+        else:
+            counts = rows[at.first : at.last]
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
         time_blocks.add(at.first, columns, counts, weights)
-        fast.append(counts)
+        moving.append(counts)
     if factors is not None:
         system, of_system = factors.system(base.names)
         assert of_system is not None
-        return (of_system, np.concatenate(fast), system, time_blocks), error.percent
+        return (of_system, np.concatenate(moving), system, time_blocks), error.percent
     Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if kept is None else kept
+    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if rows is None else rows
     return (Z, counts, None, None), error.percent
 
 
@@ -238,11 +240,11 @@ class Simulation:
         beta: Array,
         covariance: Array | None,
         weights: Array,
-        kept: NDArray[np.bool_] | None,
+        rows: NDArray[np.bool_] | None,
         rate_per_bandwidth: float,
     ) -> Instruments:
         """Those of the recording, as `simulate_instruments`."""
-        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, kept)
+        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, rows)
 
     @one_thread
     def replica(self, beta: Array, covariance: Array | None) -> Replica:
@@ -268,17 +270,17 @@ class ClosedLoops:
         covariance: Array | None,
         weights: Array,
         *,
-        kept: Sequence[NDArray[np.bool_]] | None = None,
+        rows: Sequence[NDArray[np.bool_]] | None = None,
         coarse: bool = False,
     ) -> Instruments:
         """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
 
-        Joints have the `weights` (n,); `kept` are the rows that count, as of `Instruments.fast`, or None for those at which
+        Joints have the `weights` (n,); `rows` are those that count, as of `Instruments.moving_rows`, or None for those at which
         the simulated robot is fast enough.
         """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
-        rows: Sequence[NDArray[np.bool_] | None] = kept or [None] * len(self.simulations)
-        tasks = [(*own, weights, fast, rate) for own, fast in zip(self._own(beta, covariance), rows, strict=True)]
+        each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
+        tasks = [(*own, weights, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
         each = tuple(self.work.run(Simulation.instruments, tasks))
         return stack_instruments(each, beta, self.parameters, self.names)
 

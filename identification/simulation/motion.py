@@ -12,6 +12,7 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel, inertias, nearest_consistent, why_not_positive
 from ..regression import Decimation, Motion, RowBlock
+from ..report import DirectModelError
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
 from .experiment import Experiment, saturated_percent
@@ -21,18 +22,6 @@ MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions of the instruments' 
 
 class NotSimulatedError(Exception):
     """The robot with these parameters cannot be simulated, or leaves its reference; its text says why."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DirectModelError:
-    """A joint of the simulated robot against the recording, in percent of its variation.
-
-    Position in percent of |q - mean|, None for a joint that is held; torque in percent of |tau|; both relative norms.
-    """
-
-    name: str
-    position_error_percent: float | None
-    torque_error_percent: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -67,10 +56,11 @@ class Replica:
 def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
     """The robot with beta (b,), factors (n,) on the controller's gains for its inertias; why it cannot be simulated, if so."""
     model = e.model(beta)
-    J, reason = inertias(model, e.poses), why_not_positive(model, e.poses)
+    M = model.inertia(e.poses)
+    J = inertias(M)
     # Where nothing tells what its saturation was set for, computed torque keeps it.
     known = e.J_known or e.loop is None or not e.loop.computed_torque
-    return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
+    return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), why_not_positive(M)
 
 
 def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: str | None) -> MotionBlocks:

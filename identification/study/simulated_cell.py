@@ -240,7 +240,7 @@ def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float,
     """The described control law, or a PD; a PD that sees noise has to tell the speed from it."""
     loop = recorded_loop(robot)
     if loop is None:
-        J = inertias(model, poses_of(q_ref))
+        J = inertias(model.inertia(poses_of(q_ref)))
         loop = surrogate_loop(robot.bandwidth_hz, J, sample_rate_hz)
         if noise.position or noise.encoder_step:
             loop = replace(loop, velocity_estimate="backward_difference")

@@ -203,7 +203,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
         decimation=robot.identification.decimation or decimation_rule(fs, bandwidth_hz),
         low_speed_percent=study.low_speed_percent,
     )
-    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
+    J = inertias(direct_model(idm, base.standard_parameters(true)).inertia(poses))
     run = Run(number=number, drawn=drawn)
 
     def result(fit: Fit) -> RunFit:
@@ -216,7 +216,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
             low=fit.intervals.low,
             high=fit.intervals.high,
             essential=np.isin(np.arange(base.b), fit.essential.kept),
-            positive=why_not_positive(direct_model(idm, base.standard_parameters(fit.beta)), poses) is None,
+            positive=why_not_positive(direct_model(idm, base.standard_parameters(fit.beta)).inertia(poses)) is None,
         )
 
     try:
