@@ -1,4 +1,4 @@
-"""Instruments: the regressor along the robot simulated with an estimate in the recorded experiments, a task for each."""
+"""Instruments: the regressor along the motion simulated with an estimate, one task per recorded experiment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -32,18 +32,18 @@ WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instruments:
-    """Instruments of a recording, or of several one after the other; what is said of them is said of the worst recording.
+    """Instruments of a recording, or of several stacked; single values are those of the worst recording.
 
     Attributes:
-        beta: (b,) the parameters asked for, to which those simulated are the nearest.
+        beta: (b,) the requested parameters; the nearest consistent ones are simulated.
         Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
-        system: of a long recording W and Y about beta, as QR factors of the rows [Z W Y] that count; else None.
+        system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y]; else None.
         factors, time_blocks: by long recording, `system` and Z, and sums over its blocks of time.
-        moving_rows: by recording, which rows (rows, n) count.
+        moving_rows: by recording, which rows (rows, n) are used.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
-        tracking_percent: simulated against measured position, None where nothing was simulated.
-        load_unknown: beta, a regular start, has nothing of the links' torque that load friction goes by.
+        tracking_percent: error of the simulated position, None if nothing was simulated.
+        load_unknown: beta, a regular start, has no link torques; load friction is left out.
     """
 
     beta: Array
@@ -60,11 +60,11 @@ class Instruments:
 
     @cached_property
     def used(self) -> Array:
-        """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
+        """1 for used rows (r,), else 0; joint by joint, recording by recording."""
         return np.concatenate(self.moving_rows).T.reshape(-1).astype(float)
 
     def without_rows(self) -> "Instruments":
-        """The same without what is as long as a recording, but which rows count."""
+        """The same without arrays of a recording's length, except `moving_rows`."""
         return replace(self, Z=self.Z[:0].copy(), system=None, factors=(), time_blocks=())
 
 
@@ -77,16 +77,16 @@ def simulate_instruments(
 ) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
-    Nearest parameters follow the estimate smoothly, whereas the estimate itself moves a light wrist wildly long before its
-    inertia matrix is no longer positive: the iteration then has no fixed point. Where the robot leaves its reference all the
-    same, instruments are taken along the reference itself.
+    The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist wildly long before its inertia
+    matrix stops being positive, and the iteration then has no fixed point. If the simulated robot leaves its reference,
+    instruments are computed along the reference.
 
     Parameters
     ----------
     e : the recorded experiment.
-    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta is taken as it is.
+    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta itself is simulated.
     weights : (n,) of the joints' rows.
-    rows : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
+    rows : (rows, n) used rows of a previous pass; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
     model, gains, reason = with_gains_for(e, near)
@@ -118,7 +118,7 @@ def simulate_instruments(
 def stack_instruments(
     each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
 ) -> Instruments:
-    """Those of recordings of these names, in the columns of all parameters, of which beta (b,) are the values."""
+    """Instruments of several recordings, in the columns of all parameters beta (b,)."""
     if len(each) == 1:
         return replace(each[0], beta=beta)
     n = each[0].moving_rows[0].shape[1]
@@ -145,13 +145,13 @@ def stack_instruments(
 
 
 def max_or_none(figures: Sequence[float | None]) -> float | None:
-    """The largest, None where one of them is."""
+    """The largest value; None if any is None."""
     known = [x for x in figures if x is not None]
     return max(known) if len(known) == len(figures) else None
 
 
 def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | None:
-    """Reasons of recordings in one line, with the recordings' names where they are several."""
+    """The reasons in one line, led by the recordings' names if there are several recordings."""
     if len(reasons) == 1:
         return reasons[0]
     return "; ".join(f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None) or None
@@ -165,7 +165,7 @@ def _along(
     weights: Array,
     rows: NDArray[np.bool_] | None,
 ) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
-    """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
+    """Z about `near` along a motion, the used rows, a long recording's system and time blocks; and the tracking error."""
     problem, base = e.problem, e.problem.base
     directions, percent = e.directions, problem.settings.low_speed.iv
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
@@ -199,16 +199,16 @@ def _along(
 
 
 def _slip(e: Experiment, u: Array) -> Array:
-    """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
+    """Minimum speeds (rows, c) within ± half a cut-off period, because the low-pass smears reversals in W."""
     reach = round(0.5 / (e.spacing_s * e.problem.slip_cutoff_hz))
     return lowest_nearby(np.abs(u), e.decimation.instants(len(u)), reach)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
-    """The closed loop of a recording, gains set for the inertias of `prior` (b,); laid out once per process and rate.
+    """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
-    `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
+    `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `long`: rows are QR factors.
     """
 
     problem: Problem
@@ -216,12 +216,12 @@ class Simulation:
     slip_noise: Array
     long: bool
     gain_update: bool = True
-    _laid_out: dict[float, Experiment] = field(default_factory=dict)
+    _experiments: dict[float, Experiment] = field(default_factory=dict)
 
     def at(self, rate_per_bandwidth: float) -> Experiment:
-        """The experiment with so many steps and samples per period of the bandwidth."""
-        if rate_per_bandwidth not in self._laid_out:
-            self._laid_out[rate_per_bandwidth] = Experiment(
+        """The experiment with this many steps and samples per period of the bandwidth, prepared once."""
+        if rate_per_bandwidth not in self._experiments:
+            self._experiments[rate_per_bandwidth] = Experiment(
                 self.problem.with_samples(),
                 self.prior,
                 self.slip_noise,
@@ -229,10 +229,10 @@ class Simulation:
                 gain_update=self.gain_update,
                 long=self.long,
             )
-        return self._laid_out[rate_per_bandwidth]
+        return self._experiments[rate_per_bandwidth]
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_laid_out": {}}  # laid out anew where it is needed
+        return {**self.__dict__, "_experiments": {}}  # each process prepares its own
 
     @one_thread
     def instruments(
@@ -243,12 +243,12 @@ class Simulation:
         rows: NDArray[np.bool_] | None,
         rate_per_bandwidth: float,
     ) -> Instruments:
-        """Those of the recording, as `simulate_instruments`."""
+        """See `simulate_instruments`."""
         return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, rows)
 
     @one_thread
     def replica(self, beta: Array, covariance: Array | None) -> Replica:
-        """The robot simulated in the recording, as `simulate_replica`."""
+        """See `simulate_replica`."""
         return simulate_replica(self.at(RATE_PER_BANDWIDTH), beta, covariance)
 
 
@@ -256,7 +256,7 @@ class Simulation:
 class ClosedLoops:
     """The recordings of a fit in the order of the rows, and where the tasks run.
 
-    `names` are the recordings'; `parameters` those that they share and those of each, in whose order values stand.
+    `names` are the recordings'; `parameters` gives the order of shared and own parameters.
     """
 
     simulations: tuple[Simulation, ...]
@@ -273,10 +273,9 @@ class ClosedLoops:
         rows: Sequence[NDArray[np.bool_]] | None = None,
         coarse: bool = False,
     ) -> Instruments:
-        """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
+        """Instruments of all recordings for beta (b,) and its covariance, as `simulate_instruments`.
 
-        Joints have the `weights` (n,); `rows` are those that count, as of `Instruments.moving_rows`, or None for those at which
-        the simulated robot is fast enough.
+        `rows` as `Instruments.moving_rows`.
         """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
         each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
@@ -285,11 +284,11 @@ class ClosedLoops:
         return stack_instruments(each, beta, self.parameters, self.names)
 
     def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
-        """The robot simulated with beta (b,) in each experiment, as `simulate_replica`."""
+        """The robot simulated with beta (b,) in each recording, as `simulate_replica`."""
         return tuple(self.work.run(Simulation.replica, self._own(beta, covariance)))
 
     def _own(self, beta: Array, covariance: Array | None) -> list[tuple[Simulation, Array, Array | None]]:
-        """The recordings, and the values and the covariance of the base parameters of each."""
+        """By recording: its simulation, its base parameters and their covariance."""
         places = [self.parameters.places(k) for k in range(len(self.simulations))]
         return [
             (simulation, beta[at], None if covariance is None else covariance[np.ix_(at, at)])
