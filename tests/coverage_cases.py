@@ -20,7 +20,7 @@ from independent_simulator import (
 
 from identification.estimation import one_thread
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 Array = np.ndarray
@@ -157,7 +157,7 @@ def fits_of(case: Case, seeds: range) -> tuple[tuple[str, ...], Array, list[Arra
     for k in range(len(seeds)):
         signals = runs.signals(robot, k)
         fit = identify_iv(signals, known, Iteration()) if case.method == "iv" else identify_ls(signals, known)
-        names, true = fit.base.names, truth(InverseModel(robot), fit.base)
+        names, true = fit.base.names, described_parameters(InverseModel(robot), fit.base)
         if fit.status in ("solved", "converged", "not_confirmed"):
             found.append(np.stack([fit.beta, fit.intervals.low, fit.intervals.high, fit.estimate.sigma]))
     return names, true, found

@@ -14,7 +14,7 @@ from identification.data import Signals
 from identification.errors import IdentificationError
 from identification.estimation import one_thread
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides
 
 HALF_WIDTHS, PERCENT = 3.0, 2.0  # an essential parameter that is further off than both is harmed
@@ -35,7 +35,7 @@ def true_values(name: str) -> dict[str, float]:
     """Base parameters of the shipped robot by name."""
     model = InverseModel(robot_named(name))
     base = base_parameters(model)
-    return dict(zip(base.names, truth(model, base), strict=True))
+    return dict(zip(base.names, described_parameters(model, base), strict=True))
 
 
 def is_harmed(fit: Fit, name: str) -> bool:

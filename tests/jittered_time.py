@@ -15,7 +15,7 @@ from acquisition.importing import Imported, import_tables
 from acquisition.robot import Robot, load_robot
 from identification.data import load_signals
 from identification.methods import identify_ls
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 STEPS_MS, SHARES = (8, 9, 10, 11, 12, 13), (0.1, 0.2, 0.4, 0.15, 0.1, 0.05)
@@ -88,6 +88,6 @@ def covered(folder: Path, runs: int, duration_s: float = 10.0) -> Jittered:
             table = write_table(folder, found, run, seed)
             imported = import_tables([table], robot, folder / "map.toml", folder / "log.mcap")
             fit = identify_ls(load_signals(imported.out, robot), Overrides())
-            true = truth(InverseModel(robot), fit.base)
+            true = described_parameters(InverseModel(robot), fit.base)
             inside.append((fit.intervals.low <= true) & (true <= fit.intervals.high))
     return Jittered(inside=np.array(inside), imported=imported)

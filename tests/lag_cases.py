@@ -27,7 +27,7 @@ from independent_simulator import (
 
 from identification.estimation import one_thread
 from identification.methods import Fit
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 Array = np.ndarray
@@ -110,7 +110,7 @@ def ends_of(case: LagCase, runs: list[Run]) -> tuple[tuple[str, ...], Array, lis
     for k, run in enumerate(runs):
         signals = made.signals(robot if run.control else without_control_law(robot), k, timing_not_stated())
         fits = [fit_by_default(signals, overrides) for overrides in (Overrides(), stated)]
-        names, true = fits[0].base.names, truth(InverseModel(robot), fits[0].base)
+        names, true = fits[0].base.names, described_parameters(InverseModel(robot), fits[0].base)
         found.append((ends(fits[0]), ends(fits[1])))
     return names, true, found
 

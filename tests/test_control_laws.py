@@ -9,7 +9,7 @@ from loops import simulate
 from scipy.linalg import expm
 
 from acquisition.robot import load_robot, robot_from_files
-from identification.model import InverseModel, base_parameters, direct_model, inertias, truth
+from identification.model import InverseModel, base_parameters, described_parameters, direct_model, inertias
 from identification.simulation import Control, ControlLaw, Reference, recorded_loop, surrogate_loop
 
 MASS, VISCOUS, GAIN, RATIO, T = 20.0, 5.0, 10.0, 2.0, 1e-3
@@ -107,7 +107,7 @@ def test_each_law_is_the_sampled_loop(structure, estimate, kind, saturation):
     robot = axis(structure, estimate, saturation)
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model, path = direct_model(dynamics, base.standard_parameters(truth(dynamics, base))), path_of(kind)
+    model, path = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base))), path_of(kind)
     references = [x[:, None].copy() for x in path]
     rest = (np.zeros(1), np.zeros(1))
     done = simulate(model, recorded_loop(robot), Reference(*references), start=rest, bound=np.ones(1), substeps=4)
@@ -125,7 +125,10 @@ def test_known_torque_and_feedforward_act_on_the_sampled_loop(structure, saturat
     robot = axis(structure, "exact", saturation)
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model, path = direct_model(dynamics, base.standard_parameters(truth(dynamics, base))), path_of("sine")
+    model, path = (
+        direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base))),
+        path_of("sine"),
+    )
     k = np.arange(TICKS)
     ahead, force = 1.5 + 2.0 * ((k > 100) & (k < 160)), 8.0 - 20.0 * (k > 250)
     known = {"feedforward": ahead[:, None], "known_torque": force[:, None]}
@@ -142,7 +145,7 @@ def test_a_surrogate_holds_what_the_known_torque_does_not():
     robot = axis("pd", "exact", np.inf)
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     still = [np.zeros((TICKS, 1)) for _ in range(3)]
     references = Reference(*still, known_torque=np.full((TICKS, 1), 30.0))
     loop = surrogate_loop(5.0, np.array([MASS]), 1 / T)
@@ -160,7 +163,7 @@ def test_the_gain_update_leaves_the_motion_as_it_was(structure):
     zero = np.zeros((TICKS, 1))
     moved = []
     for factor in (1.0, 2.0):
-        model = direct_model(dynamics, base.standard_parameters(factor * truth(dynamics, base)))
+        model = direct_model(dynamics, base.standard_parameters(factor * described_parameters(dynamics, base)))
         loop = recorded_loop(robot).scaled(np.array([factor]))
         step = path_of("step")[0][:, None].copy()
         moved.append(simulate(model, loop, Reference(step, zero, zero), start=(zero[0], zero[0]), bound=np.ones(1)))
@@ -264,6 +267,6 @@ def test_the_inertia_of_a_joint_is_the_largest_along_the_way():
     """SCARA, elbow straight and folded: ZZ1R + ZZ2 ± 2 L MX2 at the shoulder, ZZ2 at the elbow."""
     dynamics = InverseModel(load_robot(REPLAY / "scara" / "robot.toml"))
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     poses = np.array([[0.3, np.pi], [0.1, 0.0], [0.2, np.pi]])
-    np.testing.assert_allclose(inertias(model, poses), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)
+    np.testing.assert_allclose(inertias(model.inertia(poses)), [3.45 + 0.061 + 2 * 0.123, 0.061], rtol=1e-12)

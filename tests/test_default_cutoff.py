@@ -21,7 +21,7 @@ from independent_simulator import (
 
 from acquisition.robot import Robot
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides
 
 SEEDS = 20
@@ -58,7 +58,7 @@ def simulated(name: str, duration_s: float) -> Simulated:
     runs = simulate(body, controller, reference, cell)
     robot = description(toml, controller if name == "tx40" else None)
     dynamics = InverseModel(robot)
-    return Simulated(robot, runs, truth(dynamics, base_parameters(dynamics)))
+    return Simulated(robot, runs, described_parameters(dynamics, base_parameters(dynamics)))
 
 
 @pytest.fixture(scope="module")

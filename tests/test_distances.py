@@ -89,7 +89,7 @@ def test_the_nearest_pair_is_found_though_not_all_are_looked_at():
             result = coal.DistanceResult()
             coal.distance(a.geometry, at[0], b.geometry, at[1], coal.DistanceRequest(), result)
             each[k, p] = result.min_distance
-    bounds = obstacles._at_least(q)
+    bounds = obstacles._lower_bounds(q)
     assert (bounds <= each + 1e-6).all()
     assert np.median((bounds / each)[each > 0]) > 0.6  # near enough to spare most searches
     d, names = obstacles.nearest(q, 9.0)

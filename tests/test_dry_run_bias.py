@@ -130,7 +130,7 @@ def test_check_and_report_warn_of_the_ripple_where_it_matters(monkeypatch):
     names = ("6074", "6874:0", "6077", "30D0")
     reports = {name: DriveFile(node=1, reference=name, counts_per_turn=1).reports_demand for name in names}
     assert reports == {"6074": True, "6874:0": True, "6077": False, "30D0": False}
-    monkeypatch.setattr(checking_module, "look", lambda link, bus: [])
+    monkeypatch.setattr(checking_module, "check_drives", lambda link, bus: [])
     monkeypatch.setattr(checking_module, "_positions", lambda robot, master: [])
     robot = robot_of(at_10_hz)
     found = checking_module.check(robot, bus_of(robot))

@@ -21,12 +21,12 @@ from identification.errors import IdentificationError
 from identification.model import (
     InverseModel,
     base_parameters,
+    described_parameters,
     direct_model,
     obstacles_of,
     regressor_gradient,
     torque_of_links,
     torque_without_sliding,
-    truth,
 )
 from identification.regression import Overrides, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
@@ -61,7 +61,7 @@ ASYMMETRIC = asymmetric()
 def modelled(robot):
     model = InverseModel(robot)
     base = base_parameters(model)
-    return model, base, direct_model(model, base.standard_parameters(truth(model, base)))
+    return model, base, direct_model(model, base.standard_parameters(described_parameters(model, base)))
 
 
 def information_of(robot, model, base):
@@ -335,7 +335,7 @@ def test_noise_is_stated_or_that_of_a_fit_or_a_share_of_the_torque(tmp_path):
     assert torque_noise(SCARA, direct, prior_information(SCARA, noise=(0.3,)), motions)[0].tolist() == [0.3, 0.3]
     with pytest.raises(IdentificationError, match=r"--noise.*expected one number, or one for each of 2 joints"):
         prior_information(SCARA, noise=(1.0, 2.0, 3.0))
-    beta = truth(model, base)
+    beta = described_parameters(model, base)
     parameters = [
         {"name": n, "value": v, "unit": u, "sigma": 0.1} for n, v, u in zip(base.names, beta, base.units, strict=True)
     ]

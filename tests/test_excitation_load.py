@@ -11,7 +11,7 @@ from acquisition.robot import fourier_reference, robot_from_files
 from identification.design import ExcitationSettings, excite, prior_information, search
 from identification.design.information import earlier_information
 from identification.design.limits import limits_of, motion_of
-from identification.model import torque_of_links, torque_without_sliding, truth
+from identification.model import described_parameters, torque_of_links, torque_without_sliding
 from identification.regression import Overrides, load_friction, make_problem, regression_of_recording
 from identification.study import Noise, closed_loop, write_signals
 
@@ -38,7 +38,7 @@ def test_efforts_count_load_friction_against_the_motion(robot):
     of_links = torque_of_links(direct, motion)
     smooth, mu = (
         torque_without_sliding(direct, motion, of_links)[0],
-        truth(model, base)[list(load_friction(model, base).places)],
+        described_parameters(model, base)[list(load_friction(model, base).places)],
     )
     scaled = limits.effort.directions / limits.allowed[:, None]
     expected = np.abs(smooth @ scaled.T) + (mu * np.abs(of_links[0])) @ np.abs(scaled).T
@@ -72,7 +72,7 @@ def test_load_friction_is_said_to_be_left_out_of_the_criterion(known, monkeypatc
     assert (found.beta is not None) == known
     if found.beta is not None:
         model, base, _ = modelled(robot)
-        values = dict(zip(base.names, truth(model, base), strict=True))
+        values = dict(zip(base.names, described_parameters(model, base), strict=True))
         assert found.beta.tolist() == [values[name] for name in found.base.names]
 
 

@@ -18,7 +18,7 @@ from identification.estimation import (
     sums_of_blocks,
     weighted_least_squares,
 )
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, regression_of_recording, row_blocks
 from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
@@ -36,7 +36,7 @@ def test_the_simulated_motion_is_that_of_the_robot_without_noise(name):
     robot = description(toml)
     signals = runs.signals(robot, 0)
     dynamics = InverseModel(robot)
-    true = truth(dynamics, base_parameters(dynamics))
+    true = described_parameters(dynamics, base_parameters(dynamics))
     e = Experiment(make_problem(signals, Overrides()), true, np.zeros(robot.n))
     places, followed = e.places(0, e.instants), e.reference(0, e.instants)
     at = np.rint(places).astype(int)
@@ -84,7 +84,7 @@ def test_blocks_of_a_long_recording_give_what_its_rows_give(monkeypatch, without
     assert next(errors) == pytest.approx(next(errors), rel=1e-6)
     np.testing.assert_allclose(moved_short.motion.q, moved.motion.q, atol=1e-9)
     e = Experiment(problem, full.beta, whole.slip_noise, long=True)
-    long = simulate_instruments(e, full.beta, spread, full.weights, one.fast[0])
+    long = simulate_instruments(e, full.beta, spread, full.weights, one.moving_rows[0])
     assert len(long.Z) < len(one.Z)
     found = instrumental_variables(long.system, long.Z, full.weights)
     assert np.abs((found.beta - wanted.beta) / wanted.sigma).max() < 1e-6

@@ -24,7 +24,7 @@ from identification.export import mechanism_of
 from identification.export.mechanism import random_states, representable, whole_regressor
 from identification.methods import Iteration, Prior, identify_iv, identify_ls, solve_with_load_friction, with_consistent
 from identification.methods.settled import independent_norm
-from identification.model import InverseModel, JointTerm, base_parameters, direct_model, truth
+from identification.model import InverseModel, JointTerm, base_parameters, described_parameters, direct_model
 from identification.regression import (
     LoadFriction,
     Motion,
@@ -52,7 +52,7 @@ def described(name: str, terms, more: str = ""):
 def model_of(robot):
     model = InverseModel(robot)
     base = base_parameters(model)
-    return model, base, truth(model, base)
+    return model, base, described_parameters(model, base)
 
 
 def direct_of(model, base, beta):

@@ -16,7 +16,7 @@ from identification.commands import main
 from identification.data import Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, direct_model, truth, why_not_positive
+from identification.model import InverseModel, base_parameters, described_parameters, direct_model, why_not_positive
 from identification.regression import Overrides
 from identification.simulation import recorded_loop
 from identification.study import Noise, Run, RunFit, RunSettings, closed_loop, random_reference, summaries
@@ -103,7 +103,9 @@ def tx40_signals(noise: Noise, seed: int = 5) -> tuple[Signals, np.ndarray]:
     robot = robot_named("tx40")
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=seed)
     dynamics = InverseModel(robot)
-    return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), truth(dynamics, base_parameters(dynamics))
+    return closed_loop(robot, q_ref, 1000.0, noise=noise, seed=seed), described_parameters(
+        dynamics, base_parameters(dynamics)
+    )
 
 
 @pytest.mark.slow
@@ -122,7 +124,7 @@ def test_simulated_tx40_gives_the_truth_where_least_squares_does_not():
 def test_scara_with_a_wrong_filter_and_with_the_tuned_one():
     robot = robot_named("scara")
     dynamics = InverseModel(robot)
-    true = truth(dynamics, base_parameters(dynamics))
+    true = described_parameters(dynamics, base_parameters(dynamics))
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
     signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-4, effort_percent=2.0), seed=3)
     # The wrong filter: none. Then, worse, rows at the full rate, with all the noise of the acceleration in W.
@@ -196,7 +198,7 @@ def test_a_converged_fit_has_a_positive_inertia_matrix_and_one_that_has_not_is_n
     signals, fit = signals_of(SCARA), iv_of(SCARA)
     idm = InverseModel(signals.robot)
     assert fit.status == "converged"
-    assert why_not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)), signals.q[::500]) is None
+    assert why_not_positive(direct_model(idm, fit.base.standard_parameters(fit.beta)).inertia(signals.q[::500])) is None
     # A torque of the wrong sign gives inertias below zero: nothing may be called converged.
     wrong = with_torque_of_the_wrong_sign()
     assert wrong.status == "not_confirmed"
@@ -241,7 +243,7 @@ def test_recordings_of_few_samples_are_fitted():
     """At 40 Hz, 8 times the bandwidth, the rule's cut-off is beyond half the rate; 2 s unfiltered are shorter than borders."""
     robot = robot_named("scara")
     dynamics = InverseModel(robot)
-    true = truth(dynamics, base_parameters(dynamics))
+    true = described_parameters(dynamics, base_parameters(dynamics))
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=3)
     signals = closed_loop(robot, q_ref, 1000.0, noise=Noise(position=1e-6, effort_percent=1.0), seed=3)
     slow = identify_iv(thinned(signals, 25), Overrides(), Iteration())

@@ -14,7 +14,7 @@ from identification.errors import IdentificationError
 from identification.estimation import System, essential_parameters, ordinary_least_squares, weighted_least_squares
 from identification.estimation.estimators import joint_weights
 from identification.methods import identify_ls
-from identification.model import BaseParameters, InverseModel, base_parameters, truth
+from identification.model import BaseParameters, InverseModel, base_parameters, described_parameters
 from identification.model.base import known_parameters
 from identification.regression import (
     Motion,
@@ -49,7 +49,7 @@ def test_exact_motion_gives_back_the_true_parameters(name, count, solve):
     base = base_parameters(dynamics)
     motion = exact_motion(dynamics, duration_s=20.0, sample_rate_hz=200.0, seed=4)
     estimate = solve(system_of(motion, dynamics, base))
-    true = truth(dynamics, base)
+    true = described_parameters(dynamics, base)
     assert len(true) == count
     # Relative to the parameter, or to its size in the torque's own digits where it is zero.
     scale = np.maximum(np.abs(true), 1e-3 * np.abs(true).max())
@@ -64,14 +64,14 @@ def test_a_noisy_recording_gives_the_truth_within_its_deviations(tmp_path):
     q_ref = random_reference(robot, duration_s=10.0, sample_rate_hz=1000.0, seed=8)
     write_signals(out, closed_loop(robot, q_ref, 1000.0, noise=noise, seed=8), source="made for a test")
     fit = identify_ls(load_signals(out), Overrides())
-    true = truth(InverseModel(robot_named("scara")), fit.base)
+    true = described_parameters(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 2 * fit.intervals.half).all()
     assert fit.status == "solved"
 
 
 def test_the_shipped_recording_gives_the_truth_it_was_made_from():
     fit = ls_of(REPLAY / "scara" / "session.mcap")
-    true = truth(InverseModel(robot_named("scara")), fit.base)
+    true = described_parameters(InverseModel(robot_named("scara")), fit.base)
     assert (np.abs(fit.beta - true) < 1.75 * fit.intervals.half).all()
     assert fit.errors[-1].moving_relative_error_percent < 1.0
 

@@ -19,7 +19,7 @@ from independent_simulator import Controller, Imperfections, Runs, description, 
 from acquisition.robot import Robot
 from identification.data import Signals, load_signals
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem
 from identification.simulation.experiment import Experiment
 from identification.simulation.instruments import simulate_instruments
@@ -53,7 +53,7 @@ def pi_loop(body: Plant, bandwidth_hz: float) -> Controller:
 def half_widths_off(fit: Fit) -> float:
     """How far the worst essential parameter is from the truth of the described robot, in half-widths of its interval."""
     dynamics = InverseModel(load_truth(fit.problem.signals.robot.name))
-    off = np.abs(fit.beta - truth(dynamics, base_parameters(dynamics))) / fit.intervals.half
+    off = np.abs(fit.beta - described_parameters(dynamics, base_parameters(dynamics))) / fit.intervals.half
     essential = set(fit.least_squares.essential.estimate.names)
     return float(max(x for x, name in zip(off, fit.estimate.names, strict=True) if name in essential))
 
@@ -173,7 +173,7 @@ def test_a_pass_whose_inertia_matrix_is_not_positive():
     signals = load_signals(REPLAY / "scara" / "session.mcap")
     problem = make_problem(signals, Overrides())
     dynamics = InverseModel(signals.robot)
-    true = truth(dynamics, base_parameters(dynamics))
+    true = described_parameters(dynamics, base_parameters(dynamics))
     e = Experiment(problem, true, np.zeros(2))
     wrong = np.where(np.array(problem.base.names) == "ZZ2", -0.002, true)
     spread = np.diag(np.where(wrong == true, 0.01 * np.abs(true) + 1e-4, 0.05) ** 2)

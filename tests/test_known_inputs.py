@@ -20,7 +20,7 @@ from identification.commands import main as identify
 from identification.data import Recordings, Signals, load_signals
 from identification.errors import IdentificationError
 from identification.methods import Fit, Iteration, identify_iv, identify_ls, validate
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides, make_problem, torque_rate
 from identification.study import write_signals
 from identification.trust.columns import SPRING, MissingTerm
@@ -69,7 +69,7 @@ def line(fit: Fit, test: str):
 
 
 def inside(fit: Fit) -> np.ndarray:
-    true = truth(InverseModel(fit.problem.signals.robot), fit.base)
+    true = described_parameters(InverseModel(fit.problem.signals.robot), fit.base)
     return (fit.intervals.low <= true) & (true <= fit.intervals.high)
 
 

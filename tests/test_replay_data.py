@@ -11,7 +11,7 @@ from fits_of_records import iv_of, signals_of
 
 from identification.commands import main
 from identification.data import load_signals
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 
 
 @pytest.mark.slow
@@ -29,7 +29,9 @@ def test_each_recording_gives_the_fit_and_the_truth_beside_it(name, count):
     assert (off < 1.5).sum() >= count - (2 if count == 60 else 0)
     # The truth is that of the description's [parameters].
     idm = InverseModel(signals.robot)
-    np.testing.assert_allclose([p["value"] for p in true], truth(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15)
+    np.testing.assert_allclose(
+        [p["value"] for p in true], described_parameters(idm, base_parameters(idm)), rtol=1e-9, atol=1e-15
+    )
 
 
 def compare_with_readme(out: str) -> None:

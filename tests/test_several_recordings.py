@@ -28,7 +28,7 @@ from identification.methods import (
     identify_ls,
     with_consistent,
 )
-from identification.model import InverseModel, base_parameters, truth
+from identification.model import InverseModel, base_parameters, described_parameters
 from identification.regression import Overrides, make_problem, own_parameters, regression_of_recording
 from identification.report import ParameterSet, differences, read_fit, write_json
 from identification.study import Noise, closed_loop, random_reference, write_signals
@@ -107,7 +107,7 @@ def test_a_recording_twice_halves_the_variance(method):
 def test_the_truth_is_inside_and_the_verdict_is_trust(method):
     fit = fitted(method)
     dynamics = InverseModel(recorded(1).robot)
-    assert off(fit, truth(dynamics, base_parameters(dynamics))) < 2.0
+    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
     if method == "iv":
         assert (fit.status, fit.trust.verdict) == ("converged", "trust")
         assert {line.level for line in fit.trust.lines} == {"ok"}
@@ -280,7 +280,7 @@ def one_joint(seed: int, still: int) -> Signals:
     ddq = np.gradient(dq, 1e-3, axis=0)
     dynamics = InverseModel(like.robot)
     base = base_parameters(dynamics)
-    tau = dynamics.regressor(q, dq, ddq)[:, :, base.columns] @ truth(dynamics, base)
+    tau = dynamics.regressor(q, dq, ddq)[:, :, base.columns] @ described_parameters(dynamics, base)
     noise = np.random.default_rng(seed).normal(size=tau.shape) * 0.02 * tau.std(axis=0)
     return replace(like, q=q, q_ref=None, effort=tau + noise, recording=f"r{seed}.mcap")
 
@@ -294,7 +294,7 @@ def test_recordings_that_excite_half_the_parameters_each(tmp_path, capsys):
             identify_ls(one, Overrides())
     fit = identify_ls(several(*HALVES), Overrides())
     dynamics = InverseModel(HALVES[0].robot)
-    assert off(fit, truth(dynamics, base_parameters(dynamics))) < 2.0
+    assert off(fit, described_parameters(dynamics, base_parameters(dynamics))) < 2.0
     shoulder, elbow = (one.held_out for one in fit.recordings)
     assert (shoulder.error_percent, elbow.error_percent) == (None, None)
     assert {"ZZ1R", "Fv1", "Fc1"} <= set(shoulder.undetermined)

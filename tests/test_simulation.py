@@ -15,9 +15,9 @@ from identification.model import (
     DirectModel,
     InverseModel,
     base_parameters,
+    described_parameters,
     direct_model,
     inertias,
-    truth,
     why_not_positive,
 )
 from identification.model.base import known_parameters
@@ -102,7 +102,7 @@ def test_a_light_wrist_does_not_chatter():
     _, _, model = model_of("tx40")
     q_ref = still(6, 1.0) + np.array([0.1, -0.3, 0.4, 0.2, 0.5, 0.0])
     zero = np.zeros_like(q_ref)
-    loop = surrogate_loop(10.0, inertias(model, q_ref[:1]), RATE)
+    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[:1])), RATE)
     done = simulate(model, loop, Reference(q_ref, zero, zero), start=(q_ref[0], zero[0]), bound=np.ones(6))
     assert np.abs(done.ddq[500:]).max() < 0.05
 
@@ -112,12 +112,12 @@ def test_position_speed_acceleration_and_torque_are_of_one_instant(name):
     """IDM(q, dq, ddq) chi = tau row by row, but for the implicit friction where a joint turns round or sticks."""
     dynamics = InverseModel(robot_named(name))
     base = base_parameters(dynamics)
-    beta = truth(dynamics, base)
+    beta = described_parameters(dynamics, base)
     model = direct_model(dynamics, base.standard_parameters(beta))
     q_ref = random_reference(dynamics.robot, duration_s=5.0, sample_rate_hz=RATE, seed=2)
     dq_ref = np.gradient(q_ref, 1 / RATE, axis=0)
     ddq_ref = np.gradient(dq_ref, 1 / RATE, axis=0)
-    loop = surrogate_loop(10.0, inertias(model, q_ref[::50]), RATE)
+    loop = surrogate_loop(10.0, inertias(model.inertia(q_ref[::50])), RATE)
     done = simulate(
         model,
         loop,
@@ -165,7 +165,7 @@ def test_every_control_law_holds_against_a_push(structure, gains, settles, estim
     robot = controller_robot(structure, **gains, velocity_estimate=f'"{estimate}"')
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     loop = recorded_loop(robot)
     zero = still(1, 6.0)
     pushed = dataclasses.replace(model, offset=np.array([8.0]))
@@ -183,7 +183,7 @@ def test_saturation_limits_the_torque():
     robot = controller_robot("pd", position_gain=[50_000.0], velocity_gain=[2000.0])
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     zero = still(1, 0.3)
     done = simulate(
         model, recorded_loop(robot), Reference(zero, zero, zero), start=(np.array([0.2]), np.zeros(1)), bound=np.ones(1)
@@ -197,7 +197,7 @@ def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
     robot = controller_robot("computed_torque", position_gain=[900.0], velocity_gain=[60.0])
     dynamics = InverseModel(robot)
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     zero, t = still(1, 0.3), np.arange(300) / RATE
     for substeps in (1, 4):
         start = (np.array([1e-3]), np.zeros(1))
@@ -215,7 +215,7 @@ def test_computed_torque_is_a_double_integrator_in_joint_coordinates():
 def scara_pid(saturation: float) -> tuple[DirectModel, ControlLaw]:
     """The SCARA under a PID, motor 1 limited to `saturation`."""
     _, _, model = model_of("scara")
-    J = inertias(model, still(2, 0.01))
+    J = inertias(model.inertia(still(2, 0.01)))
     loop = dataclasses.replace(surrogate_loop(5.0, J, RATE), gravity=False)
     limits = np.array([saturation, np.inf])
     return model, dataclasses.replace(loop, Ki=loop.Kp * 10, position_share=np.ones(2), saturation=limits)
@@ -389,9 +389,9 @@ def test_a_representative_robot_has_no_link_without_mass(mass):
 def test_parameters_that_no_robot_has_are_told_from_those_that_can_be_simulated():
     dynamics = InverseModel(robot_named("scara"))
     massless = np.array([{"MX1": 1.0, "ZZ1": 3.0, "ZZ2": 1.0}.get(name, 0.0) for name in dynamics.names])
-    assert why_not_positive(direct_model(dynamics, massless), np.zeros((1, 2))) is None
+    assert why_not_positive(direct_model(dynamics, massless).inertia(np.zeros((1, 2)))) is None
     broken = direct_model(dynamics, np.full(dynamics.p, np.nan))
-    assert why_not_positive(broken, np.zeros((1, 2))) == "the inertia matrix is not finite on the trajectory"
+    assert why_not_positive(broken.inertia(np.zeros((1, 2)))) == "the inertia matrix is not finite on the trajectory"
 
 
 def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
@@ -407,12 +407,12 @@ def test_a_simulation_that_leaves_its_reference_says_where_and_is_not_clipped():
 def test_an_inertia_matrix_that_is_not_positive_stops_the_simulation():
     dynamics = InverseModel(robot_named("scara"))
     base = base_parameters(dynamics)
-    beta = truth(dynamics, base)
+    beta = described_parameters(dynamics, base)
     for name, value in (("ZZ2", -0.01), ("Fc1", 0.0), ("Fc2", 0.0)):
         beta[base.names.index(name)] = value
     model = direct_model(dynamics, base.standard_parameters(beta))
     zero = still(2, 0.1)
-    assert "not positive on the trajectory" in why_not_positive(model, zero[:1])
+    assert "not positive on the trajectory" in why_not_positive(model.inertia(zero[:1]))
     done = simulate(model, free(2), Reference(zero, zero, zero), start=(zero[0], zero[0]), bound=np.ones(2))
     assert done.reason == "the inertia matrix is not positive definite"
 
@@ -440,7 +440,7 @@ def test_regular_start_is_a_regular_inertia_matrix_with_two_on_the_coupled_joint
     J = np.array([5.0, 4.0, 3.0, 0.2, 0.1, 0.01])
     M = direct_model(dynamics, base.standard_parameters(regular_start(dynamics, base, J))).inertia(np.zeros((1, 6)))[0]
     np.testing.assert_allclose(np.diag(M), J + np.array([0, 0, 0, 0, 0.01, 0]), rtol=1e-9)
-    assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)), np.zeros((1, 6))) is None
+    assert why_not_positive(direct_model(dynamics, base.standard_parameters(beta)).inertia(np.zeros((1, 6)))) is None
 
 
 def test_a_controller_described_in_part_names_what_is_missing():

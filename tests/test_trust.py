@@ -16,7 +16,7 @@ from identification.errors import IdentificationError
 from identification.estimation import System, weighted_least_squares
 from identification.estimation.estimators import joint_weights
 from identification.methods import Fit, Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import FilteredMotion, Overrides, make_problem, moving_rows_of, regression_of_recording
 from identification.regression.rows import measured_slip
 from identification.study import Noise, closed_loop, random_reference
@@ -26,7 +26,7 @@ TX40 = REPLAY / "tx40" / "session.mcap"
 
 
 def off_percent(fit: Fit, signals: Signals) -> float:
-    true = truth(InverseModel(signals.robot), fit.base)
+    true = described_parameters(InverseModel(signals.robot), fit.base)
     return float(100 * np.linalg.norm(fit.beta - true) / np.linalg.norm(true))
 
 

@@ -11,8 +11,8 @@ from identification.data import load_signals
 from identification.estimation import InstrumentTests
 from identification.methods import Iteration, Pass, identify_iv
 from identification.methods.assess import _status
-from identification.methods.fit import DirectModelError
 from identification.regression import Overrides
+from identification.report import DirectModelError
 
 GOOD = InstrumentTests(
     dwh_F=None, dwh_p_value=None, dwh_F_effective=None, dwh_p_effective=None, strength=0.9, first_stage_F=500.0

@@ -25,9 +25,9 @@ from ..model import (
     InverseModel,
     JointTerm,
     base_parameters,
+    described_parameters,
     load_parameters,
     regressor_gradient,
-    truth,
 )
 from ..regression import Overrides, decimation_rule, make_problem, regression_of_recording
 from ..report import read_fit
@@ -78,7 +78,7 @@ def prior_information(
     model = InverseModel(robot)
     base = base_parameters(model)
     known = PriorInformation(
-        beta=truth(model, base) if fit is None and robot.parameters else None,
+        beta=described_parameters(model, base) if fit is None and robot.parameters else None,
         beta_from="[parameters]",
         noise=None if noise is None else np.ones(robot.n) * noise,
         recordings=[load_signals(path) for path in after],

@@ -21,8 +21,8 @@ from ..estimation import (
     torque_errors,
 )
 from ..regression import Regression, base_name
-from ..report import Method, OwnTest, Status
-from ..simulation import DirectModelError, Instruments, Replica, join_reasons, max_or_none
+from ..report import DirectModelError, Method, OwnTest, Status
+from ..simulation import Instruments, Replica, join_reasons, max_or_none
 from ..trust import FitData, Lag, held_out_recordings, trust_in
 from .fit import Fit, FittedRecording, InstrumentEvidence, LeastSquares, Pass, essential_names
 from .observation import position_noise_line

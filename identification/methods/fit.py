@@ -11,8 +11,8 @@ from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
 from ..regression import Motion, Problem, RowStates, Settings
-from ..report import Method, OwnTest, Status, TorqueError
-from ..simulation import DirectModelError, Instruments, Replica
+from ..report import DirectModelError, Method, OwnTest, Status, TorqueError
+from ..simulation import Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
 
 

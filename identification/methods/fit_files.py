@@ -13,7 +13,6 @@ from ..regression import Settings, forward_backward_3db_hz
 from ..report import (
     ConsistentFile,
     Covariance,
-    DirectModelErrorFile,
     EssentialSet,
     FitFile,
     KnownLagFile,
@@ -210,5 +209,5 @@ def _iv_keys(iv: InstrumentEvidence) -> dict[str, Any]:
         "contrast_half_widths": iv.contrast,
         "rows_used_percent": iv.rows_used_percent,
         "saturated_percent": iv.saturated_percent,
-        "direct_model": [DirectModelErrorFile(**vars(one)) for one in iv.direct],
+        "direct_model": list(iv.direct),
     }

@@ -166,7 +166,7 @@ def _by_instruments(observed: StackedSystem, iteration: Iteration, *, essential:
         number, coarse = len(passes) + 1, is_coarse(observed.problem, iteration, passes)
         say(f"pass {number}: simulating the robot")
         # Z = IDM(q_sim, dq_sim, ddq_sim)
-        z = lab.instruments(beta, C, weights, kept=kept_rows(passes), coarse=coarse)
+        z = lab.instruments(beta, C, weights, rows=kept_rows(passes), coarse=coarse)
         about = observed.about(z)
         W_and_Y = about.along(z)
         try:

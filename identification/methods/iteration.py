@@ -64,7 +64,7 @@ def is_coarse(problem: Problem, iteration: Iteration, passes: Sequence[Pass]) ->
 
 def kept_rows(passes: Sequence[Pass]) -> tuple[NDArray[np.bool_], ...] | None:
     """By recording the rows (rows, n) that count in the next pass, or None where the simulated speeds tell."""
-    return passes[-1].z.fast if len(passes) >= ROWS_FREE else None
+    return passes[-1].z.moving_rows if len(passes) >= ROWS_FREE else None
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a start may be anything
@@ -126,7 +126,7 @@ def conclude(lab: ClosedLoops, passes: Sequence[Pass], solve: Callable[[Instrume
     if not best.is_last or best.failure is not None:
         best = _best_pass(lab, passes)
     if best.number < len(passes):
-        z = lab.instruments(best.z.beta, best.asked, best.estimate.weights, kept=best.z.fast, coarse=best.coarse)
+        z = lab.instruments(best.z.beta, best.asked, best.estimate.weights, rows=best.z.moving_rows, coarse=best.coarse)
         best = replace(best, z=z, estimate=solve(z))
     return (
         best if best.replicas else replace(best, replicas=lab.replicas(best.estimate.values_of(names), best.covariance))

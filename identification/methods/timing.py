@@ -71,7 +71,7 @@ def timed(
     off = [abs(lag.value_s - at) / max(lag.sd_s, 1e-12) for lag, at in zip(lags, now, strict=True)]
     if any((share * lag.moved > MOVES).any() for share, lag in zip(off, lags, strict=True)):
         observed = _with_lags(observed, [lag.value_s for lag in lags])
-        z = lab_of(observed).instruments(best.z.beta, best.asked, weights, kept=best.z.fast)
+        z = lab_of(observed).instruments(best.z.beta, best.asked, weights, rows=best.z.moving_rows)
         best = replace(best, z=z, estimate=solve(z, observed.along(z)))
     return replace(observed, lags=lags), best, (replace(span, lags=lags), own)
 

@@ -1,7 +1,7 @@
 """Base parameters: the fewest parameters that give the inverse dynamic model, found numerically (Gautier1991).
 
-The regressor at random states shows which columns are zero and which are combinations of columns before them. Columns are
-tried from the base outwards, so the names are the field's own: ZZ1R, XX2R, ...; R marks a regrouped parameter.
+The regressor at random states shows which columns are zero and which are combinations of previous columns. Columns are
+taken from the base outwards, which gives the usual names: ZZ1R, XX2R, ...; R marks a regrouped parameter.
 """
 
 from collections.abc import Collection
@@ -16,8 +16,8 @@ from ..errors import IdentificationError
 from .inverse import InverseModel
 from .joint_terms import SHAPES, JointTerm
 
-STATES = 200  # random states; 200 n rows are several times the number of columns
-TOLERANCE = 1e-9  # of a column's norm: what is left of a dependent column is rounding
+STATES = 200  # random ones; 200 n rows are several times the number of columns
+TOLERANCE = 1e-9  # of a column's norm: the residual of a dependent column is rounding
 SEED = 2014
 
 
@@ -26,13 +26,13 @@ class BaseParameters:
     """The base parameters beta = K chi of the standard parameters chi.
 
     Attributes:
-        names: (b,) names; R at the end where other parameters are regrouped into it.
-        expressions: (b,) what each stands for, as a sum of standard parameters.
+        names: (b,) names, with R at the end if other parameters are regrouped into it.
+        expressions: (b,) each as a sum of standard parameters.
         units: (b,) SI units (A or V in place of N m where the drive gain is not known).
         columns: (b,) their columns in the regressor: W_base = W_standard[:, columns].
         K: (b, p) regrouping matrix.
         masses: (n,) columns of the links' masses M1 ... Mn.
-        links: (b,) whether its own parameter is a link's; the rotor inertia regrouped with it, as in ZZ1R, is in it.
+        links: (b,) whether it is a link's parameter, which may include a rotor inertia, as in ZZ1R.
     """
 
     names: tuple[str, ...]
@@ -50,11 +50,11 @@ class BaseParameters:
         return len(self.names)
 
     def standard_parameters(self, beta: Array) -> Array:
-        """Standard parameters chi (p,) with K chi = beta: links whose masses are free to choose all weigh the same.
+        """Standard parameters chi (p,) with K chi = beta; all links whose masses are free have the same mass.
 
-        The robot moves alike with every chi that has the same beta; a mass of zero alone would not do for computing. Free
-        masses are larger than those of beta, so that none that is regrouped with them comes out as zero.
+        Every chi with the same beta gives the same motion.
         """
+        # pinocchio divides by masses. Free ones exceed those of beta, so that no regrouped mass becomes zero.
         chi = np.zeros(self.K.shape[1])
         given = beta[np.isin(self.columns, self.masses)]
         chi[np.setdiff1d(self.masses, self.columns)] = 1.0 + np.abs(given).max(initial=0.0)
@@ -62,21 +62,21 @@ class BaseParameters:
         return chi
 
     def without(self, names: Collection[str]) -> "BaseParameters":
-        """The others, for a model that lacks these: friction terms that are regrouped with nothing."""
-        left = [i for i, name in enumerate(self.names) if name not in names]
+        """The base parameters without these, which must be friction terms that are not regrouped."""
+        others = [i for i, name in enumerate(self.names) if name not in names]
         return replace(
             self,
-            names=tuple(self.names[i] for i in left),
-            expressions=tuple(self.expressions[i] for i in left),
-            units=tuple(self.units[i] for i in left),
-            columns=self.columns[left],
-            K=self.K[left],
-            links=self.links[left],
+            names=tuple(self.names[i] for i in others),
+            expressions=tuple(self.expressions[i] for i in others),
+            units=tuple(self.units[i] for i in others),
+            columns=self.columns[others],
+            K=self.K[others],
+            links=self.links[others],
         )
 
 
 def load_parameters(base: BaseParameters) -> tuple[str, ...]:
-    """Names of the parameters of load friction, mu1 and so on, in which the model is not linear."""
+    """Names of the load friction parameters mu1, mu2, ...; the model is not linear in them."""
     return tuple(name for name in base.names if name.startswith("mu"))
 
 
@@ -86,10 +86,10 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     q, dq, ddq = (rng.uniform(-np.pi, np.pi, size=(STATES, dynamics.robot.n)) for _ in range(3))
     W = dynamics.regressor(q, dq, ddq).reshape(-1, dynamics.p)
     norms = np.linalg.norm(W, axis=0)
-    apart = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
-    # All links from the base outwards, then rotors and friction, which so join a link's parameter, not replace it.
+    shapes = [c for c, source in enumerate(dynamics.sources) if isinstance(source, JointTerm) and source.kind in SHAPES]
+    # Links from the base outwards, then rotors and friction: these are regrouped into a link's parameter.
     order = sorted(range(dynamics.p), key=lambda c: (not dynamics.of_links[c], c))
-    present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in apart]
+    present = [c for c in order if norms[c] > TOLERANCE * norms.max() and c not in shapes]
     scaled = W[:, present] / norms[present]
     R = np.linalg.qr(scaled, mode="r")
     diagonal = np.abs(np.diag(R))
@@ -101,8 +101,8 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
     C[np.abs(C) < 1e-8] = 0.0
     regrouping = np.zeros((len(independent), dynamics.p))
     regrouping[:, dependent] = C
-    independent = np.r_[independent, np.array(apart, dtype=np.intp)]  # of a shape of their own: regrouped with nothing
-    K = np.r_[regrouping, np.zeros((len(apart), dynamics.p))]
+    independent = np.r_[independent, np.array(shapes, dtype=np.intp)]  # friction shapes are regrouped with nothing
+    K = np.r_[regrouping, np.zeros((len(shapes), dynamics.p))]
     K[np.arange(len(independent)), independent] = 1.0
     link_masses = {f"M{j + 1}" for j in range(dynamics.robot.n)}
     by_column = np.argsort(independent)
@@ -120,7 +120,7 @@ def base_parameters(dynamics: InverseModel) -> BaseParameters:
 
 
 def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
-    """`ZZ2 + Ia2 + 0.0506 (M3 + M4)`: equal coefficients share a bracket, the parameter itself comes first."""
+    """Such as `ZZ2 + Ia2 + 0.0506 (M3 + M4)`: the parameter itself first, equal coefficients in one bracket."""
     groups: dict[float, list[str]] = {}
     for c in [own, *(int(c) for c in np.flatnonzero(row) if c != own)]:
         groups.setdefault(float(f"{row[c]:.6g}"), []).append(names[c])
@@ -129,7 +129,7 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
         size = abs(coefficient)
         inside = " + ".join(members)
         if size == 1.0:
-            # A bracket only where a minus stands before a sum.
+            # A sum needs a bracket only after a minus.
             term = f"({inside})" if coefficient < 0 and len(members) > 1 else inside
         else:
             term = f"{size:.6g} ({inside})" if len(members) > 1 else f"{size:.6g} {inside}"
@@ -138,7 +138,7 @@ def _expression(row: Array, own: int, names: tuple[str, ...]) -> str:
 
 
 def known_parameters(dynamics: InverseModel) -> Array:
-    """Standard parameters chi (p,) from the description's `[parameters]`, zero where it is silent."""
+    """Standard parameters chi (p,) of the description's `[parameters]`, zero if not stated."""
     values, names = dynamics.robot.parameters, dynamics.names
     if not values:
         raise IdentificationError(f"robot {dynamics.robot.name}: no [parameters] to simulate with")
@@ -151,6 +151,6 @@ def known_parameters(dynamics: InverseModel) -> Array:
     return np.array([values.get(name, 0.0) for name in names])
 
 
-def truth(dynamics: InverseModel, base: BaseParameters) -> Array:
+def described_parameters(dynamics: InverseModel, base: BaseParameters) -> Array:
     """Base parameters (b,) of the description's `[parameters]`: K chi."""
     return np.asarray(base.K @ known_parameters(dynamics))

@@ -1,8 +1,8 @@
-"""The robot's direct dynamic model: its equation of motion with given parameters; and derivatives of the inverse one.
+"""The robot's direct dynamic model: its equation of motion with given parameters; and derivatives of the inverse model.
 
-A row of the regressor times parameters is the torque of a robot with these parameters, whatever they are. So the gradient of
-a function of the regressor is, row by row, a derivative of RNEA with the function's own derivative by that row in the place
-of the inertias. Carpentier, Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
+A row of the regressor times any parameters is the torque of a robot with these parameters. So the gradient of a function of
+the regressor is, row by row, a derivative of RNEA with the function's derivative by that row as the inertias. Carpentier,
+Mansard: Analytical Derivatives of Rigid Body Dynamics Algorithms, RSS 2018.
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import FRICTION, SHAPES, JointTerm, Kind
 
-_POSES = 300  # positions of a trajectory at which M is looked at
-_DUMMY = 2.0  # a mass added to each link, times all masses and first moments together: no sum of masses is zero then
+_POSES = 300  # positions of a trajectory at which M is checked
+_DUMMY = 2.0  # mass added to each link, times the sum of masses and first moments: no sum of masses is then zero
 _MASS = FROM_PINOCCHIO[LINK.index("M")]
 _FIRST_MOMENTS = tuple(FROM_PINOCCHIO[LINK.index(name)] for name in ("MX", "MY", "MZ"))
 
@@ -28,12 +28,12 @@ class DirectModel:
 
     Attributes:
         rigid: pinocchio's model with the links' inertias, and its `data`.
-        rotor: (n, n) what the rotors add to M.
-        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 alone.
-        directions: (c, n) directions r that friction with a sign acts along, its speed being r·dq.
-        up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, both positive when they resist.
-        shapes: what else acts along the directions, by kind: factors (c,), which resist where they are positive, and the
-            speeds (c,) of Stribeck friction.
+        rotor: (n, n) rotor part of M.
+        viscous, viscous_up, viscous_down: (n, n) friction matrices; the last two for dq > 0 and dq < 0 only.
+        directions: (c, n) directions r of friction with a sign, at the speed r·dq.
+        up, down: (c,) Coulomb friction for r·dq > 0 and for r·dq < 0, positive if it resists.
+        shapes: further friction along the directions, by kind: factors (c,), positive if they resist, and the speeds (c,) of
+            Stribeck friction.
         offset: (n,) constant torque.
     """
 
@@ -59,18 +59,18 @@ class DirectModel:
         return M + self.rotor
 
     def inertia_and_bias(self, q: Array, dq: Array) -> tuple[Array, Array]:
-        """Upper triangle of the links' part of M (n, n), without rotors, and h (n,) without friction, at one state."""
+        """Upper triangle of M (n, n) without rotors, and h (n,) without friction, at one state."""
         bias = pin.nonLinearEffects(self.rigid, self.data, q, dq)
         return pin.crba(self.rigid, self.data, q), bias
 
     def of_links(self, q: Array, dq: Array, ddq: Array) -> Array:
-        """tau_rigid (n,), the torque of the links alone at one state."""
+        """tau_rigid (n,), the links' torque at one state."""
         return np.asarray(pin.rnea(self.rigid, self.data, q, dq, ddq))
 
     def gravity(self, q: Array, along: Array | None = None) -> Array:
-        """Torques (N, n) that hold the robot at rest at the positions q (N, n), friction aside.
+        """Torques (N, n) that hold the robot at rest at the positions q (N, n), without friction.
 
-        `along` (3,) is a gravity in m/s² in place of the description's.
+        `along` (3,) replaces the description's gravity, m/s².
         """
         g, rigid = np.tile(self.offset, (len(q), 1)), self.rigid
         if along is not None:
@@ -84,7 +84,7 @@ class DirectModel:
     def torque(self, q: Array, dq: Array, ddq: Array, dq_sign: Array | None = None) -> Array:
         """Torque (N, n) along a motion q, dq, ddq (N, n).
 
-        Friction has the signs of `dq_sign` (N, n), where it is given: of a reference without noise.
+        `dq_sign` (N, n), such as a reference without noise, gives the signs of friction instead of dq.
         """
         rigid = self.torques_of_links(q, dq, ddq)
         u = (dq if dq_sign is None else dq_sign) @ self.directions.T
@@ -101,40 +101,40 @@ class DirectModel:
         return tau
 
     def without_sliding(self, dq: Array, ddq: Array) -> Array:
-        """What rotors, offsets and friction without the sign of a speed add (..., n) to the torque of the links."""
+        """Torque (..., n) of rotors, offsets and friction without the sign of a speed."""
         one_sided = np.maximum(dq, 0) @ self.viscous_up.T + np.minimum(dq, 0) @ self.viscous_down.T
         return np.asarray(ddq @ self.rotor.T + dq @ self.viscous.T + one_sided + self.offset)
 
     def shape(self, u: Array, rigid: Array) -> Array:
-        """Size (..., c) of friction beside Coulomb's at speeds u (..., c), the links' torques along them `rigid` (..., c)."""
+        """Size (..., c) of further friction at speeds u (..., c) and links' torques `rigid` (..., c) along the directions."""
         load = np.abs(rigid)
         return sum((x * FRICTION[kind].size(u, u_s, load) for kind, (x, u_s) in self.shapes.items()), np.zeros_like(u))
 
     def steepness(self, u: Array) -> Array:
-        """What a unit of speed adds (c,) to shapes that grow with speed, at the speeds u (c,), not zero."""
+        """Slopes (c,) of shapes that grow with speed, at the speeds u (c,), not zero."""
         slopes = (x * np.maximum(FRICTION[kind].slope(u, u_s), 0.0) for kind, (x, u_s) in self.shapes.items())
         return sum(slopes, np.zeros_like(u))
 
     def largest_shape(self, u: Array) -> Array:
-        """The most (c,) that shapes which resist may have up to the speeds u (c,), load friction apart."""
-        found = np.zeros_like(u)
+        """Maximum (c,) of the resisting shapes up to the speeds u (c,), without load friction."""
+        largest = np.zeros_like(u)
         for kind, (factor, u_s) in self.shapes.items():
             size = FRICTION[kind].size
-            found += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
-        return found
+            largest += np.maximum(factor * np.maximum(size(u, u_s, 0.0), size(0.0 * u, u_s, 0.0)), 0.0)
+        return largest
 
     @property
     def load_friction(self) -> Array:
-        """(n,) of the joints, per torque of their links."""
+        """Load friction (n,) of the joints per link torque."""
         factor = self.shapes["load"][0] if "load" in self.shapes else np.zeros(len(self.directions))
         return np.asarray(factor @ self.directions)
 
 
 def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
-    """The equation of motion (1) of a robot; pinocchio divides by a link's M: one of exactly zero is taken as 1 mg.
+    """The equation of motion (1) of a robot with standard parameters chi (p,), SI.
 
-    Load friction goes by the torque of the links of chi (p,), SI: with those of `BaseParameters.standard_parameters`, rotor
-    inertias that are regrouped with links' parameters are in it.
+    Load friction depends on the torque of chi's links; with `BaseParameters.standard_parameters` these include the rotor
+    inertias that are regrouped with links' parameters.
     """
     n, rigid = dynamics.robot.n, dynamics.model.copy()
     values = np.zeros((n, len(LINK)))
@@ -164,7 +164,7 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
                 none = np.zeros(len(directions)), np.full(len(directions), np.inf)
                 factor, speed = shapes.setdefault(source.kind, none)
                 factor[at], speed[at] = value, source.speed
-    values[values[:, _MASS] == 0.0, _MASS] = 1e-6
+    values[values[:, _MASS] == 0.0, _MASS] = 1e-6  # pinocchio divides by the masses
     for j in range(n):
         rigid.inertias[j + 1] = pin.Inertia.FromDynamicParameters(values[j])
     return DirectModel(
@@ -183,24 +183,22 @@ def direct_model(dynamics: InverseModel, chi: Array) -> DirectModel:
 
 
 def poses_of(q: Array) -> Array:
-    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is looked at."""
+    """Some 300 positions (P, n) of a trajectory q (N, n), evenly spaced, at which the inertia matrix M is checked."""
     return q[:: pose_step(len(q))]
 
 
 def pose_step(N: int) -> int:
-    """From how many of N positions on one is taken for a pose."""
+    """Step between the poses taken from N positions."""
     return max(1, N // _POSES)
 
 
-def inertias(model: DirectModel, poses: Array) -> Array:
-    """J_j (n,) in kg m² or kg: the largest diagonal entry of M for each joint over the poses (P, n)."""
-    M = model.inertia(poses)
+def inertias(M: Array) -> Array:
+    """J (n,) in kg m² or kg: each joint's largest diagonal entry of the inertia matrices M (P, n, n)."""
     return np.asarray(np.diagonal(M, axis1=1, axis2=2).max(axis=0))
 
 
-def why_not_positive(model: DirectModel, poses: Array) -> str | None:
-    """None where M is positive definite at all poses (P, n), else a line that says so."""
-    M = model.inertia(poses)
+def why_not_positive(M: Array) -> str | None:
+    """Why not all inertia matrices M (P, n, n) of a trajectory are positive definite; None if they are."""
     if not np.isfinite(M).all():
         return "the inertia matrix is not finite on the trajectory"
     lowest = float(np.linalg.eigvalsh(M).min())
@@ -214,7 +212,7 @@ def regressor_gradient(
 ) -> tuple[Array, Array, Array]:
     """Gradients (N, n) by q, dq and ddq of sum(G * W), W (N, n, b) the regressor of the base parameters.
 
-    Pinocchio divides by masses: a dummy mass is added to each link, and what it gives is subtracted.
+    Pinocchio divides by masses: a dummy mass is added to each link, and its torque is subtracted.
 
     Parameters
     ----------
@@ -243,7 +241,7 @@ def regressor_gradient(
     inertias[..., _MASS] += dummy
     unit = [pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))] * n
     derivatives = pin.computeRNEADerivatives
-    made = np.empty((n + 1, 3, *q.shape, n))  # of the dummy and of each joint's inertias: derivatives by q, dq, ddq
+    slopes = np.empty((n + 1, 3, *q.shape, n))  # of each joint's inertias and of the dummy: derivatives by q, dq, ddq
     for k in range(len(q)):
         state = rigid, data, q[k], dq[k], ddq[k]
         for i in range(n + 1):
@@ -251,15 +249,15 @@ def regressor_gradient(
             for link, inertia in enumerate(each):
                 rigid.inertias[link + 1] = inertia
             derivatives(*state)
-            made[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
-    made[:, 2] = _symmetric(made[:, 2])
+            slopes[i, :, k] = data.dtau_dq, data.dtau_dv, data.M
+    slopes[:, 2] = _symmetric(slopes[:, 2])
     for j in range(n):
-        out += made[j, :, :, j] - dummy[:, j] * made[n, :, :, j]
+        out += slopes[j, :, :, j] - dummy[:, j] * slopes[n, :, :, j]
     return out[0], out[1], out[2]
 
 
 def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """tau_rigid, the torque of the links alone (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
+    """tau_rigid, the links' torque (N, n), and its derivatives (3, N, n, n) by q, dq, ddq: the last axis."""
     q, dq, ddq = (np.ascontiguousarray(x) for x in motion)
     rigid, data, n = model.rigid, model.data, q.shape[1]
     tau, slopes = np.empty(q.shape), np.empty((3, *q.shape, n))
@@ -274,13 +272,13 @@ def torque_of_links(model: DirectModel, motion: tuple[Array, Array, Array]) -> t
 def torque_without_sliding(
     model: DirectModel, motion: tuple[Array, Array, Array], of_links: tuple[Array, Array]
 ) -> tuple[Array, Array]:
-    """Torque without friction that has the sign of a speed (N, n), and its derivatives (3, N, n, n) by q, dq, ddq.
+    """Torque (N, n) without friction that has a sign, and its derivatives (3, N, n, n) by q, dq, ddq.
 
     Parameters
     ----------
     model : the equation of motion with given parameters.
     motion : q, dq, ddq, each (N, n).
-    of_links : the links' torque and its derivatives, as `torque_of_links` gives them.
+    of_links : the links' torque and its derivatives, from `torque_of_links`.
     """
     _, dq, ddq = motion
     slopes, up, down = of_links[1].copy(), model.viscous_up, model.viscous_down
@@ -290,5 +288,5 @@ def torque_without_sliding(
 
 
 def _symmetric(M: Array) -> Array:
-    """The whole matrices (..., n, n), of which pinocchio fills the upper triangles."""
+    """Full matrices (..., n, n) from the upper triangles that pinocchio fills."""
     return np.triu(M) + np.triu(M, 1).swapaxes(-1, -2)

@@ -2,9 +2,8 @@
 
 tau = IDM(q, dq, ddq) chi, equation (2) of Janot2014, with the standard parameters chi in Khalil's names: XX XY XZ YY YZ ZZ
 (about the origin of the link's frame, kg m²), MX MY MZ (kg m), M (kg), rotor inertia Ia, viscous friction Fv, Coulomb
-friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0.
-What motors and friction add, these and further terms, is in `joint_terms`; the columns of load friction, which depend on
-parameters, are zero here.
+friction Fc, offset Off. Asymmetric friction has Fvp, Fcp for dq > 0 and Fvn, Fcn for dq < 0. The terms of motors and friction
+are in `joint_terms`. The columns of load friction depend on parameters and are zero here.
 """
 
 import xml.etree.ElementTree as ET
@@ -24,15 +23,14 @@ from .joint_terms import SLIDING, JointTerm, joint_terms
 LINK = ("XX", "XY", "XZ", "YY", "YZ", "ZZ", "MX", "MY", "MZ", "M")
 _PAIRS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))  # of XX XY XZ YY YZ ZZ
 FROM_PINOCCHIO = (4, 5, 7, 6, 8, 9, 1, 2, 3, 0)  # pinocchio's order is m, mx, my, mz, xx, xy, yy, xz, yz, zz
-_BLOCK = 2048  # samples at a time: the twists of six joints stay in the cache
+_BLOCK = 2048  # samples: the twists of six joints then fit in the cache
 
 
 class InverseModel:
     """Inverse dynamic model of a robot: `n` joints, `p` standard parameters with `names` and `units`, link by link.
 
-    `sources` are where each is from: (link, place in LINK), or a term of a joint; `of_links` (p,) are the former.
-    `coulomb_directions` (c, n) are directions r
-    that friction with a sign acts along, its speed being r·dq: of joints, and of coupled motors.
+    `sources` are their origins: (link, place in LINK), or a term of a joint; `of_links` (p,) marks the former.
+    `coulomb_directions` (c, n) are the directions r of friction with a sign, at the speed r·dq: joints and coupled motors.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -53,11 +51,11 @@ class InverseModel:
         self.coulomb_directions = np.array(list(dict.fromkeys(map(tuple, along)))).reshape(-1, n)
 
     def entries(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
-        """The entries (E, 2) of the regressor that are not zero by structure: (joint, place in `columns`)."""
+        """Entries (E, 2) of the regressor that can be non-zero: (joint, place in `columns`)."""
         return np.argwhere(self._nonzero[:, columns])
 
     def series(self, q: Array, dq: Array, ddq: Array, columns: NDArray[np.intp]) -> Array:
-        """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n), in one pass over the samples."""
+        """Time series (E, N) of `entries(columns)` over the motion q, dq, ddq (N, n)."""
         entries = self.entries(columns)
         out = np.empty((len(entries), len(q)))
         places: dict[tuple[int, int], list[int]] = {}
@@ -79,34 +77,31 @@ class InverseModel:
         return W
 
     def link_parameters(self) -> Array:
-        """Parameters (n, 10) of the links in the order of `LINK` as the URDF has them, fixed and locked links lumped in.
-
-        They are zero for a table of DH rows.
-        """
+        """The URDF's parameters (n, 10) of the links in the order of `LINK`, with fixed and locked links; zero for DH rows."""
         inertias = list(self.model.inertias)[1:]
         return np.array([inertia.toDynamicParameters() for inertia in inertias])[:, FROM_PINOCCHIO]
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """By joint, the link it sits on: 0 the base, j the link that joint number j moves."""
+        """The parent link of each joint: 0 the base, j the link that joint number j moves."""
         return tuple(int(parent) for parent in self.model.parents)[1:]
 
     @cached_property
     def joint_frames(self) -> tuple[Array, Array, Array]:
-        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in that of the link it sits on,
-        and its axis (n, 3) in its link's frame.
+        """By joint, at position zero: origin (n, 3) and rotation (n, 3, 3) of its link's frame in the parent link's frame, and
+        its axis (n, 3) in its link's frame.
         """
         placements = list(self.model.jointPlacements)[1:]
         pin.computeJointJacobians(self.model, self._data, np.zeros(self.robot.n))
         axes = np.empty((self.robot.n, 3))
         for j, joint in enumerate(self.robot.joints):
             jacobian = np.asarray(pin.getJointJacobian(self.model, self._data, j + 1, pin.LOCAL))
-            column = jacobian.reshape(6, -1)[:, j]  # of a single joint pinocchio gives a vector
+            column = jacobian.reshape(6, -1)[:, j]  # for a single joint pinocchio returns a vector
             axes[j] = column[:3] if joint.type == "prismatic" else column[3:]
         return np.array([p.translation for p in placements]), np.array([p.rotation for p in placements]), axes
 
     def placements(self, q: Array) -> tuple[Array, Array]:
-        """Where the links' frames are at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3), in the base."""
+        """Links' frames in the base at the positions q (N, n): origins (N, n, 3), rotations (N, n, 3, 3)."""
         origins, rotations = np.empty((*q.shape, 3)), np.empty((*q.shape, 3, 3))
         for k, qk in enumerate(np.ascontiguousarray(q, dtype=float)):
             pin.forwardKinematics(self.model, self._data, qk)
@@ -119,8 +114,8 @@ class InverseModel:
     ) -> None:
         """Fill out[places[link, place in LINK]], one row for each joint that carries the link, in ascending order.
 
-        The torque of a joint is v·f + w·n: the velocities v, w that it gives the link at unit speed, and the force f and
-        moment n that the link takes (Khalil2002).
+        The torque of a joint is v·f + w·n, with the link's velocities v, w at unit joint speed, and the force f and moment n
+        that accelerate the link (Khalil2002).
         """
         by_link = {i: [place for link, place in places if link == i] for i in sorted({link for link, _ in places})}
         rows = {i: np.concatenate([places[i, place] for place in own]) for i, own in by_link.items()}
@@ -135,7 +130,7 @@ class InverseModel:
 
     def _carried(self, i: int, twists: list[Array], q: Array, dq: Array, ddq: Array) -> Array:
         """Twists of link i in its frame (linear and angular, 3, 2 + joints that carry it, N): its velocity, its acceleration
-        and that of gravity, and its velocity for each of these joints at unit speed.
+        minus gravity, and its velocity for each of these joints at unit speed.
         """
         before = twists[self.parents[i] - 1] if self.parents[i] else self._base_twists
         origin, axis, R, by_sin, by_cos = self._placements[i]
@@ -145,7 +140,7 @@ class InverseModel:
         else:
             R = R + by_sin * np.sin(q) + by_cos * np.cos(q)
         linear = before[0] + np.zeros(len(q))
-        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # the links' origins apart: v + w x r
+        for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):  # v + w x r
             if origin[c].any():
                 linear[a] += before[1, b] * origin[c]
                 linear[b] -= before[1, a] * origin[c]
@@ -174,13 +169,13 @@ class InverseModel:
 
     @cached_property
     def _base_twists(self) -> Array:
-        """Velocity and acceleration (2, 3, 2, 1) of the base, which is that of its fall turned round."""
+        """Velocity and acceleration (2, 3, 2, 1) of the base, minus gravity."""
         twist = np.zeros((2, 3, 2, 1))
         twist[0, :, 1, 0] = -np.array(self.robot.gravity)
         return twist
 
     def _structure(self) -> NDArray[np.bool_]:
-        """Which entries (n, p) of the regressor can be other than zero: joint j feels link i if j carries it."""
+        """Which entries (n, p) of the regressor can be non-zero: joint j carries link i."""
         nonzero = np.zeros((self.robot.n, self.p), dtype=bool)
         for c, source in enumerate(self.sources):
             if isinstance(source, JointTerm):
@@ -194,7 +189,7 @@ class InverseModel:
 def _link_torques(twist: Array, places: list[int]) -> Array:
     """Torques (P * joints, N) of the joints that carry a link, for its parameters at `places` (P,) in LINK, each 1."""
     (v, w), (a, dw) = twist[:, :, 0], twist[:, :, 1]
-    # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); a joint feels v·f + w·n, its own v and w.
+    # f = M a + dw x MS + w x (w x MS), n = I dw + w x I w + MS x a (Khalil2002); torque v·f + w·n.
     of = np.concatenate([a + _cross(w, v), dw, w[[0, 0, 0, 1, 1, 2]] * w[[0, 1, 2, 1, 2, 2]]])
     N, pushed = of.shape[1], [k for k, place in enumerate(places) if place >= 6]
     n = (_MOMENTS[places].reshape(-1, 12) @ of).reshape(-1, 3, N)
@@ -206,8 +201,8 @@ def _link_torques(twist: Array, places: list[int]) -> Array:
 
 
 def _unit_wrenches() -> tuple[Array, Array]:
-    """Force and moment (10, 3, 12) that a link needs by parameter of LINK, linear in its acceleration a, its angular
-    acceleration dw, and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
+    """Force and moment (10, 3, 12) of a link by parameter of LINK, linear in its acceleration a, its angular acceleration dw,
+    and the products wx wx, wx wy, wx wz, wy wy, wy wz, wz wz of its angular velocity.
     """
     forces, moments = np.zeros((2, 10, 3, 12))
     S = np.cross(np.eye(3)[:, None], np.eye(3)[None])  # S[i, k]: e_i x e_k
@@ -238,7 +233,7 @@ _FORCES, _MOMENTS = _unit_wrenches()
 
 
 def _link_unit(robot: Robot, source: tuple[int, int]) -> str:
-    """Unit of a link parameter; where the gain is unknown, that of joint torque in A or V in place of N m or N."""
+    """Unit of a link parameter; with A or V in place of N m or N if the gain is unknown."""
     link, place = source
     power = 2 if place < 6 else 1 if place < 9 else 0  # kg m², kg m, kg
     if robot.gain_known:
@@ -251,7 +246,7 @@ def _model_from_dh(robot: Robot) -> pin.Model:
     """Rot(x, alpha) Trans(x, d) Rot(z, theta) Trans(z, r): modified Denavit-Hartenberg, Khalil2002."""
     model, parent = pin.Model(), 0
     for joint in robot.joints:
-        assert joint.dh is not None  # load_robot has seen to it
+        assert joint.dh is not None  # load_robot checks it
         about_x = pin.SE3(pin.utils.rotate("x", np.deg2rad(joint.dh.alpha_deg)), np.array([joint.dh.d_m, 0.0, 0.0]))
         about_z = pin.SE3(pin.utils.rotate("z", np.deg2rad(joint.dh.theta_deg)), np.array([0.0, 0.0, joint.dh.r_m]))
         kind = pin.JointModelRZ() if joint.type == "revolute" else pin.JointModelPZ()
@@ -260,7 +255,7 @@ def _model_from_dh(robot: Robot) -> pin.Model:
 
 
 def _model_from_urdf(robot: Robot) -> pin.Model:
-    """The movable joints that the description names, in its order; any others of the URDF are locked at zero."""
+    """The movable joints that the description names; others of the URDF are locked at zero."""
     place = f"robot {robot.name}: URDF"
     wanted = [joint.name for joint in robot.joints]
     try:
@@ -272,7 +267,7 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
                 raise IdentificationError(place=place, key="movable joint", value=name, expected=expected)
         for joint in root.findall("joint"):
             if joint.get("name") in wanted:
-                _free(joint, place)
+                _make_buildable(joint, place)
             else:
                 joint.set("type", "fixed")
         model = pin.buildModelFromXML(ET.tostring(root, encoding="unicode"))
@@ -283,23 +278,23 @@ def _model_from_urdf(robot: Robot) -> pin.Model:
         shown = ", ".join(wanted)
         key = "order of joints"
         raise IdentificationError(place=place, key=key, value=wanted, shown=shown, expected=", ".join(order))
-    for said, built in zip(robot.joints, list(model.joints)[1:], strict=True):
+    for described, built in zip(robot.joints, list(model.joints)[1:], strict=True):
         prismatic = built.shortname().startswith("JointModelP")
-        if prismatic != (said.type == "prismatic") or built.nq != 1:
-            where = f"{place}: joint {said.name!r}"
-            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=said.type)
+        if prismatic != (described.type == "prismatic") or built.nq != 1:
+            where = f"{place}: joint {described.name!r}"
+            raise IdentificationError(place=where, key="type", value=built.shortname(), expected=described.type)
     return model
 
 
-def _free(joint: ET.Element, place: str) -> None:
-    """Make a joint one that pinocchio builds: with an axis, without limits, which a model does not need."""
+def _make_buildable(joint: ET.Element, place: str) -> None:
+    """Change a joint so that pinocchio builds it: with an axis and very wide limits."""
     axis = joint.find("axis") if joint.get("type") != "floating" else None  # exporters write 0 0 0 for it
     if axis is not None and not any(float(x) for x in (axis.get("xyz") or "1").split()):
         where = f"{place}: joint {joint.get('name')!r}"
         raise IdentificationError(place=where, key="axis", value="0 0 0", expected="a direction")
-    if joint.get("type") == "continuous":  # pinocchio would give it two coordinates
+    if joint.get("type") == "continuous":  # pinocchio uses two coordinates for it
         joint.set("type", "revolute")
-    if joint.get("type") in ("revolute", "prismatic"):  # without limits it is not built
+    if joint.get("type") in ("revolute", "prismatic"):  # pinocchio needs limits
         for limit in joint.findall("limit"):
             joint.remove(limit)
         ET.SubElement(joint, "limit", {"lower": "-1e9", "upper": "1e9", "effort": "1e9", "velocity": "1e9"})

@@ -1,6 +1,6 @@
-"""What motors and friction add to the joint torques, as columns of the model: rotor inertia, friction, offset.
+"""Joint torques of motors and friction, as columns of the model: rotor inertia, friction, offset.
 
-With v the speed of a joint, u = r·dq that along a direction r of Coulomb friction (a joint's own, or a coupled motor's):
+With v the speed of a joint and u = r·dq the speed along a direction r of Coulomb friction (a joint's or a coupled motor's):
 
 | term | torque per unit of the parameter | along | parameters |
 |---|---|---|---|
@@ -13,9 +13,9 @@ With v the speed of a joint, u = r·dq that along a direction r of Coulomb frict
 | load | abs(tau_rigid) sign(v), tau_rigid the torque of the links | joint | mu |
 
 Motors act through the motor matrix. With r the row of motor m, divided by its entry at joint m, the motor turns at r·dq
-and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist where a motor turns with several joints. As is
-the custom for coupled wrists, the part of Ia and Fvm that acts on one joint alone belongs to that joint's own Ia and Fv: on
-the Stäubli TX40 tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
+and adds rᵀ Ia (r·ddq), rᵀ Fvm (r·dq), rᵀ Fcm sign(r·dq); Fvm and Fcm exist if a motor turns with several joints. As usual
+for coupled wrists, the part of Ia and Fvm that acts on one joint only belongs to that joint's Ia and Fv: on the Stäubli TX40
+tau5 has Ia6 ddq6 + Fvm6 dq6, and tau6 has Ia6 (ddq5 + ddq6) + Fvm6 dq5.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,20 +31,20 @@ from acquisition.robot import FrictionTerm, Robot
 from ..arrays import Array
 
 Kind = Literal["rotor"] | FrictionTerm
-STEEPEST = 1e-3  # rad/s or m/s beside the speed under a rounded root
+ROOT_ROUNDING = 1e-3  # rad/s or m/s, added to the speed under a rounded root
 
 
 @dataclass(frozen=True, kw_only=True)
 class Friction:
-    """A friction term of the description, by the speed u along its direction; a further one is a row of `FRICTION`.
+    """A friction term of the description as a function of the speed u; to add a term, add a row to `FRICTION`.
 
     Attributes:
-        name: of its parameter; `motor_name` where a motor turns with several joints, "" where such a motor has none.
-        unit: of the parameter, of {effort} and {length}.
-        size: of u, of the speed that the description states, and of the size of the links' torque: per unit of the parameter.
-        slope: its derivative by u, of u and the stated speed.
-        has_sign: whether it is sign(u) size, and so jumps or is steep at 0; else it is the size.
-        is_steep: whether the slope is infinite at 0.
+        name: of its parameter; `motor_name` for a motor that turns with several joints, "" if such a motor has none.
+        unit: of the parameter, from {effort} and {length}.
+        size: per unit of the parameter, of u, the described speed and the size of the links' torque.
+        slope: its derivative by u, of u and the described speed.
+        has_sign: the term is sign(u) size, which jumps or is steep at 0; else it is the size.
+        is_steep: the slope is infinite at 0.
     """
 
     name: str
@@ -81,7 +81,7 @@ FRICTION: dict[Kind, Friction] = {
     ),
     "load": Friction(name="mu", unit="", size=lambda u, u_s, load: load + 0.0 * u),
 }
-SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")  # what friction has beside the usual terms
+SHAPES = tuple(kind for kind in FRICTION if kind != "coulomb")  # further friction: neither viscous nor Coulomb
 SLIDING = tuple(kind for kind, friction in FRICTION.items() if friction.has_sign)
 
 
@@ -90,9 +90,9 @@ class JointTerm:
     """A standard parameter of a joint or motor, and its column of the regressor.
 
     rotor: matrix ddq; viscous: matrix dq; offset: `direction`; those of `FRICTION` act along r = `direction`, at u = r·dq.
-    A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is what a motor adds to the
-    diagonal of joints whose own parameter counts it, so that `matrix` lacks it; `speed` is that at which Stribeck friction
-    has fallen to 37 %; `joint` the one whose number the name carries, from 0.
+    A `side` of +1 or -1 restricts friction to dq > 0 or dq < 0 of one joint. `given_away` (n,) is the part of a motor's
+    diagonal that belongs to other joints' parameters and is not in `matrix`. At `speed` Stribeck friction has fallen to 37 %.
+    `joint` is the number in the name, from 0.
     """
 
     name: str
@@ -112,16 +112,13 @@ class JointTerm:
 
     @property
     def row(self) -> Array:
-        """(n,) speed of its joint or motor per joint speed, 1 at `joint`: the direction that it acts along, whole.
-
-        The share that counts in other joints' own parameters is included.
-        """
+        """(n,) speed of its joint or motor per joint speed, 1 at `joint`; includes what `given_away` takes from `matrix`."""
         if self.direction.any():
             return self.direction
         return np.asarray(self.matrix[self.joint] + self.given_away[self.joint] * np.eye(len(self.matrix))[self.joint])
 
     def entry(self, j: int, dq: Array, ddq: Array, load: Array | float = 0.0) -> Array | float:
-        """Column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the size of the links' torque."""
+        """The column's entry at joint j over a motion: dq, ddq (N, n) → (N,); `load` (N,) is the size of the links' torque."""
         if self.kind == "rotor":
             return np.asarray(ddq @ self.matrix[j])
         if self.kind == "viscous":
@@ -139,7 +136,7 @@ class JointTerm:
     def entry_slopes(self, j: int, dq: Array) -> tuple[Array, Array]:
         """Derivatives of `entry` by speed (N, n) and by acceleration (n,).
 
-        None of terms that have the sign of a speed: in their place stands `rounded`.
+        Zero for terms with the sign of a speed: see `rounded`.
         """
         by_speed, by_acceleration = np.zeros(dq.shape), np.zeros(dq.shape[1])
         if self.kind == "rotor":
@@ -155,25 +152,25 @@ class JointTerm:
     def rounded(self, dq: Array, creep: Array) -> tuple[Array, Array]:
         """Friction with a sign along the direction at speeds dq (N, n), without jumps, and its slope, (N,) each.
 
-        The sign of a speed u is x / sqrt(1 + x²), x in units of the creep speed, of joints (n,), along the direction; the root
-        is sqrt(abs(u) + STEEPEST). The slope is the derivative by u.
+        The sign of a speed u becomes x / sqrt(1 + x²), x = u over the creep speed along the direction; the root becomes
+        sqrt(abs(u) + ROOT_ROUNDING). The slope is the derivative by u.
         """
         friction = FRICTION[self.kind]
         u, slow = dq @ self.direction, float(creep @ np.abs(self.direction))
         x = u / slow
         sign, steepness = x / np.sqrt(1 + x**2), (1 + x**2) ** -1.5 / slow
-        at = np.abs(u) + STEEPEST * friction.is_steep
+        at = np.abs(u) + ROOT_ROUNDING * friction.is_steep
         size, slope = friction.size(at, self.speed, 0.0), np.sign(u) * friction.slope(at, self.speed)
         share = 0.5 if self.side else 1.0  # friction of one direction is half of sign(u) + 1 or of sign(u) - 1
         return share * (sign + self.side) * size, share * (size * steepness + slope * sign)
 
 
 def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
-    """The terms that carry the number of joint j, as described: Ia, friction of the joint, Off, friction of a coupled motor."""
+    """The described terms numbered j + 1: Ia, friction of the joint, Off, friction of a coupled motor."""
     joint, n = robot.joints[j], robot.n
     motors = _motor_rows(robot)
     r, own = motors[j], np.eye(n)[j]
-    alone = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
+    single = np.count_nonzero(motors, axis=1) == 1  # motors that turn with one joint only
     coupled = np.count_nonzero(r) > 1
     effort, length = robot.effort_units[j], joint.position_unit
     viscous_unit = f"{effort} s/{length}"
@@ -198,7 +195,7 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
 
     terms: list[JointTerm] = []
     if joint.rotor_inertia:
-        taken = [i for i in range(n) if i != j and alone[i] and robot.joints[i].rotor_inertia]
+        taken = [i for i in range(n) if i != j and single[i] and robot.joints[i].rotor_inertia]
         terms.append(through_matrix("Ia", inertia_unit(robot, j), "rotor", np.outer(r, r), taken))
     for side, mark in ((1, "p"), (-1, "n")) if joint.one_sided else ((0, ""),):
         if "viscous" in joint.terms:
@@ -217,28 +214,28 @@ def joint_terms(robot: Robot, j: int) -> list[JointTerm]:
 
 
 def corner_speeds(directions: Array) -> Array:
-    """Sizes (m, k) of the speeds along k directions (k, n) at the corners, where planes across the directions meet.
+    """Absolute speeds (m, k) along k directions (k, n) at the corners, where the planes d_k dq = 0 meet.
 
-    Coulomb friction takes the power sum_k Fc_k |d_k dq|, linear between these planes: not below zero anywhere where it is not
-    so at the corners.
+    The power of Coulomb friction sum_k Fc_k |d_k dq| is linear between these planes: if it is not negative at the corners, it
+    is not negative anywhere.
     """
-    across, found = spanning(directions), dict[tuple[float, ...], None]()
+    across, corners = spanning(directions), dict[tuple[float, ...], None]()
     for standing in combinations(directions @ across.T, len(across) - 1):
         planes = np.array(standing).reshape(-1, len(across))
         if np.linalg.matrix_rank(planes) == len(planes):
             speeds = np.abs(directions @ (np.linalg.svd(planes)[2][-1] @ across))
-            found[tuple((speeds / speeds.max()).round(9))] = None
-    return np.array(list(found))
+            corners[tuple((speeds / speeds.max()).round(9))] = None
+    return np.array(list(corners))
 
 
 def spanning(rows: Array) -> Array:
-    """Unit vectors (r, n) that span rows (k, n): those of the joints where they do."""
+    """Unit vectors (r, n) that span rows (k, n): joint axes if possible."""
     moving, rank = np.flatnonzero(rows.any(axis=0)), int(np.linalg.matrix_rank(rows))
     return np.asarray(np.eye(rows.shape[1])[moving] if rank == len(moving) else np.linalg.svd(rows)[2][:rank])
 
 
 def inertia_unit(robot: Robot, j: int) -> str:
-    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V where the gain is not known."""
+    """Unit of an inertia about joint j's axis, or of a mass moved by it; in A or V if the gain is unknown."""
     if not robot.gain_known:
         return f"{robot.effort_units[j]} s²/{robot.joints[j].position_unit}"
     return "kg m²" if robot.joints[j].type == "revolute" else "kg"

@@ -1,8 +1,8 @@
 """Distances between the links of a robot, and to the ground: capsules of the description, or the URDF's collision shapes.
 
-Meshes are taken as their convex hulls. Links that follow each other are not looked at. The distance of the capsules about
-two shapes is one that the shapes have at least, and takes no search; that of two segments: Ericson, Real-Time Collision
-Detection, section 5.1.9 (2005).
+Meshes are replaced by their convex hulls; adjacent links are not checked. The distance of the capsules around two shapes is a
+closed-form lower bound of the shapes' distance. Distance of two segments: Ericson, Real-Time Collision Detection, section
+5.1.9 (2005).
 """
 
 import xml.etree.ElementTree as ET
@@ -25,12 +25,12 @@ from .inverse import InverseModel
 _REQUEST = coal.DistanceRequest()
 
 Find = Callable[[str], Path | None]
-"""From the name of a mesh in the URDF to its file; None where there is none."""
+"""From the name of a mesh in the URDF to its file, or None."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Shape:
-    """A convex shape fixed to a link, 0 the base, at a placement in the link's frame."""
+    """A convex shape fixed to a link (0: the base), at a placement in the link's frame."""
 
     link: int
     name: str
@@ -42,7 +42,7 @@ class Shape:
 
     @cached_property
     def capsule(self) -> tuple[Array, float]:
-        """Ends (2, 3) of the axis of the capsule about it, in the link's frame, and its radius."""
+        """Bounding capsule: ends (2, 3) of its axis in the link's frame, and radius."""
         ends, radius = bounding_capsule(self.geometry)
         return ends @ self.placement.rotation.T + self.placement.translation, radius
 
@@ -53,9 +53,9 @@ class Obstacles:
 
     Attributes:
         model: pinocchio's model.
-        pairs: of shapes; of link 0 is what stands still.
-        near: names of pairs that are too near at all poses, and so are not looked at.
-        missing: meshes of the URDF that are not found; their links are not looked at, or in part.
+        pairs: of shapes; fixed ones belong to link 0.
+        near: names of pairs that are too near at all poses and are not checked.
+        missing: meshes of the URDF that are not found; their links are checked partly or not at all.
     """
 
     model: Any
@@ -69,13 +69,13 @@ class Obstacles:
         return tuple(f"{a.name} and {b.name}" for a, b in self.pairs)
 
     def nearest(self, q: Array, far: float) -> tuple[Array, tuple[str, ...]]:
-        """Of the pair nearest to each other at each of the positions q (N, n): distance (N,) in m, and name.
+        """The nearest pair at each of the positions q (N, n): distance (N,) in m, and name.
 
-        Distances are negative inside, `far` at most.
+        Distances are negative if shapes overlap, and at most `far`.
         """
         model, data, q = self.model, self.model.createData(), np.ascontiguousarray(q)
         d, every = np.full(len(q), far), self.names
-        least = self._at_least(q)
+        least = self._lower_bounds(q)
         nearest_first = np.argsort(least, axis=1)
         names = []
         for k, qk in enumerate(q):
@@ -93,8 +93,8 @@ class Obstacles:
                 d[k] = min(found.min_distance, far)
         return d, tuple(names)
 
-    def _at_least(self, q: Array) -> Array:
-        """Distances (N, P) that the pairs have at least at the positions q (N, n), by the capsules about the shapes."""
+    def _lower_bounds(self, q: Array) -> Array:
+        """Lower bounds (N, P) of the pairs' distances at the positions q (N, n), from the bounding capsules."""
         model, data = self.model, self.model.createData()
         origins, turns = np.empty((len(q), model.njoints, 3)), np.empty((len(q), model.njoints, 3, 3))
         for k, qk in enumerate(q):
@@ -115,18 +115,18 @@ class Obstacles:
 
 
 def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: float) -> Obstacles | None:
-    """The pairs of a robot's shapes; None where neither capsules, nor shapes of a URDF, nor a ground are described.
+    """The pairs of a robot's shapes; None without described capsules, URDF shapes or ground.
 
     Parameters
     ----------
     dynamics : the model of the robot.
     find : the file of a mesh by its name in the URDF.
     poses : (N, n) positions within the ranges.
-    margin_m : pairs that are nearer than it at all poses are left out: they say more of the shapes than of the motion.
+    margin_m : pairs that are nearer at all poses are left out: their distance depends on the shapes, not on the motion.
 
     Raises
     ------
-    IdentificationError : where a mesh cannot be read, or a shape is none of the URDF's.
+    IdentificationError : if a mesh cannot be read, or a shape is unknown.
     """
     robot, model = dynamics.robot, dynamics.model
     capsules = [(0, "base", robot.base_capsule)]
@@ -152,9 +152,9 @@ def obstacles_of(dynamics: InverseModel, find: Find, poses: Array, margin_m: flo
         return None
     single = [Obstacles(model=model, pairs=(pair,), near=()) for pair in pairs]
     apart = [one.nearest(poses, np.inf)[0].max() > margin_m for one in single]
-    kept = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
+    checked = tuple(pair for pair, free in zip(pairs, apart, strict=True) if free)
     near = tuple(one.names[0] for one, free in zip(single, apart, strict=True) if not free)
-    return Obstacles(model=model, pairs=kept, near=near, missing=tuple(missing))
+    return Obstacles(model=model, pairs=checked, near=near, missing=tuple(missing))
 
 
 def _distance(data: Any, a: Shape, b: Shape) -> Any:
@@ -172,7 +172,7 @@ def _distance(data: Any, a: Shape, b: Shape) -> Any:
 
 
 def bounding_capsule(geometry: Any) -> tuple[Array, float]:
-    """A capsule that holds a convex shape of coal, along the longest side of its box: ends (2, 3) of its axis, and radius."""
+    """A capsule around a convex coal shape, along the longest side of its box: ends (2, 3) of its axis, and radius."""
     if isinstance(geometry, coal.Capsule):
         half = np.array([0.0, 0.0, geometry.halfLength])
         return np.array([-half, half]), float(geometry.radius)
@@ -188,9 +188,9 @@ def bounding_capsule(geometry: Any) -> tuple[Array, float]:
     apart = points - middle
     off = np.linalg.norm(np.delete(apart, along, axis=1), axis=1)
     radius = float(off.max())
-    reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))  # a point is inside with an end of the axis so near along it
+    reach = np.sqrt(np.maximum(radius**2 - off**2, 0.0))  # a point is inside if an axis end is this near along it
     first, last = float((apart[:, along] + reach).min()), float((apart[:, along] - reach).max())
-    # Of a compact shape the first may be the last: it is near every point between them.
+    # For a compact shape first may exceed last; every point between them is near enough.
     ends = np.tile(middle, (2, 1))
     ends[:, along] += first, last
     return ends, radius
@@ -202,13 +202,13 @@ def segments_apart(a: Array, b: Array) -> Array:
     dd, ee, de = (d * d).sum(axis=-1), (e * e).sum(axis=-1), (d * e).sum(axis=-1)
     dr, er = (d * r).sum(axis=-1), (e * r).sum(axis=-1)
 
-    def share(number: Array, of: Array) -> Array:
-        return np.clip(np.divide(number, of, out=np.zeros_like(number), where=of > 0), 0.0, 1.0)
+    def clipped_ratio(a: Array, b: Array) -> Array:
+        return np.clip(np.divide(a, b, out=np.zeros_like(a), where=b > 0), 0.0, 1.0)
 
-    # The nearest point of a to the line of b; of b to that point; and of a to the point of b, which was clipped.
-    s = share(de * er - dr * ee, dd * ee - de * de)
-    t = share(de * s + er, ee)
-    s = share(de * t - dr, dd)
+    # The point of a nearest to the line of b; of b nearest to that point; of a nearest to that clipped point.
+    s = clipped_ratio(de * er - dr * ee, dd * ee - de * de)
+    t = clipped_ratio(de * s + er, ee)
+    s = clipped_ratio(de * t - dr, dd)
     return np.asarray(np.linalg.norm(r + s[..., None] * d - t[..., None] * e, axis=-1))
 
 
@@ -223,7 +223,7 @@ def _capsule(link: int, name: str, capsule: Capsule) -> Shape:
 
 
 def _urdf_shapes(dynamics: InverseModel, find: Find, missing: list[str]) -> Iterator[Shape]:
-    """Collision shapes of the URDF's links, each at the joint that moves it; meshes that are not found go to `missing`."""
+    """Collision shapes of the URDF's links, each at the joint that moves it; meshes not found are added to `missing`."""
     for link in ET.fromstring(dynamics.robot.urdf or "").findall("link"):
         name = link.get("name", "")
         for collision in link.findall("collision"):

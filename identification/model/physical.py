@@ -1,10 +1,10 @@
-"""What a physical robot asks of its standard parameters: links that are bodies, rotors and friction that feed no energy.
+"""Conditions for physical standard parameters: links are bodies, rotor inertias are positive, friction dissipates energy.
 
-Rotor inertias: that of each motor and that of each joint alone, Ia5 - Ia6 where motor 6 turns joint 5 too. Viscous friction:
-its matrix is positive over the joints that share motors. Coulomb friction: its power sum_k Fc_k |d_k dq| is linear between the
-planes d_k dq = 0, so it is positive at all speeds where it is at the corners, in which these planes meet: Fc5 + Fcm6,
-Fc6 + Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 turns joint 5 too, and Fc of a joint of its own. Both are exact. Friction that
-has further terms is asked for its power at recorded speeds instead.
+Rotor inertias: those of each motor and of each joint alone are positive: Ia5 - Ia6 if motor 6 also turns joint 5. Viscous
+friction: its matrix is positive over the joints that share motors. Coulomb friction: its power sum_k Fc_k |d_k dq| is linear
+between the planes d_k dq = 0, so it is positive at all speeds if it is at the corners where the planes meet: Fc5 + Fcm6,
+Fc6 + Fcm6 and Fc5 + Fc6 of a wrist whose motor 6 also turns joint 5, and Fc of a joint with its own motor. Both conditions are
+exact. With further friction terms, the power at recorded speeds must be positive instead.
 """
 
 import numpy as np
@@ -18,25 +18,25 @@ from .base import BaseParameters
 from .inverse import FROM_PINOCCHIO, LINK, InverseModel
 from .joint_terms import SHAPES, JointTerm, corner_speeds, spanning
 
-DENSITY = 1000.0  # kg/m³ of a plausible link, motor and hollows included
-SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius: a share of its length, within these
-LEAST_EIGENVALUE = 1e-4  # of a description's pseudo-inertia with a diagonal of ones: below it is no body's
-ROTOR_SHARE, FRICTION = 0.1, 0.01  # to start from: of the link's ZZ, and N m or N m s
-SAME_FRAMES = 1e-6  # m and parts of a rotation: two descriptions of one robot give their lengths to fewer digits
-POSES, SEED = 4, 11  # at which the frames of two descriptions are compared
-DISSIPATING = ("viscous", "coulomb", *SHAPES)  # what takes energy; constant offsets do not
-RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators know
-MIN_SPEED = 0.04  # of a joint's peak speed: at slower states the power of its friction is not looked at
+DENSITY = 1000.0  # kg/m³ of a plausible link, including motor and cavities
+SLENDERNESS, RADIUS_M = 0.2, (0.05, 0.08)  # its radius over its length, and limits of the radius
+MIN_EIGENVALUE = 1e-4  # of a physical pseudo-inertia, scaled to a diagonal of ones
+ROTOR_SHARE, FRICTION = 0.1, 0.01  # start values: of the link's ZZ, and in N m or N m s
+MAX_FRAME_DIFFERENCE = 1e-6  # m and rotation entries, of two descriptions of one robot
+POSES, SEED = 4, 11  # to compare the frames of two descriptions
+DISSIPATING = ("viscous", "coulomb", *SHAPES)  # constant offsets do not dissipate
+RESISTING = ("rotor", "viscous", "coulomb")  # terms that simulators have
+MIN_SPEED = 0.04  # of a joint's peak speed, for the power of its friction to be checked
 
 
 def expected_links(idm: InverseModel, prior: InverseModel | None = None) -> tuple[Array, tuple[str, ...]]:
-    """The links of `prior`, another description of the robot, or of the model's own, before anything is measured.
+    """A-priori links of `prior`, another description of the robot, or of the model's own description.
 
-    Their parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the frames of the model's links, and of each where it is from.
+    Returns parameters (n, 10), XX XY XZ YY YZ ZZ MX MY MZ M in the model's link frames, and the source of each link.
 
-    A link is that of the description's `[parameters]`, else of its `URDF`, else `plausible`: a rod from its joint to the next.
-    The frames of `prior` may be others, as those of a URDF are for a robot of DH rows. An `IdentificationError` where it has
-    other joints, or its links do not move as those of the model.
+    A link is from the description's `[parameters]`, else its `URDF`, else `plausible`: a rod from its joint to the next. The
+    link frames of `prior` may differ, as those of a URDF from DH rows. Raises `IdentificationError` if it has other joints or
+    its links move differently.
     """
     of = idm if prior is None else prior
     values = np.array([of.robot.parameters.get(name, 0.0) for name in of.names])
@@ -56,9 +56,9 @@ def link_columns(idm: InverseModel) -> NDArray[np.intp]:
 
 
 def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load: Array) -> Array:
-    """Power (k, b) that friction takes per unit of the parameters `columns` (b,), over the sum of the speeds' sizes.
+    """Power (k, b) dissipated per unit of the parameters `columns` (b,), divided by sum |dq|; zero for constant offsets.
 
-    `dq` (k, n) are the speeds, none of them all zero, `load` (k, n) the sizes of the links' torques. Constant offsets are none.
+    `dq` (k, n) are the speeds, no row all zero, `load` (k, n) the sizes of the links' torques.
     """
     still, G = np.zeros_like(dq), np.zeros((len(dq), len(columns)))
     for i, column in enumerate(columns):
@@ -70,7 +70,7 @@ def friction_power(idm: InverseModel, columns: NDArray[np.intp], dq: Array, load
 
 
 def friction_alone(idm: InverseModel, columns: NDArray[np.intp], j: int, v: Array, load: Array) -> Array:
-    """Friction (k, b) of joint j per unit of the parameters `columns` (b,), offsets apart, where it moves alone.
+    """Friction (k, b) without offsets of joint j per unit of the parameters `columns` (b,), if only joint j moves.
 
     `v` (k,) are its speeds, not zero, `load` (k,) the sizes of the links' torque at it.
     """
@@ -79,27 +79,27 @@ def friction_alone(idm: InverseModel, columns: NDArray[np.intp], j: int, v: Arra
 
 
 def shaped_states(idm: InverseModel, dq: Array, load: Array) -> tuple[Array, Array]:
-    """Speeds and loads (m, n) at which friction of further terms is asked for its power, from those of some rows (k, n).
+    """Speeds and loads (m, n) at which the power of further friction terms is checked, from those of some rows (k, n).
 
     Joints that share motors move together as recorded, and each joint alone.
     """
-    fast, found = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0), [(dq[:0], load[:0])]
+    moving, found = np.abs(dq) > MIN_SPEED * np.abs(dq).max(axis=0, initial=0.0), [(dq[:0], load[:0])]
     for joints in _groups(idm, shaped=True):
-        for moving in dict.fromkeys([joints, *((j,) for j in joints)]):
-            at, these = fast[:, moving].any(axis=1), np.isin(np.arange(idm.robot.n), moving)
+        for subset in dict.fromkeys([joints, *((j,) for j in joints)]):
+            at, these = moving[:, subset].any(axis=1), np.isin(np.arange(idm.robot.n), subset)
             found.append((dq[at] * these, load[at]))
     speeds, loads = (np.concatenate(x) for x in zip(*found, strict=True))
     return speeds, loads
 
 
 def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointTerm, str]]:
-    """What a physical robot asks of rotor inertias, viscous and Coulomb friction.
+    """Conditions for rotor inertias, viscous and Coulomb friction.
 
     Matrices (s, s, p), mostly a single entry, whose product with chi must be positive definite; the first parameter of each,
-    which has the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
+    with the kind and the unit of all; and a text such as `Fc5 + Fcm6`.
 
-    Of joints whose friction has further terms: with `shaped`, friction that is positive without those, a joint's or motor's
-    own share of it too; else nothing, and their power is looked at.
+    For joints with further friction terms: if `shaped`, friction must be positive without these terms, also of a joint's or
+    motor's own; else there is no condition here, and the power is checked.
     """
     found, (terms, A) = list[tuple[Array, JointTerm, str]](), own_shares(idm)
     alone = {j for joints in _groups(idm, shaped=False) if len(joints) == 1 for j in joints}
@@ -125,11 +125,11 @@ def requirements(idm: InverseModel, *, shaped: bool) -> list[tuple[Array, JointT
 def physical_parameters(
     idm: InverseModel, prior: InverseModel | None = None, power: Array | None = None
 ) -> PhysicalParameters:
-    """What a physical robot asks of the standard parameters of a model.
+    """Conditions for the standard parameters of a physical robot.
 
-    Links are expected as `expected_links` has them. Rotors and friction are asked for what `requirements` has; friction with
-    further terms for its `power` (m, p) per unit of each parameter at `shaped_states`, or, where no speeds are known, for
-    viscous and Coulomb friction that are positive without the further terms.
+    Links have the prior of `expected_links`; rotors and friction the conditions of `requirements`. Further friction terms
+    need a positive `power` (m, p), per unit of each parameter at `shaped_states`; if no speeds are known, viscous and Coulomb
+    friction must be positive without the further terms.
     """
     source = idm if prior is None else prior
     values = np.array([source.robot.parameters.get(name, 0.0) for name in idm.names])
@@ -157,27 +157,25 @@ def physical_parameters(
 
 def _terms(idm: InverseModel, kinds: tuple[str, ...], joints: tuple[int, ...] | None = None) -> dict[int, JointTerm]:
     """By column, the terms of these kinds that act on one of the joints, or on any."""
-    found = {
-        c: source for c, source in enumerate(idm.sources) if isinstance(source, JointTerm) and source.kind in kinds
-    }
-    return {c: term for c, term in found.items() if joints is None or not set(term.rows).isdisjoint(joints)}
+    terms = {c: term for c, term in enumerate(idm.sources) if isinstance(term, JointTerm) and term.kind in kinds}
+    return {c: term for c, term in terms.items() if joints is None or not set(term.rows).isdisjoint(joints)}
 
 
 def _groups(idm: InverseModel, *, shaped: bool) -> list[tuple[int, ...]]:
-    """Joints that share motors: those whose friction has further terms than viscous and Coulomb ones, or the others."""
+    """Groups of joints that share motors: if `shaped`, those with further friction terms, else the others."""
     joined = np.eye(idm.robot.n)
     for term in _terms(idm, DISSIPATING).values():
         joined[np.ix_(term.rows, term.rows)] = 1.0
     closed = np.linalg.matrix_power(joined, idm.robot.n)
     groups = dict.fromkeys(tuple(np.flatnonzero(row).tolist()) for row in closed)
-    # One-sided terms count as further ones where joints share motors.
+    # If joints share motors, one-sided terms count as further terms.
     one_sided = {source.joint for source in idm.sources if isinstance(source, JointTerm) and source.side}
     further = {g for g in groups if _terms(idm, SHAPES, g) or (len(g) > 1 and not one_sided.isdisjoint(g))}
     return [joints for joints in groups if (joints in further) == shaped]
 
 
 def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
-    """Rotors, viscous and Coulomb friction by column, and what of each (m, p) is its joint's or motor's alone."""
+    """Rotors, viscous and Coulomb friction by column, and for each the combination (m, p) of its joint or motor alone."""
     terms = _terms(idm, RESISTING)
     columns = list(terms)
     own = {(s.kind, int(s.rows[0])): c for c, s in terms.items() if len(s.rows) == 1 and s.side == 0}
@@ -190,7 +188,7 @@ def own_shares(idm: InverseModel) -> tuple[dict[int, JointTerm], Array]:
 
 
 def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
-    """That a combination (p,) of parameters of one kind is positive."""
+    """The condition that a combination (p,) of parameters of one kind is positive."""
     terms = [term for c, term in _terms(idm, RESISTING).items() if row[c]]
     text = " ".join(
         f"{'-' if x < 0 else '+'} {'' if abs(x) == 1 else f'{abs(x):.4g} '}{term.name}"
@@ -200,7 +198,7 @@ def _single(idm: InverseModel, row: Array) -> tuple[Array, JointTerm, str]:
 
 
 def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) -> tuple[Array, str]:
-    """Ten parameters of link j: those described, those of the URDF, or those of a rod to the next joint; and which of them."""
+    """Ten parameters of link j, described, from the URDF, or of a rod to the next joint; and their source."""
     for parameters, source in ((described, "[parameters]"), (of_urdf, "URDF")):
         if is_a_body(parameters):
             return np.array(parameters), source
@@ -216,7 +214,7 @@ def _expected_link(idm: InverseModel, j: int, described: Array, of_urdf: Array) 
 
 
 def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
-    """T (n, 4, 4): coordinates in the prior's link frames to those in the model's, which must be the same at all positions."""
+    """T (n, 4, 4) from the prior's link frames to the model's; it must be the same at all positions."""
     joints, others = idm.robot.joints, prior.robot.joints
     if [j.type for j in joints] != [j.type for j in others]:
         where, expected = f"prior {prior.robot.name}", ", ".join(j.type for j in joints)
@@ -227,20 +225,20 @@ def _frames_of(idm: InverseModel, prior: InverseModel) -> Array:
     T = np.zeros((POSES, idm.robot.n, 4, 4))
     T[..., :3, :3], T[..., 3, 3] = back @ turned_prior, 1.0
     T[..., :3, 3] = np.einsum("knij,knj->kni", back, at_prior - at)
-    off = np.abs(T - T[0]).max(axis=(0, 2, 3)) > SAME_FRAMES
-    if off.any():
+    differs = np.abs(T - T[0]).max(axis=(0, 2, 3)) > MAX_FRAME_DIFFERENCE
+    if differs.any():
         raise IdentificationError(
-            "its link moves differently than that of the fit",
+            "its link moves differently from the fit's",
             place=f"prior {prior.robot.name}",
             key="joint",
-            value=others[int(off.argmax())].name,
+            value=others[int(differs.argmax())].name,
             expected="the same base frame, axes, lengths and zeros",
         )
     return np.asarray(T[0])
 
 
-def is_a_body(parameters: Array, least: float = LEAST_EIGENVALUE) -> bool:
-    """Whether a body of positive density has these ten parameters: its pseudo-inertia, scaled, has no lower eigenvalue."""
+def is_a_body(parameters: Array, least: float = MIN_EIGENVALUE) -> bool:
+    """Whether a body of positive density can have these ten parameters: eigenvalues of its scaled pseudo-inertia > `least`."""
     P = pseudo_inertia(parameters)
     diagonal = np.diag(P)
     if not (diagonal > 0).all():
@@ -253,6 +251,6 @@ def nearest_consistent(
 ) -> Consistent:
     """The physically consistent parameters nearest to base parameters beta (b,) of this covariance (b, b).
 
-    `power` as of `physical_parameters`. Raises `IdentificationError` where there are none to be found.
+    `power` as in `physical_parameters`. Raises `IdentificationError` if none are found.
     """
     return consistent_parameters(beta, covariance, base.K, physical_parameters(model, power=power))

@@ -7,7 +7,7 @@ from .fit_file import (
     Assumed,
     ConsistentFile,
     Covariance,
-    DirectModelErrorFile,
+    DirectModelError,
     EssentialSet,
     FitFile,
     KnownLagFile,

@@ -197,8 +197,8 @@ class PassFile(msgspec.Struct, frozen=True, kw_only=True):
     settled: bool
 
 
-class DirectModelErrorFile(msgspec.Struct, frozen=True, kw_only=True):
-    """A joint of the simulated robot against the recording, as `simulation.DirectModelError`."""
+class DirectModelError(msgspec.Struct, frozen=True, kw_only=True):
+    """Relative errors of a simulated joint: of |q - mean|, None where the joint is held, and of |tau|."""
 
     name: str
     position_error_percent: float | None
@@ -290,7 +290,7 @@ class FitFile(OnRecording, frozen=True, kw_only=True):
     contrast_half_widths: float | UnsetType | None = UNSET
     rows_used_percent: float | UnsetType = UNSET
     saturated_percent: float | UnsetType | None = UNSET
-    direct_model: list[DirectModelErrorFile] | UnsetType = UNSET
+    direct_model: list[DirectModelError] | UnsetType = UNSET
 
     def warnings_of(self, place: str) -> list[str]:
         """Warnings, each led by `place`, its file: a status without a fixed point, values that no robot has."""

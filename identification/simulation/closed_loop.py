@@ -1,7 +1,7 @@
-"""The simulated robot: the direct model of any base estimate in closed loop, and as what the simulated drives of dry runs move.
+"""The simulated robot: the direct model with any base parameters, in closed loop or as the plant of simulated drives.
 
-Friction is stepped implicitly with stick phases, so that light joints do not chatter. `described_robot` is the package's entry
-point in the group `robot_idim.plants`, by which a dry run finds it.
+Friction is stepped implicitly with stick phases, so that light joints do not chatter. `described_robot` is the entry point in
+the group `robot_idim.plants` that dry runs use.
 """
 
 import numpy as np
@@ -13,33 +13,41 @@ from acquisition.simulated import SUBSTEPS, LoopGains, cascaded_loops, middle_of
 
 from ..arrays import Array
 from ..errors import IdentificationError
-from ..model import DirectModel, InverseModel, base_parameters, direct_model, inertias, truth, why_not_positive
+from ..model import (
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    inertias,
+    why_not_positive,
+)
 from .control_law import Control, ControlLaw, Disturbances, Reference, recorded_loop
 
-STRIBECK = 0.1  # of a direction's speed scale: what Coulomb friction has more at rest falls by exp(-(v/this)²)
+STRIBECK = 0.1  # of a direction's speed scale: the excess of Coulomb friction at rest falls by exp(-(v/this)²)
 STICTION = 1e-3  # of a direction's speed scale: Coulomb friction builds up linearly below this speed
-MODE_PASSES = 8  # of the search for which directions stick; nearly always one or two are needed
-BRAKE = 1e9  # added to the inertia of a joint that is held: it does not move
-LOOK_EVERY = 64  # steps between looks at whether the simulation still follows
-POSES = 200  # within the limits of the joints, at which a plant's inertias are looked at
-POSES_RANGE = np.pi  # rad or m to each side, of these poses alone, where a joint states no range
-PLANT_STEP_S = 0.0005  # at most
+MAX_MODE_PASSES = 8  # to find the directions that stick; nearly always one or two suffice
+BRAKE = 1e9  # added to the inertia of a joint whose brake holds
+CHECK_EVERY = 64  # steps between checks of the tracking error
+POSES = 200  # within the joint limits, for a plant's inertias
+POSES_RANGE = np.pi  # rad or m to each side, for joints without a stated range
+MAX_PLANT_STEP_S = 0.0005
 
 
 class Friction:
     """The robot's equation of motion, its smooth part stepped explicitly and its friction implicitly.
 
-    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), viscous friction being that of its middle. f in
-    each direction slips or sticks. A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up
-    to a creep speed `v_s`. The modes of the step before are tried first; a direction that would turn round sticks, one that
-    exceeds v_s slips. Friction by the square root of a speed is linearised, its slope being that at v_s below v_s, and taken
-    in the middle of the step like viscous friction. Friction by load has the links' torque of the step before.
+    A step h solves (M + h V / 2) dv = h (tau - bias - V v - Sᵀ f - offset), with viscous friction at the middle of the step.
+    A direction slips at its full Coulomb level, or sticks: then its friction grows linearly up to a creep speed `v_s`. The
+    modes of the previous step are tried first; a direction that would reverse sticks, one that exceeds v_s slips. Root
+    friction is linearised, below v_s with the slope at v_s, and taken at the middle of the step like viscous friction. Load
+    friction uses the links' torque of the previous step.
     """
 
     def __init__(self, model: DirectModel, fastest: Array, v: Array, h: float, stribeck: float = 0.0) -> None:
-        """`fastest` (c,) are the speeds that the directions reach, `v` (n,) the joints' at the start, `h` the step in s.
+        """`fastest` (c,) are the maximum speeds of the directions, `v` (n,) the initial joint speeds, `h` the step in s.
 
-        Coulomb friction at rest is (1 + stribeck) of its level.
+        Coulomb friction at rest is (1 + stribeck) times its level.
         """
         from scipy.linalg import lapack  # takes as long to import as a fit by least squares
 
@@ -48,20 +56,20 @@ class Friction:
         speed = np.maximum(fastest, 1e-9)
         self._v_s, self._stribeck, self._falls = STICTION * speed, stribeck, STRIBECK * speed
         self._shaped = bool(model.shapes)
-        self._rigid: Array | None = None  # of the links in the step before
+        self._rigid: Array | None = None  # torque of the links in the previous step
         self._coulomb = (1 + stribeck) * (model.up + model.down) / 2
-        self._hold(self._coulomb)
+        self.set_static_level(self._coulomb)
         self._one_sided = bool(model.viscous_up.any() or model.viscous_down.any())
         self._V, self._added = model.viscous, model.rotor + 0.5 * h * model.viscous
-        self._turn(np.sign(self._S @ v))
+        self.set_modes(np.sign(self._S @ v))
 
-    def _hold(self, level: Array) -> None:
-        """Take up the friction at rest `level` (c,), half of the distance between its two directions."""
+    def set_static_level(self, level: Array) -> None:
+        """Set the friction at rest, `level` (c,): half of the distance between its two directions."""
         self._resists = level > 0
         self._slope = np.where(self._resists, level / self._v_s, 0.0)
 
-    def _turn(self, mode: Array) -> None:
-        """Take up the modes (c,): +1 and -1 slip that way, 0 sticks."""
+    def set_modes(self, mode: Array) -> None:
+        """Set the modes (c,): +1 and -1 slip that way, 0 sticks."""
         model, S = self._model, self._S
         self._mode, self._forward = mode, mode[:, None] * S
         stuck = mode == 0
@@ -72,7 +80,7 @@ class Friction:
         self._creep = (S.T * (self._slope * stuck)) @ S
 
     def step(self, q: Array, v: Array, tau: Array, held: NDArray[np.bool_] | None = None) -> Array | None:
-        """Speed (n,) after a step under the torque tau, brakes holding joints where `held`; None where M is not positive."""
+        """Speed (n,) after a step under the torque tau, with brakes on the joints `held`; None if M is not positive."""
         h = self._h
         M, bias = self._model.inertia_and_bias(q, v)
         if self._one_sided:
@@ -86,7 +94,7 @@ class Friction:
         if self._shaped:
             shape, steepness = self._shapes(bias if self._rigid is None else self._rigid, v)
         A = M
-        for _ in range(MODE_PASSES):
+        for _ in range(MAX_MODE_PASSES):
             level = self._level if near is None else self._level + (near * self._slips) @ self._S
             if self._shaped:
                 level = level + (self._mode * shape) @ self._S
@@ -107,17 +115,17 @@ class Friction:
             found = np.where(~stuck & (mode * after < 0), np.where(self._resists, 0.0, -mode), found)
             if (found == mode).all():
                 break
-            self._turn(found)
+            self.set_modes(found)
         if self._shaped:
             self._rigid = self._model.of_links(q, v, dv / h)
         return np.asarray(w)
 
     def _shapes(self, rigid: Array, v: Array) -> tuple[Array, Array]:
-        """Friction (c,) beside Coulomb's of directions that slip at the speeds v (n,), and its slope by the speed."""
+        """Further friction (c,) of directions that slip at the speeds v (n,), and its slope by the speed."""
         model, v_s = self._model, self._v_s
         along = self._S.dot(rigid)
-        # What sticks is held by as much as slips at the creep speed.
-        self._hold(self._coulomb + model.shape(v_s, along))
+        # Static friction equals the friction at the creep speed.
+        self.set_static_level(self._coulomb + model.shape(v_s, along))
         if self._stuck:
             self._creep = (self._S.T * (self._slope * (self._mode == 0))) @ self._S
         u = np.maximum(np.abs(self._S.dot(v)), v_s)
@@ -125,7 +133,7 @@ class Friction:
 
 
 class ClosedLoop:
-    """A robot in closed loop, simulated span by span: its motion and the controller's memory go on from one to the next."""
+    """A robot in closed loop, simulated span by span; the states of robot and controller continue from one to the next."""
 
     def __init__(
         self,
@@ -137,9 +145,9 @@ class ClosedLoop:
         substeps: int = 1,
         cell: Disturbances | None = None,
     ) -> None:
-        """`start` is position and speed, (n,) each; `fastest` (c,) speeds that the directions of Coulomb friction reach.
+        """`start` is position and speed, (n,) each; `fastest` (c,) maximum speeds of the directions of Coulomb friction.
 
-        A controller period has `substeps` steps; `cell` is what disturbs the loop, as the references have it.
+        A controller period has `substeps` steps; `cell` disturbs the loop as stated in the references.
         """
         self._q, self._v = (x.copy() for x in start)
         self._h, self._substeps, self._period_s = loop.period_s / substeps, substeps, loop.period_s
@@ -148,14 +156,13 @@ class ClosedLoop:
         self._friction = Friction(plant, fastest, self._v, self._h, stribeck=stribeck)
         self._instants = 0
 
-    @np.errstate(over="ignore", invalid="ignore")  # a loop that is not stable is told by where it goes
+    @np.errstate(over="ignore", invalid="ignore")  # an unstable loop is found by its tracking error
     def follow(self, reference: Reference, bound: Array) -> tuple[Array, str | None]:
         """Follow the next span of a reference given once per controller period.
 
-        Returns q, dq, ddq, tau (4, N, n), `substeps` rows to a period, each of one instant, tau held from there on: the true
-        motion and the torque that the controller gives, without noise of encoders and disturbing torque. And the reason why
-        it ended early, if it did: where the position leaves the reference by more than `bound` (n,), or the inertia matrix is
-        not positive. The state is never clipped.
+        Returns q, dq, ddq, tau (4, N, n), `substeps` rows a period: the true motion and the controller's torque, held until
+        the next row, without encoder noise and disturbing torque. And why it ended early, or None: the position differs from
+        the reference by more than `bound` (n,), or the inertia matrix is not positive. The state is never clipped.
         """
         h, substeps, q_ref, cell = self._h, self._substeps, reference.q, reference.disturbances
         N, n = q_ref.shape
@@ -163,7 +170,7 @@ class ClosedLoop:
         q_out, dq_out, ddq_out, tau_out = out
         q, v, control, friction = self._q, self._v, self._control, self._friction
         control.take(reference)
-        look_every, half, reason = max(1, LOOK_EVERY // substeps), 0.5 * h, None
+        check_every, half, reason = max(1, CHECK_EVERY // substeps), 0.5 * h, None
         rows, known = 0, reference.known_torque
         for k in range(N):
             if cell is None:
@@ -181,19 +188,19 @@ class ClosedLoop:
                 q_out[row], dq_out[row], tau_out[row] = q, v, tau
                 q, v = q + half * (v + after), after
                 rows = row + 1
-            if reason is None and k % look_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
-                reason = self._lost(q, q_ref[k], bound, k)
+            if reason is None and k % check_every == 0 and not (np.abs(q - q_ref[k]) < bound).all():
+                reason = self._why_lost(q, q_ref[k], bound, k)
             if reason is not None:
                 break
         far = np.flatnonzero(~(np.abs(q_out[:rows:substeps] - q_ref[: -(-rows // substeps)]) < bound).all(axis=1))
         if reason is None and far.size:
             k = int(far[0])
-            reason, rows = self._lost(q_out[k * substeps], q_ref[k], bound, k), k * substeps
+            reason, rows = self._why_lost(q_out[k * substeps], q_ref[k], bound, k), k * substeps
         self._q, self._v, self._instants = q, v, self._instants + N
         ddq_out[:rows] = np.diff(dq_out[:rows], axis=0, append=v[None]) / h
         return out[:, :rows], reason
 
-    def _lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
+    def _why_lost(self, q: Array, q_ref: Array, bound: Array, k: int) -> str:
         j, t_s = int(np.argmin(np.abs(q - q_ref) < bound)), (self._instants + k) * self._period_s
         return f"the simulated robot leaves its reference at joint {j + 1}, {t_s:.3f} s"
 
@@ -207,7 +214,7 @@ class RigidBodyPlant:
     def __init__(
         self, model: DirectModel, q: Array, *, speed_scale: Array, step_s: float, disturbance: Array, seed: int
     ) -> None:
-        """`speed_scale` (n,) is the speed that motion reaches, which sets where friction counts as sticking."""
+        """`speed_scale` (n,) is the maximum speed, which sets the speed below which friction sticks."""
         self._model, self._step_s = model, step_s
         self._q, self._dq = np.array(q, dtype=float), np.zeros(len(q))
         self._friction = Friction(model, np.abs(model.directions @ speed_scale), self._dq, step_s)
@@ -218,18 +225,18 @@ class RigidBodyPlant:
         return self._q.copy(), self._dq.copy()
 
     def prescribed_effort(self) -> Array | None:
-        """None: it obeys."""
+        """None: it moves as its drives command."""
         return None
 
     def step(self, effort: Array, held: NDArray[np.bool_], duration_s: float) -> None:
-        """Go on for `duration_s` under constant `effort`; brakes hold the joints where `held`."""
+        """Simulate `duration_s` under constant `effort`, with brakes on the joints `held`."""
         self._dq = np.where(held, 0.0, self._dq)
         if held.all():
             return
         noise = self._disturbance * self._rng.standard_normal(len(effort))
         steps = max(1, round(duration_s / self._step_s))
         for _ in range(steps):
-            # The torque of the links is that of the middle position: at the start's it would be half a step late.
+            # The links' torque at the start position would be half a step late.
             middle = self._q + 0.5 * self._step_s * self._dq
             after = self._friction.step(middle, self._dq, effort + noise, held=held)
             if after is None:
@@ -238,40 +245,39 @@ class RigidBodyPlant:
 
 
 def described_robot(robot: Robot) -> tuple[RigidBodyPlant, LoopGains]:
-    """The plant of `robot-acquire record --dry-run`: the rigid robot of the description's `[parameters]`.
+    """The plant of `robot-acquire record --dry-run`, with the description's `[parameters]`, and loops for its inertias.
 
-    The robot is at rest in the middle of its ranges; the loops of its drives are for its inertias. An `AcquisitionError` where
-    the parameters are not of this robot, or no motion is possible with them.
+    The robot is at rest in the middle of its ranges. Raises `AcquisitionError` if the parameters are not of this robot or its
+    inertia matrix is not positive.
     """
     try:
         dynamics = InverseModel(robot)
         base = base_parameters(dynamics)
-        model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+        model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     except IdentificationError as error:
         raise AcquisitionError(str(error)) from error
     ranges = np.array([joint.si("position") or (-POSES_RANGE, POSES_RANGE) for joint in robot.joints])
     poses = np.random.default_rng(0).uniform(ranges[:, 0], ranges[:, 1], (POSES, robot.n))
-    reason = why_not_positive(model, poses)
+    M = model.inertia(poses)
+    reason = why_not_positive(M)
     if reason is not None:
         raise AcquisitionError(f"robot {robot.name}: [parameters] cannot be simulated: {reason}")
-    period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * PLANT_STEP_S
+    period_s = robot.bus.sync_period_s if robot.bus is not None else SUBSTEPS * MAX_PLANT_STEP_S
     plant = RigidBodyPlant(
         model,
         middle_of_range(robot),
         speed_scale=np.array([joint.si("speed") or 1.0 for joint in robot.joints]),
-        step_s=min(period_s / SUBSTEPS, PLANT_STEP_S),
+        step_s=min(period_s / SUBSTEPS, MAX_PLANT_STEP_S),
         disturbance=np.zeros(robot.n),
         seed=0,
     )
-    return plant, drive_loops(robot, inertias(model, poses))
+    return plant, drive_loops(robot, inertias(M))
 
 
 def drive_loops(robot: Robot, J: Array) -> LoopGains:
-    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for inertias J (n,) at the joints.
-
-    Computed torque needs a model that drives do not have: a description with it is given the second.
-    """
+    """The law of simulated drives: the description's, or cascaded loops of its bandwidth for joint inertias J (n,)."""
     law = recorded_loop(robot)
+    # Computed torque needs a model, which drives do not have.
     if law is None or law.computed_torque:
         return cascaded_loops(robot, J)
     return LoopGains(

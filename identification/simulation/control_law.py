@@ -13,12 +13,12 @@ Control acts on motor positions q_m = R q, once per controller period, and is he
 | `pid` | position_gain | velocity_gain | 1 | position error, Ki = integral_gain |
 | `computed_torque` | position_gain | velocity_gain | 1 | -; u is a motor acceleration, Kp in 1/s², Kd in 1/s |
 
-A surrogate, of the controller or of the reference, adds the model's gravity along the reference, less the known torque: a real
-loop holds its robot up by an integral or its own model, and a measured position has that sag in it already.
+With a surrogate controller or reference, the model's gravity along the reference minus the known torque is added: a real loop
+compensates gravity by an integral or a model, and a measured position already contains the remaining sag.
 
-What is recorded as feed-forward is added to u. Known torques act on the joints, beside those of the drives.
+Recorded feed-forward is added to u. Known torques act on the joints in addition to those of the drives.
 
-Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts, whatever the structure.
+Computed torque gives tau = IDM(q, dq, ddq_r + R⁻¹ u). The saturation limits motor efforts in every structure.
 """
 
 from dataclasses import KW_ONLY, dataclass, replace
@@ -36,14 +36,14 @@ SURROGATE_DAMPING = 0.8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Disturbances:
-    """Noise of the encoders, torque on the joints, friction that is not described; at the controller's N instants.
+    """Encoder noise, torque on the joints and friction that are not described, at the controller's N instants.
 
     Attributes:
-        position: (N, n) noise of the encoders, rad or m at the joints; the controller acts on it.
-        count: step of the encoders, rad or m, 0 for none.
-        torque: (N, n) that acts on the joints, each held to the next instant.
+        position: (N, n) encoder noise, rad or m at the joints; the controller acts on it.
+        count: encoder resolution, rad or m, 0 for none.
+        torque: (N, n) torque on the joints, each held to the next instant.
         asymmetry: viscous and Coulomb friction is (1 + asymmetry) of the described one for dq > 0, (1 - asymmetry) for dq < 0.
-        stribeck: Coulomb friction at rest is (1 + stribeck) of the described one, which it falls to with speed.
+        stribeck: Coulomb friction at rest is (1 + stribeck) of the described one and falls to it with speed.
     """
 
     position: Array
@@ -53,12 +53,12 @@ class Disturbances:
     stribeck: float = 0.0
 
     def seen(self, q: Array, at: int | slice = slice(None)) -> Array:
-        """Positions (N, n), or of one instant (n,), that the encoders give where they are q."""
+        """Encoder readings (N, n) of positions q, or (n,) of one instant."""
         q = q + self.position[at]
         return np.asarray(np.rint(q / self.count) * self.count) if self.count else q
 
     def on_plant(self, model: DirectModel) -> DirectModel:
-        """The robot with the friction that it has."""
+        """The model with the asymmetric friction."""
         more, less = 1.0 + self.asymmetry, 1.0 - self.asymmetry
         return replace(
             model,
@@ -71,10 +71,10 @@ class Disturbances:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The inputs of a loop at its instants: q, dq, ddq (N, n), which it is to follow, and what acts besides, if anything.
+    """The inputs of a loop at its instants: the reference q, dq, ddq (N, n) and any further inputs.
 
     `known_torque` (N, n) acts on the joints, each held to the next instant; `feedforward` (N, n) is added to the controller's
-    output, in its units; `disturbances` are those that nobody knows.
+    output, in its units; `disturbances` are unknown to the controller.
     """
 
     q: Array
@@ -101,12 +101,12 @@ class ControlLaw:
     saturation: Array
     velocity_estimate: str
     computed_torque: bool
-    gravity: bool = False  # whether the model's gravity along the reference is added
+    gravity: bool = False  # adds the model's gravity along the reference
 
     def scaled(self, factor: Array) -> "ControlLaw":
-        """The same loop for other inertias: gains and saturation times `factor` (n,), the gain update.
+        """The gain update: the loop for other inertias, with gains and saturation times `factor` (n,).
 
-        Gains of computed torque stay: they are of accelerations, and the model in the loop has the other inertias.
+        Gains of computed torque act on accelerations and stay: the model in the loop has the new inertias.
         """
         gains = np.ones_like(factor) if self.computed_torque else factor
         return replace(
@@ -114,18 +114,18 @@ class ControlLaw:
         )
 
     def with_integral(self, rate: float) -> "ControlLaw":
-        """The law with an integral in place of its own, of the velocity error where it feeds no velocity forward.
+        """The law with another integral: of the velocity error if it has no velocity feed-forward, else of the position error.
 
-        `rate` in 1/s: under a constant error the integral gives as much as the rest of the law after 1 / rate.
+        `rate` in 1/s: under a constant error the integral equals the rest of the law after 1 / rate.
         """
         if self.feedforward == 0.0:
             return replace(self, Ki=rate * self.Kd, position_share=self.Kp / self.Kd)
         return replace(self, Ki=rate * self.Kp, position_share=np.ones_like(self.Kp))
 
     def inertias(self, bandwidth_hz: float) -> Array:
-        """J (n,) of the joints that Kp makes oscillators of the bandwidth of, w² J = Rᵀ G Kp R on the diagonal.
+        """Inertias J (n,) for which Kp gives the bandwidth w: w² J is the diagonal of Rᵀ G Kp R.
 
-        Ones for computed torque, whose gains tell nothing of inertias.
+        Ones for computed torque, whose gains do not depend on inertias.
         """
         if self.computed_torque:
             return np.ones(len(self.Kp))
@@ -133,7 +133,10 @@ class ControlLaw:
 
 
 def recorded_loop(robot: Robot) -> ControlLaw | None:
-    """The loop of the description's `[controller]`, None where it states none; errors name the keys that are missing."""
+    """The loop of the description's `[controller]`, None if it states none.
+
+    Raises `IdentificationError` naming missing keys.
+    """
     c = robot.controller
     integrates = c.structure in ("cascade_p_pi", "pid")
     needed = ["structure", "sample_rate_hz", "position_gain", "velocity_gain", *["integral_gain"] * integrates]
@@ -142,7 +145,7 @@ def recorded_loop(robot: Robot) -> ControlLaw | None:
         return None
     if missing := [key for key in needed if key not in stated]:
         where = f"robot {robot.name}"
-        expected = f"all of {', '.join(needed)}, or none of them: then a PD of the stated bandwidth_hz stands in"
+        expected = f"all of {', '.join(needed)}, or none of them (then a PD of bandwidth_hz is simulated)"
         raise IdentificationError(place=where, key=f"controller: {', '.join(missing)}", value=None, expected=expected)
     structure, kp, kd = stated["structure"], np.array(stated["position_gain"]), np.array(stated["velocity_gain"])
     ki = np.array(stated["integral_gain"]) if integrates else np.zeros(robot.n)
@@ -182,65 +185,63 @@ def surrogate_loop(bandwidth_hz: float, J: Array, rate_hz: float) -> ControlLaw:
 
 
 class Control:
-    """The control law, instant by instant: it carries the integral and the positions before."""
+    """The control law with its state: the integral and the previous positions."""
 
     def __init__(self, model: DirectModel, loop: ControlLaw, q: Array, v: Array) -> None:
-        """`q`, `v` (n,) are the position and the speed that it starts with."""
+        """`q`, `v` (n,) are the initial position and speed."""
         self._model, self._loop, self._T = model, loop, loop.period_s
         self._to_joints = loop.R.T * loop.G
         self._limited, self._integrates = bool(np.isfinite(loop.saturation).any()), bool(loop.Ki.any())
         self._q1, self._q2 = q - self._T * v, q - 2 * self._T * v
         self._start, self._integral = q, np.zeros(len(loop.Kp))
-        self._begins = self._integrates
-        # A linear law goes straight to joint torques.
+        self._integral_unset = self._integrates
+        # A linear law is mapped directly to joint torques.
         self._plain = loop.velocity_estimate == "exact" and not loop.computed_torque
         self._plain &= not self._limited and not self._integrates
         self._P, self._D = loop.Kp[:, None] * loop.R, loop.Kd[:, None] * loop.R
         self._to_torque = (self._to_joints @ self._P, self._to_joints @ self._D)
 
     def take(self, reference: Reference) -> None:
-        """Take up a reference, or the span of it that follows: instants are counted from its first one."""
+        """Set the reference, or its next span; instants are counted from its start."""
         loop, self._reference = self._loop, reference
-        self._ahead = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
+        self._reference_part = reference.q @ self._P.T + loop.feedforward * (reference.dq @ self._D.T)
         if loop.gravity and not loop.computed_torque:
-            self._ahead = self._ahead + self._motor_effort(self._weight(reference.q).T).T
+            self._reference_part = self._reference_part + self._motor_effort(self._gravity(reference.q).T).T
         self._added = reference.feedforward if loop.computed_torque else None
         if reference.feedforward is not None and not loop.computed_torque:
-            self._ahead = self._ahead + reference.feedforward
+            self._reference_part = self._reference_part + reference.feedforward
         if self._plain:
-            self._ahead = self._ahead @ self._to_joints.T
-        if self._begins:
-            self._integral, self._begins = self._held(), False
+            self._reference_part = self._reference_part @ self._to_joints.T
+        if self._integral_unset:
+            self._integral, self._integral_unset = self._initial_integral(), False
 
-    def _held(self) -> Array:
-        """The integral of a loop that has been running for a while: it holds the robot at rest.
-
-        Speeds and accelerations of a single instant would bring their noise into it.
-        """
+    def _initial_integral(self) -> Array:
+        """The initial integral: it balances gravity at rest."""
+        # Speeds and accelerations of a single instant would add their noise.
         loop, reference = self._loop, self._reference
-        held = self._motor_effort(self._weight(self._start[None])[0])
+        held = self._motor_effort(self._gravity(self._start[None])[0])
         if loop.gravity:
-            held = held - self._motor_effort(self._weight(reference.q[:1])[0])
+            held = held - self._motor_effort(self._gravity(reference.q[:1])[0])
         if reference.feedforward is not None:
             held = held - reference.feedforward[0]
         held = np.clip(held, -loop.saturation, loop.saturation)
         return np.divide(held, loop.Ki, out=np.zeros_like(held), where=loop.Ki > 0)
 
     def torque(self, k: int, q: Array, v: Array) -> Array:
-        """Joint torques (n,) that the controller gives at its instant k."""
+        """The controller's joint torques (n,) at its instant k."""
         loop, dq = self._loop, v
         if self._plain:
             P, D = self._to_torque
-            return np.asarray(self._ahead[k] - P.dot(q) - D.dot(v))
+            return np.asarray(self._reference_part[k] - P.dot(q) - D.dot(v))
         if loop.velocity_estimate == "backward_difference":
             dq = (q - self._q1) / self._T
         elif loop.velocity_estimate == "two_sample_mean":
             dq = (q - self._q2) / (2 * self._T)
         self._q2, self._q1 = self._q1, q
-        u = self._ahead[k] - self._P.dot(q) - self._D.dot(dq)
+        u = self._reference_part[k] - self._P.dot(q) - self._D.dot(dq)
         if self._integrates:
             x = loop.position_share * loop.R.dot(self._reference.q[k] - q)
-            if loop.feedforward == 0.0:  # of a cascade it is the velocity error that is integrated
+            if loop.feedforward == 0.0:  # a cascade integrates the velocity error
                 x = x - loop.R.dot(dq)
             before, self._integral = self._integral, self._integral + x * self._T
             u = u + loop.Ki * self._integral
@@ -253,17 +254,17 @@ class Control:
             if self._added is not None:
                 u = u + self._added[k]
         if self._limited:
-            limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)  # np.clip takes thrice as long
+            limited = np.minimum(np.maximum(u, -loop.saturation), loop.saturation)  # np.clip takes three times as long
             if self._integrates:
                 self._integral = np.where(limited != u, before, self._integral)  # no wind-up
             u = limited
         return np.asarray(self._to_joints.dot(u))
 
-    def _weight(self, q: Array) -> Array:
-        """Joint torques (N, n) that hold the robot at the first N instants at positions q (N, n)."""
+    def _gravity(self, q: Array) -> Array:
+        """Drive torques (N, n) that hold the robot at positions q (N, n) at the first N instants."""
         known = self._reference.known_torque
-        weight = self._model.gravity(q)
-        return weight if known is None else weight - known[: len(q)]
+        gravity = self._model.gravity(q)
+        return gravity if known is None else gravity - known[: len(q)]
 
     def _motor_effort(self, tau: Array) -> Array:
         """Motor efforts (n, ...) that give the joint torques (n, ...)."""

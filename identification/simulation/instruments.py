@@ -1,4 +1,4 @@
-"""Instruments: the regressor along the robot simulated with an estimate in the recorded experiments, a task for each."""
+"""Instruments: the regressor along the motion simulated with an estimate, one task per recorded experiment."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -32,18 +32,18 @@ WORST_FIRST: tuple[InstrumentKind, ...] = ("reference", "consistent", "simulated
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Instruments:
-    """Instruments of a recording, or of several one after the other; what is said of them is said of the worst recording.
+    """Instruments of a recording, or of several stacked; single values are those of the worst recording.
 
     Attributes:
-        beta: (b,) the parameters asked for, to which those simulated are the nearest.
+        beta: (b,) the requested parameters; the nearest consistent ones are simulated.
         Z: (r, b) instruments, rows as those of W; of a long recording as those of `system`.
-        system: of a long recording W and Y about beta, as QR factors of the rows [Z W Y] that count; else None.
+        system: of a long recording W and Y about beta, as QR factors of the used rows [Z W Y]; else None.
         factors, time_blocks: by long recording, `system` and Z, and sums over its blocks of time.
-        fast: by recording, which rows (rows, n) count.
+        moving_rows: by recording, which rows (rows, n) are used.
         kind, reason: as in `methods.Pass`.
         gains: factors on the controllers' gains, n for each recording.
-        tracking_percent: simulated against measured position, None where nothing was simulated.
-        load_unknown: beta, a regular start, has nothing of the links' torque that load friction goes by.
+        tracking_percent: error of the simulated position, None if nothing was simulated.
+        load_unknown: beta, a regular start, has no link torques; load friction is left out.
     """
 
     beta: Array
@@ -51,7 +51,7 @@ class Instruments:
     system: System | None = None
     factors: tuple[tuple[System, Array], ...] = ()
     time_blocks: tuple[TimeBlocks, ...] = ()
-    fast: tuple[NDArray[np.bool_], ...]
+    moving_rows: tuple[NDArray[np.bool_], ...]
     kind: InstrumentKind
     reason: str | None
     gains: Array
@@ -60,11 +60,11 @@ class Instruments:
 
     @cached_property
     def used(self) -> Array:
-        """Rows (r,) that count: 1 and 0, joint by joint, recording by recording."""
-        return np.concatenate(self.fast).T.reshape(-1).astype(float)
+        """1 for used rows (r,), else 0; joint by joint, recording by recording."""
+        return np.concatenate(self.moving_rows).T.reshape(-1).astype(float)
 
     def without_rows(self) -> "Instruments":
-        """The same without what is as long as a recording, but which rows count."""
+        """The same without arrays of a recording's length, except `moving_rows`."""
         return replace(self, Z=self.Z[:0].copy(), system=None, factors=(), time_blocks=())
 
 
@@ -73,40 +73,40 @@ def simulate_instruments(
     beta: Array,
     covariance: Array | None,
     weights: Array,
-    kept: NDArray[np.bool_] | None = None,
+    rows: NDArray[np.bool_] | None = None,
 ) -> Instruments:
     """Instruments along the closed loop simulated with the physically consistent parameters nearest to `beta` (b,).
 
-    Nearest parameters follow the estimate smoothly, whereas the estimate itself moves a light wrist wildly long before its
-    inertia matrix is no longer positive: the iteration then has no fixed point. Where the robot leaves its reference all the
-    same, instruments are taken along the reference itself.
+    The nearest parameters follow the estimate smoothly. The estimate itself moves a light wrist wildly long before its inertia
+    matrix stops being positive, and the iteration then has no fixed point. If the simulated robot leaves its reference,
+    instruments are computed along the reference.
 
     Parameters
     ----------
     e : the recorded experiment.
-    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta is taken as it is.
+    beta, covariance : of the estimate, (b,) and (b, b); without a covariance beta itself is simulated.
     weights : (n,) of the joints' rows.
-    kept : (rows, n) rows that count, from a pass before; None for those at which the simulated robot is fast enough.
+    rows : (rows, n) used rows of a previous pass; None for those at which the simulated robot is fast enough.
     """
     near = beta if covariance is None else nearest(e, beta, covariance)
     model, gains, reason = with_gains_for(e, near)
     kind: InstrumentKind = "simulated"
     tracking_percent = None
     try:
-        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, kept)
-        if covariance is not None and (reason := why_not_positive(e.model(beta), e.poses)) is not None:
+        found, tracking_percent = _along(e, simulated_blocks(e, model, gains, reason), near, beta, weights, rows)
+        if covariance is not None and (reason := why_not_positive(e.model(beta).inertia(e.poses))) is not None:
             kind = "consistent"
     except NotSimulatedError as why:
         kind, reason = "reference", str(why)
-        found, _ = _along(e, reference_blocks(e), near, beta, weights, kept)
-    Z, fast, system, time_blocks = found
+        found, _ = _along(e, reference_blocks(e), near, beta, weights, rows)
+    Z, moving_rows, system, time_blocks = found
     return Instruments(
         beta=beta,
         Z=Z,
         system=system,
         factors=() if system is None else ((system, Z),),
         time_blocks=() if time_blocks is None else (time_blocks,),
-        fast=(fast,),
+        moving_rows=(moving_rows,),
         kind=kind,
         reason=reason,
         gains=gains,
@@ -118,10 +118,10 @@ def simulate_instruments(
 def stack_instruments(
     each: Sequence[Instruments], beta: Array, parameters: OwnParameters, names: Sequence[str]
 ) -> Instruments:
-    """Those of recordings of these names, in the columns of all parameters, of which beta (b,) are the values."""
+    """Instruments of several recordings, in the columns of all parameters beta (b,)."""
     if len(each) == 1:
         return replace(each[0], beta=beta)
-    n = each[0].fast[0].shape[1]
+    n = each[0].moving_rows[0].shape[1]
     factors = tuple(pair for one in each for pair in one.factors)
     if factors:
         system, Z = combined(factors)
@@ -135,7 +135,7 @@ def stack_instruments(
         system=system,
         factors=factors,
         time_blocks=tuple(blocks for one in each for blocks in one.time_blocks),
-        fast=tuple(fast for one in each for fast in one.fast),
+        moving_rows=tuple(rows for one in each for rows in one.moving_rows),
         kind=min((one.kind for one in each), key=WORST_FIRST.index),
         reason=join_reasons([one.reason for one in each], names),
         gains=np.concatenate([one.gains for one in each]),
@@ -145,13 +145,13 @@ def stack_instruments(
 
 
 def max_or_none(figures: Sequence[float | None]) -> float | None:
-    """The largest, None where one of them is."""
+    """The largest value; None if any is None."""
     known = [x for x in figures if x is not None]
     return max(known) if len(known) == len(figures) else None
 
 
 def join_reasons(reasons: Sequence[str | None], names: Sequence[str]) -> str | None:
-    """Reasons of recordings in one line, with the recordings' names where they are several."""
+    """The reasons in one line, led by the recordings' names if there are several recordings."""
     if len(reasons) == 1:
         return reasons[0]
     return "; ".join(f"{name}: {why}" for name, why in zip(names, reasons, strict=True) if why is not None) or None
@@ -163,50 +163,52 @@ def _along(
     near: Array,
     beta: Array,
     weights: Array,
-    kept: NDArray[np.bool_] | None,
+    rows: NDArray[np.bool_] | None,
 ) -> tuple[tuple[Array, NDArray[np.bool_], System | None, TimeBlocks | None], float]:
-    """Z about `near` along a motion, which rows count, of a long recording what stands for them; and the tracking error."""
+    """Z about `near` along a motion, the used rows, a long recording's system and time blocks; and the tracking error."""
     problem, base = e.problem, e.problem.base
-    directions, percent, rows = e.directions, problem.settings.low_speed.iv, e.blocks[0].rows
+    directions, percent = e.directions, problem.settings.low_speed.iv
     factors = Factors(len(weights), 2 * base.b + 1) if e.long else None
-    time_blocks = TimeBlocks.none_yet(rows, len(weights), base.names, instruments=True) if e.long else None
-    error, parts, slip, fast = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
+    time_blocks = TimeBlocks.none_yet(e.blocks[0].rows, len(weights), base.names, instruments=True) if e.long else None
+    error, parts, slip, moving = TrackingError(e), list[Array](), list[Array](), list[NDArray[np.bool_]]()
     for at, motion in blocks:
         error.add(at, motion)
         own = decimated_regressor(motion, problem.model, base, e.decimation, beta=near)[..., at.inside]
-        slow = _slip(e, motion.dq @ directions.T)[at.inside]
+        speeds = _slip(e, motion.dq @ directions.T)[at.inside]
         if factors is None or time_blocks is None:
             parts.append(own)
-            slip.append(slow)
+            slip.append(speeds)
             continue
-        known = None if kept is None else kept[at.first : at.last]
-        # The peak of the whole is known beforehand.
-        counts = moving_rows_of(slow, e.slip_noise, directions, percent, peak=e.fastest) if known is None else known
+        # The peak of the whole recording is known from its reference.
+        if rows is None:
+            counts = moving_rows_of(speeds, e.slip_noise, directions, percent, peak=e.fastest)
+        else:
+            counts = rows[at.first : at.last]
         W, Y = rows_of_block(problem, at, beta)
         columns = np.concatenate([own, W, Y[:, None]], axis=1)
         factors.add_block(columns, counts)
         time_blocks.add(at.first, columns, counts, weights)
-        fast.append(counts)
+        moving.append(counts)
     if factors is not None:
         system, of_system = factors.system(base.names)
         assert of_system is not None
-        return (of_system, np.concatenate(fast), system, time_blocks), error.percent
+        return (of_system, np.concatenate(moving), system, time_blocks), error.percent
     Z = np.ascontiguousarray(np.concatenate(parts, axis=-1).transpose(0, 2, 1)).reshape(-1, base.b)
-    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if kept is None else kept
+    counts = moving_rows_of(np.concatenate(slip), e.slip_noise, directions, percent) if rows is None else rows
     return (Z, counts, None, None), error.percent
 
 
 def _slip(e: Experiment, u: Array) -> Array:
-    """Lowest speeds (rows, c) within half a period of the cut-off: by that the low-pass blurs reversals in W, not in Z."""
+    """Minimum speeds (rows, c) within ± half a cut-off period, because the low-pass smears reversals in W."""
     reach = round(0.5 / (e.spacing_s * e.problem.slip_cutoff_hz))
     return lowest_nearby(np.abs(u), e.decimation.instants(len(u)), reach)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulation:
-    """The closed loop of a recording, gains set for the inertias of `prior` (b,); laid out once per process and rate.
+    """The closed loop of a recording, with gains set for the inertias of `prior` (b,).
 
-    `slip_noise` (c,) is that of the speeds of its directions of Coulomb friction; `long` says that rows are QR factors.
+    `slip_noise` (c,) is the speed noise along the directions of Coulomb friction; `long`: rows are QR factors.
     """
 
     problem: Problem
@@ -214,12 +216,12 @@ class Simulation:
     slip_noise: Array
     long: bool
     gain_update: bool = True
-    _laid_out: dict[float, Experiment] = field(default_factory=dict)
+    _experiments: dict[float, Experiment] = field(default_factory=dict)
 
     def at(self, rate_per_bandwidth: float) -> Experiment:
-        """The experiment with so many steps and samples per period of the bandwidth."""
-        if rate_per_bandwidth not in self._laid_out:
-            self._laid_out[rate_per_bandwidth] = Experiment(
+        """The experiment with this many steps and samples per period of the bandwidth, prepared once."""
+        if rate_per_bandwidth not in self._experiments:
+            self._experiments[rate_per_bandwidth] = Experiment(
                 self.problem.with_samples(),
                 self.prior,
                 self.slip_noise,
@@ -227,10 +229,10 @@ class Simulation:
                 gain_update=self.gain_update,
                 long=self.long,
             )
-        return self._laid_out[rate_per_bandwidth]
+        return self._experiments[rate_per_bandwidth]
 
     def __getstate__(self) -> dict[str, object]:
-        return {**self.__dict__, "_laid_out": {}}  # laid out anew where it is needed
+        return {**self.__dict__, "_experiments": {}}  # each process prepares its own
 
     @one_thread
     def instruments(
@@ -238,15 +240,15 @@ class Simulation:
         beta: Array,
         covariance: Array | None,
         weights: Array,
-        kept: NDArray[np.bool_] | None,
+        rows: NDArray[np.bool_] | None,
         rate_per_bandwidth: float,
     ) -> Instruments:
-        """Those of the recording, as `simulate_instruments`."""
-        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, kept)
+        """See `simulate_instruments`."""
+        return simulate_instruments(self.at(rate_per_bandwidth), beta, covariance, weights, rows)
 
     @one_thread
     def replica(self, beta: Array, covariance: Array | None) -> Replica:
-        """The robot simulated in the recording, as `simulate_replica`."""
+        """See `simulate_replica`."""
         return simulate_replica(self.at(RATE_PER_BANDWIDTH), beta, covariance)
 
 
@@ -254,7 +256,7 @@ class Simulation:
 class ClosedLoops:
     """The recordings of a fit in the order of the rows, and where the tasks run.
 
-    `names` are the recordings'; `parameters` those that they share and those of each, in whose order values stand.
+    `names` are the recordings'; `parameters` gives the order of shared and own parameters.
     """
 
     simulations: tuple[Simulation, ...]
@@ -268,26 +270,25 @@ class ClosedLoops:
         covariance: Array | None,
         weights: Array,
         *,
-        kept: Sequence[NDArray[np.bool_]] | None = None,
+        rows: Sequence[NDArray[np.bool_]] | None = None,
         coarse: bool = False,
     ) -> Instruments:
-        """Instruments along the robot simulated with the consistent parameters nearest to beta (b,), C its covariance.
+        """Instruments of all recordings for beta (b,) and its covariance, as `simulate_instruments`.
 
-        Joints have the `weights` (n,); `kept` are the rows that count, as of `Instruments.fast`, or None for those at which
-        the simulated robot is fast enough.
+        `rows` as `Instruments.moving_rows`.
         """
         rate = EARLY_RATE_PER_BANDWIDTH if coarse else RATE_PER_BANDWIDTH
-        rows: Sequence[NDArray[np.bool_] | None] = kept or [None] * len(self.simulations)
-        tasks = [(*own, weights, fast, rate) for own, fast in zip(self._own(beta, covariance), rows, strict=True)]
+        each_rows: Sequence[NDArray[np.bool_] | None] = rows or [None] * len(self.simulations)
+        tasks = [(*own, weights, r, rate) for own, r in zip(self._own(beta, covariance), each_rows, strict=True)]
         each = tuple(self.work.run(Simulation.instruments, tasks))
         return stack_instruments(each, beta, self.parameters, self.names)
 
     def replicas(self, beta: Array, covariance: Array | None) -> tuple[Replica, ...]:
-        """The robot simulated with beta (b,) in each experiment, as `simulate_replica`."""
+        """The robot simulated with beta (b,) in each recording, as `simulate_replica`."""
         return tuple(self.work.run(Simulation.replica, self._own(beta, covariance)))
 
     def _own(self, beta: Array, covariance: Array | None) -> list[tuple[Simulation, Array, Array | None]]:
-        """The recordings, and the values and the covariance of the base parameters of each."""
+        """By recording: its simulation, its base parameters and their covariance."""
         places = [self.parameters.places(k) for k in range(len(self.simulations))]
         return [
             (simulation, beta[at], None if covariance is None else covariance[np.ix_(at, at)])

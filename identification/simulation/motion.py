@@ -12,43 +12,30 @@ from ..arrays import Array
 from ..errors import IdentificationError
 from ..model import DirectModel, inertias, nearest_consistent, why_not_positive
 from ..regression import Decimation, Motion, RowBlock
+from ..report import DirectModelError
 from .closed_loop import ClosedLoop
 from .control_law import surrogate_loop
 from .experiment import Experiment, saturated_percent
 
-MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions of the instruments' samples that blocks of rows need
+MotionBlocks = Iterator[tuple[RowBlock, Motion]]  # motions at the instrument samples of each block of rows
 
 
 class NotSimulatedError(Exception):
-    """The robot with these parameters cannot be simulated, or leaves its reference; its text says why."""
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class DirectModelError:
-    """A joint of the simulated robot against the recording, in percent of its variation.
-
-    Position in percent of |q - mean|, None for a joint that is held; torque in percent of |tau|; both relative norms.
-    """
-
-    name: str
-    position_error_percent: float | None
-    torque_error_percent: float | None
+    """The robot cannot be simulated with these parameters, or leaves its reference; the text says why."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Replica:
-    """The robot simulated with parameters in the whole of a recorded experiment, and what the experiment was.
+    """The robot simulated with given parameters in a whole recorded experiment.
 
     Attributes:
-        motion: at the instruments' instants, of a long recording at those of the rows; None where it could not be simulated.
-        q: measured positions at the same instants, and `decimation` from there to the rows.
-        reason: why it could not be simulated; where there is a motion all the same, it is that of the nearest physically
-            consistent parameters.
-        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint, empty where nothing
+        motion: at the instruments' instants, of a long recording at those of the rows; None if it cannot be simulated.
+        q: measured positions at the same instants; `decimation` leads from there to the rows.
+        reason: why the parameters cannot be simulated; `motion` is then that of the nearest consistent ones, or None.
+        tracking_percent: |q_sim - q| in percent of |q - mean|, all joints that move; `direct` by joint, empty if nothing
             could be simulated.
-        reference_kind: as in `Experiment`; `described` says whether the description has the control law.
-        J_known, bandwidth_hz: as in `Experiment`.
-        saturated_percent: share of recorded samples at the drives' limit, None where no limit is stated.
+        reference_kind, J_known, bandwidth_hz: as in `Experiment`; `described`: the description has the control law.
+        saturated_percent: of recorded samples at the drives' limit, None if no limit is stated.
     """
 
     motion: Motion | None
@@ -65,16 +52,17 @@ class Replica:
 
 
 def with_gains_for(e: Experiment, beta: Array) -> tuple[DirectModel, Array, str | None]:
-    """The robot with beta (b,), factors (n,) on the controller's gains for its inertias; why it cannot be simulated, if so."""
+    """The model with beta (b,), factors (n,) on the gains for its inertias, and why it cannot be simulated, or None."""
     model = e.model(beta)
-    J, reason = inertias(model, e.poses), why_not_positive(model, e.poses)
-    # Where nothing tells what its saturation was set for, computed torque keeps it.
+    M = model.inertia(e.poses)
+    J = inertias(M)
+    # Computed torque keeps its saturation if the inertias it was set for are unknown.
     known = e.J_known or e.loop is None or not e.loop.computed_torque
-    return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), reason
+    return model, J / e.J_prior if e.gain_update and known else np.ones(len(J)), why_not_positive(M)
 
 
 def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: str | None) -> MotionBlocks:
-    """The closed loop simulated with what `with_gains_for` gives. Raises `NotSimulatedError`, maybe after some blocks."""
+    """Simulate the closed loop with the result of `with_gains_for`. Raises `NotSimulatedError`, also between blocks."""
     if reason is not None:
         raise NotSimulatedError(reason)
     loop = e.loop.scaled(gains) if e.loop else surrogate_loop(e.bandwidth_hz, gains * e.J_prior, 1 / e.period_s)
@@ -95,7 +83,7 @@ def simulated_blocks(e: Experiment, model: DirectModel, gains: Array, reason: st
 
 
 def reference_blocks(e: Experiment) -> MotionBlocks:
-    """The reference itself as the motion, without torque."""
+    """The reference as the motion, without torque."""
     for block in e.blocks:
         at = e.samples(block)
         begin, end = e.around(at)
@@ -105,18 +93,18 @@ def reference_blocks(e: Experiment) -> MotionBlocks:
 
 
 class TrackingError:
-    """How far a motion is off the measured one, block by block."""
+    """Accumulates the deviation of a motion from the measured one, block by block."""
 
     def __init__(self, e: Experiment) -> None:
         self._e = e
-        self._off, self._rho, self._tau = np.zeros((3, len(e.held)))
+        self._position, self._rho, self._tau = np.zeros((3, len(e.held)))
 
     def add(self, block: RowBlock, motion: Motion) -> tuple[slice, Array]:
-        """Take a block in; its own samples, which no other block has, and the measured positions there."""
+        """Add a block; returns the samples that no other block has, and the measured positions there."""
         e = self._e
         needed, own = e.samples(block), block.own_samples(e.N, e.decimation.factor)
         inside, q = slice(own.start - needed.start, own.stop - needed.start), e.measured(own)
-        self._off += ((motion.q[inside] - q) ** 2).sum(axis=0)
+        self._position += ((motion.q[inside] - q) ** 2).sum(axis=0)
         settings, effort = e.problem.settings, e.problem.signals.effort
         used = block.samples(settings.stop - settings.start, settings.decimation)
         measured = settings.decimator.filtered(effort[settings.start :][used].T)[:, block.inside]
@@ -127,17 +115,17 @@ class TrackingError:
 
     @property
     def percent(self) -> float:
-        """Positions of all joints that move, off the measured ones."""
-        moves = ~self._e.held
-        return 100.0 * float(np.sqrt(self._off[moves].sum() / self._e.scatter[moves].sum()))
+        """Position error of all joints that move."""
+        moving = ~self._e.held
+        return 100.0 * float(np.sqrt(self._position[moving].sum() / self._e.scatter[moving].sum()))
 
     @property
     def by_joint(self) -> tuple[DirectModelError, ...]:
-        """Positions and torques, joint by joint."""
+        """Position and torque errors."""
         e = self._e
         position, torque = (
-            [100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(off, of, strict=True)]
-            for off, of in ((self._off, e.scatter * ~e.held), (self._rho, self._tau))
+            [100.0 * float(np.sqrt(x / whole)) if whole > 0 else None for x, whole in zip(errors, wholes, strict=True)]
+            for errors, wholes in ((self._position, e.scatter * ~e.held), (self._rho, self._tau))
         )
         return tuple(
             DirectModelError(name=joint.name, position_error_percent=x, torque_error_percent=tau)
@@ -146,16 +134,16 @@ class TrackingError:
 
 
 def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None) -> Replica:
-    """The closed loop simulated with `beta` (b,), if it can be.
+    """Simulate the closed loop with `beta` (b,).
 
-    With a covariance (b, b) the nearest consistent parameters stand in for those that cannot; `reason` is that of beta.
+    If that fails and a covariance (b, b) is given, the nearest consistent parameters are simulated; `reason` is that of beta.
     """
     error, parts, reason, motion = TrackingError(e), list[tuple[Array, ...]](), None, None
     try:
         for block, x in simulated_blocks(e, *with_gains_for(e, beta)):
             inside, q = error.add(block, x)
             own = (x.t_s[inside], q, x.q[inside], x.dq[inside], x.ddq[inside], x.tau[inside])
-            # Of a long recording no more is kept than the instants of the rows.
+            # A long recording keeps only the instants of the rows.
             parts.append(tuple(map(e.decimation.kept, own)) if e.long else own)
     except NotSimulatedError as why:
         reason, q = str(why), np.zeros((0, len(e.held)))
@@ -182,7 +170,7 @@ def simulate_replica(e: Experiment, beta: Array, covariance: Array | None = None
 
 
 def nearest(e: Experiment, beta: Array, covariance: Array) -> Array:
-    """Consistent base parameters (b,) nearest to beta; beta itself where none are to be found."""
+    """Consistent base parameters (b,) nearest to beta; beta itself if none are found."""
     try:
         return nearest_consistent(e.problem.model, e.problem.base, beta, covariance).beta
     except IdentificationError:

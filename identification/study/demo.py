@@ -48,7 +48,7 @@ def record_simulated_session(
         disturbance=0.01 * noise_percent * np.sqrt(np.mean(tau**2, axis=0)),
         seed=SEED,
     )
-    mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model, q_ref[::50])))
+    mechanism = DrivenPlant(plant=plant, loops=drive_loops(robot, inertias(model.inertia(q_ref[::50]))))
     bus = resolve(robot, place)
     source = "simulated drives before the rigid robot of [parameters]"
     log = InlineLog(Recorder(out, describe_loops(robot, mechanism.loops), source=source, place=place))

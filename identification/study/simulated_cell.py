@@ -18,7 +18,16 @@ from acquisition.robot import FourierReference, Robot, fourier_reference
 from ..arrays import Array
 from ..data import Signals
 from ..errors import IdentificationError
-from ..model import BaseParameters, DirectModel, InverseModel, base_parameters, direct_model, inertias, poses_of, truth
+from ..model import (
+    BaseParameters,
+    DirectModel,
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    inertias,
+    poses_of,
+)
 from ..options import CellOptions
 from ..regression import differentiate
 from ..simulation import ClosedLoop, ControlLaw, Disturbances, Reference, recorded_loop, surrogate_loop
@@ -114,14 +123,14 @@ def study_truth(robot: Robot) -> tuple[BaseParameters, Array]:
     """The base parameters of the robot and the values (b,) a study simulates with."""
     idm = InverseModel(robot)
     base = base_parameters(idm)
-    return base, truth(idm, base)
+    return base, described_parameters(idm, base)
 
 
 def true_model(robot: Robot) -> DirectModel:
     """The direct model with the values that the description states."""
     idm = InverseModel(robot)
     base = base_parameters(idm)
-    return direct_model(idm, base.standard_parameters(truth(idm, base)))
+    return direct_model(idm, base.standard_parameters(described_parameters(idm, base)))
 
 
 def periodic_reference(robot: Robot, *, duration_s: float, seed: int, period_s: float = PERIOD_S) -> FourierReference:
@@ -231,7 +240,7 @@ def _loop(robot: Robot, model: DirectModel, q_ref: Array, sample_rate_hz: float,
     """The described control law, or a PD; a PD that sees noise has to tell the speed from it."""
     loop = recorded_loop(robot)
     if loop is None:
-        J = inertias(model, poses_of(q_ref))
+        J = inertias(model.inertia(poses_of(q_ref)))
         loop = surrogate_loop(robot.bandwidth_hz, J, sample_rate_hz)
         if noise.position or noise.encoder_step:
             loop = replace(loop, velocity_estimate="backward_difference")

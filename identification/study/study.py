@@ -18,7 +18,15 @@ from ..data import Work
 from ..errors import IdentificationError
 from ..estimation import one_thread
 from ..methods import Fit, Iteration, identify_iv, identify_ls
-from ..model import InverseModel, base_parameters, direct_model, inertias, poses_of, truth, why_not_positive
+from ..model import (
+    InverseModel,
+    base_parameters,
+    described_parameters,
+    direct_model,
+    inertias,
+    poses_of,
+    why_not_positive,
+)
 from ..options import Controllers, StudyOptions
 from ..regression import CUTOFF_PER_BANDWIDTH, Overrides, decimation_rule
 from .simulated_cell import Noise, closed_loop, random_reference, study_truth
@@ -189,13 +197,13 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
     )
     idm = InverseModel(robot)
     base = base_parameters(idm)
-    true, poses = truth(idm, base), poses_of(q_ref)
+    true, poses = described_parameters(idm, base), poses_of(q_ref)
     overrides = Overrides(
         cutoff_hz=drawn.cutoff * bandwidth_hz,
         decimation=robot.identification.decimation or decimation_rule(fs, bandwidth_hz),
         low_speed_percent=study.low_speed_percent,
     )
-    J = inertias(direct_model(idm, base.standard_parameters(true)), poses)
+    J = inertias(direct_model(idm, base.standard_parameters(true)).inertia(poses))
     run = Run(number=number, drawn=drawn)
 
     def result(fit: Fit) -> RunFit:
@@ -208,7 +216,7 @@ def one_run(files: Mapping[str, bytes], study: Study, number: int) -> Run:
             low=fit.intervals.low,
             high=fit.intervals.high,
             essential=np.isin(np.arange(base.b), fit.essential.kept),
-            positive=why_not_positive(direct_model(idm, base.standard_parameters(fit.beta)), poses) is None,
+            positive=why_not_positive(direct_model(idm, base.standard_parameters(fit.beta)).inertia(poses)) is None,
         )
 
     try:

@@ -17,7 +17,7 @@ from random_arms import random_estimate
 from identification.estimation import certainty, consistent_parameters, one_thread
 from identification.methods import Prior, identify_ls, with_consistent
 from identification.methods.consistent import FROM_PRIOR
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(
@@ -56,7 +56,7 @@ def test_intervals_of_an_arm_of_the_independent_simulator_hold_the_truth():
     hit, of_fit = [], []
     for k in range(8):
         fit = with_consistent(identify_ls(runs.signals(bare, k), known), Prior())
-        true, c = truth(InverseModel(robot), fit.base), fit.consistent
+        true, c = described_parameters(InverseModel(robot), fit.base), fit.consistent
         hit += list((np.abs(c.beta - true) <= c.base_half)[~c.base_from_prior])
         of_fit += list(np.abs(fit.beta - true) <= fit.intervals.half)
     percent, fits = 100 * np.mean(hit), 100 * np.mean(of_fit)

@@ -24,7 +24,7 @@ from acquisition.robot import fourier_reference
 from identification.data import load_signals
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, base_parameters, direct_model, truth
+from identification.model import InverseModel, base_parameters, described_parameters, direct_model
 from identification.model.base import known_parameters
 from identification.regression import Overrides
 from identification.study import Study
@@ -51,7 +51,7 @@ def floor(dynamics: InverseModel, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray
 def floor_of_passes(dynamics: InverseModel, q: np.ndarray, passes: int) -> Callable[[], None]:
     """Bare loops of computeJointTorqueRegressor and of aba over the samples, as often as there are passes."""
     base = base_parameters(dynamics)
-    model = direct_model(dynamics, base.standard_parameters(truth(dynamics, base)))
+    model = direct_model(dynamics, base.standard_parameters(described_parameters(dynamics, base)))
     regressors, data = floor(dynamics, q, q, q), model.rigid.createData()
 
     def run() -> None:

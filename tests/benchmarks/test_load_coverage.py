@@ -19,7 +19,7 @@ from independent_simulator import Imperfections, described_controller, descripti
 from identification.data import Recordings
 from identification.design import with_terms
 from identification.methods import Iteration, identify_iv, identify_ls
-from identification.model import InverseModel, truth
+from identification.model import InverseModel, described_parameters
 from identification.regression import Overrides
 
 pytestmark = pytest.mark.skipif(
@@ -55,9 +55,8 @@ def test_intervals_of_several_recordings_cover_the_truth(noise, in_loop, lowest,
         for k in range(0, EACH * RUNS, EACH):
             given = Recordings(sources=tuple(sources[k : k + EACH]))
             fit = identify_ls(given, Overrides()) if method == "LS" else identify_iv(given, Overrides(), Iteration())
-            true = dict(
-                zip(fit.base.names, truth(InverseModel(replace(robot, parameters=values)), fit.base), strict=True)
-            )
+            beta = described_parameters(InverseModel(replace(robot, parameters=values)), fit.base)
+            true = dict(zip(fit.base.names, beta, strict=True))
             off = np.abs(fit.estimate.beta - [true[name] for name in fit.estimate.names]) / fit.intervals.half
             inside += list(off < 1)
             of_mu += [x < 1 for x, name in zip(off, fit.estimate.names, strict=True) if name.startswith("mu")]
