@@ -423,7 +423,7 @@ def test_root_friction_at_two_speeds_is_named_and_left_out():
     settled, full = solve_with_load_friction(system_of(problem))
     assert full.names in (("M1R", "Fv1", "Fc1"), ("M1", "Fv1", "Fc1"))
     (told,) = settled.problem.settings.warnings[-1:]
-    assert told.startswith("root friction of joint axis left out: Fr1 cannot be told from the other parameters")
+    assert told.startswith("root friction of joint axis left out: Fr1 cannot be distinguished from the others")
     three, known = two_speeds(axis(["viscous", "coulomb", "root"], Fv=100.0, Fc=20.0, Fr=30.0), 1.0, (0.05, 0.1, 0.2))
     settled, full = solve_with_load_friction(system_of(three))
     np.testing.assert_allclose(full.beta, known, rtol=1e-8)

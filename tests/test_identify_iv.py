@@ -269,7 +269,7 @@ def test_gains_tell_the_inertias_where_least_squares_has_none():
     """A torque of the wrong sign leaves least squares without positive inertias: Kp = J w² then gives those of the gains."""
     robot, fit = signals_of(SCARA).robot, with_torque_of_the_wrong_sign()
     c = robot.controller
-    assert any("those that the described gains suit at 5 Hz" in text for text in fit.warnings)
+    assert any("those that suit the described gains at 5 Hz" in text for text in fit.warnings)
     J = np.array(c.position_gain) / (2 * np.pi * c.bandwidth_hz) ** 2
     np.testing.assert_allclose(recorded_loop(robot).inertias(c.bandwidth_hz), J)
     # From the regular start, 1 kg m² of each motor, the first gains are 1/J and a joint's share.
@@ -418,4 +418,4 @@ def test_robot_without_controller_uses_a_surrogate_and_says_so(capsys):
     signals = load_signals(SCARA, dataclasses.replace(robot, controller=bare))
     fit = identify_iv(signals, Overrides(), Iteration())
     assert (fit.status, fit.iv.controller, fit.iv.reference) == ("converged", "surrogate", "recorded")
-    assert any("a PD of 5 Hz stands in" in text for text in fit.warnings)
+    assert any("simulated with a 5 Hz PD" in text for text in fit.warnings)
