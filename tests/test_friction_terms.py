@@ -252,10 +252,10 @@ def test_blocks_and_reduced_rows_give_the_same_as_one_pass(monkeypatch):
     problem, _ = exact_problem(robot, periodic_reference(robot, duration_s=12.0, seed=5).at(t), decimation=2)
     _, whole = solve_with_load_friction(system_of(problem))
     monkeypatch.setattr("identification.regression.problem._SERIES_BLOCK", 10_000)
-    monkeypatch.setattr(system, "_LINKS_KEPT", 0)
+    monkeypatch.setattr(system, "_MAX_LINK_NUMBERS", 0)
     _, blocks = solve_with_load_friction(system_of(problem))
     np.testing.assert_allclose(blocks.beta, whole.beta, rtol=1e-6, atol=1e-7)
-    monkeypatch.setattr(system, "_NUMBERS_IN_MEMORY", 10_000)
+    monkeypatch.setattr(system, "_MAX_NUMBERS", 10_000)
     plain = regression_of_recording(problem)
     assert plain.reduced
     _, reduced = solve_with_load_friction(system_of(problem, plain=plain))
