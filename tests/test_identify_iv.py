@@ -80,7 +80,7 @@ def test_tx40_is_worse_without_the_gain_update(tx40):
     assert updated.iv.passes[0].z.tracking_percent < 5
     assert fit.iv.passes[0].estimate.residual_norm > 1.02 * updated.iv.passes[0].estimate.residual_norm
     # Nor are the gains updated for the last simulation, that of the result.
-    assert not np.array_equal(fit.iv.simulated.q, updated.iv.simulated.q)
+    assert not np.array_equal(fit.replica.motion.q, updated.replica.motion.q)
 
 
 @pytest.mark.slow
@@ -92,7 +92,7 @@ def test_fewer_instrument_samples_leave_the_estimate_where_it_is(tx40, monkeypat
     coarse = identify_iv(signals, every_row, to_the_end)
     monkeypatch.setattr("identification.simulation.instruments.RATE_PER_BANDWIDTH", 500.0)
     fine = identify_iv(signals, every_row, to_the_end)
-    assert len(fine.iv.q) == pytest.approx(5 * len(coarse.iv.q), rel=0.01)
+    assert len(fine.replica.q) == pytest.approx(5 * len(coarse.replica.q), rel=0.01)
     assert (np.abs(coarse.beta - fine.beta) < 0.1 * fine.estimate.sigma).all()
 
 

@@ -108,7 +108,7 @@ def test_both_methods_leave_slow_rows_out_and_settings_say_how_many():
     assert ls.estimate.rows == pytest.approx(iv.estimate.rows, rel=0.06)
     assert ls.estimate.rows < 0.9 * rows
     # Least squares on the rows that instrumental variables use: of the simulated speed.
-    m, plan, D = iv.iv.simulated, ls.settings, InverseModel(signals.robot).coulomb_directions
+    m, plan, D = iv.replica.motion, ls.settings, InverseModel(signals.robot).coulomb_directions
     step_s = m.t_s[1] - m.t_s[0]
     steps, half = round(plan.decimation / step_s / signals.sample_rate_hz), round(0.5 / step_s / plan.cutoff_hz)
     speed = np.abs(m.dq @ D.T)

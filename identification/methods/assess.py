@@ -174,7 +174,6 @@ def assess_iv(
         reason += f"; pass {best.number} is returned: it tracks best"
     with np.errstate(divide="ignore", invalid="ignore"):
         contrast = np.nan_to_num(np.abs(ls.full.values_of(estimate.names) - estimate.beta) / evidence.intervals.half)
-    first = replicas[observed.order[0]]
     iv = InstrumentEvidence(
         start=start,
         reference="recorded" if all(one.reference_kind == "recorded" for one in replicas) else "surrogate",
@@ -188,8 +187,6 @@ def assess_iv(
         rows_used_percent=float(100 * z.used.mean()),
         saturated_percent=_largest([one.saturated_percent for one in replicas]),
         direct=_direct_errors(replicas),
-        simulated=first.motion,
-        q=first.q,
     )
     evidence = replace(
         evidence,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from ..arrays import Array
 from ..estimation import Estimate, InstrumentTests, Intervals, Reduction
 from ..model import BaseParameters
-from ..regression import Motion, Problem, RowStates, Settings
+from ..regression import Problem, RowStates, Settings
 from ..report import Method, OwnTest, Status, TorqueError
 from ..simulation import DirectModelError, Instruments, Replica
 from ..trust import HeldOut, Lag, Trust
@@ -79,7 +79,6 @@ class InstrumentEvidence:
         contrast, contrast_at: largest difference of least squares from the estimate, in half-widths, and its parameter.
         saturated_percent: share of recorded samples at a drive's limit; None if no limit is stated.
         direct: errors of the direct model by joint; empty if the final estimate could not be simulated.
-        simulated, q: the simulated motion with the final estimate and the measured position at its instants.
     """
 
     start: str
@@ -94,8 +93,6 @@ class InstrumentEvidence:
     rows_used_percent: float
     saturated_percent: float | None
     direct: tuple[DirectModelError, ...]
-    simulated: Motion | None
-    q: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -237,10 +234,10 @@ class Fit:
     _repr_html_: ClassVar[Callable[["Fit"], str]]  # bound in `identification.notebook`: the report is a room above
 
     def on(self, one: FittedRecording) -> "Fit":
-        """The fit restricted to one of its recordings: rows, errors and simulated motion."""
+        """The fit restricted to one of its recordings: rows, errors and replica."""
         iv = self.iv
         if iv is not None and one.replica is not None:
-            iv = replace(iv, simulated=one.replica.motion, q=one.replica.q, direct=one.replica.direct)
+            iv = replace(iv, direct=one.replica.direct)
         rows = {name: getattr(self, name)[one.rows] for name in ("t_s", "tau", "tau_predicted", "speed")}
         here = slice(0, one.rows.stop - one.rows.start)
         return replace(self, recordings=(replace(one, rows=here),), errors=one.errors, iv=iv, **rows)
@@ -249,6 +246,11 @@ class Fit:
     def problem(self) -> Problem:
         """That of the first recording; all have the same robot, model and base parameters."""
         return self.recordings[0].problem
+
+    @property
+    def replica(self) -> Replica | None:
+        """The robot simulated in the first recording with the estimate; None after least squares."""
+        return self.recordings[0].replica
 
     @property
     def settings(self) -> Settings:
